@@ -1,0 +1,1 @@
+"""Closure, inverse and forward kinematics, singularities and derivatives, in batches."""

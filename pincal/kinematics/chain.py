@@ -1,0 +1,105 @@
+"""The calibration chain of a leg: its joints and one more joint for each parameter.
+
+Configurations of the chain are linear in the leg's joints and parameters,
+``q = J joints + S parameters``; a tie, such as an azimuth that turns a point but not
+what follows, is a row of S with several entries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.forest import Elementary, Forest, forest
+from pincal.model.leg import Joint, Leg
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Elementary joints in a row, and how parameters and leg joints move them."""
+
+    forest: Forest
+    from_parameters: Array
+    """S, shape (n, n_params)."""
+    from_joints: Array
+    """J, shape (n, n_joints): one entry ±1 a column."""
+
+    def configurations(self, parameters: Array, joints: Array) -> Array:
+        """Return configurations of the chain, shape (N, n).
+
+        Args:
+            parameters: Parameter values, shape (n_params,).
+            joints: Joint positions of the leg, shape (N, n_joints), [rad] or [m].
+        """
+        q = np.empty((len(joints), len(self.from_parameters)))
+        q[:] = self.from_parameters @ parameters
+        for column, entries in enumerate(self.from_joints.T):
+            row = int(np.flatnonzero(entries)[0])
+            q[:, row] = entries[row] * joints[:, column]
+        return q
+
+
+@lru_cache(maxsize=256)
+def leg_chain(leg: Leg, spatial: bool) -> Chain:
+    """Return the chain from the base to the leg's tip."""
+    return _chain(leg, leg.joints, spatial)
+
+
+@lru_cache(maxsize=256)
+def point_chain(leg: Leg) -> Chain:
+    """Return the chain from the platform frame to the leg's platform point."""
+    return _chain(leg, (leg.point,), spatial=True, copies=1)
+
+
+def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None = None) -> Chain:
+    names = list(leg.parameter_names)
+    moving = [joint.name for joint in joints if joint.kind != "fixed"]
+    elements: list[Elementary] = []
+    rows: list[tuple[Array, Array]] = []
+    pending = np.eye(4)  # constant placement in front of the next elementary joint
+
+    def add(element: Elementary, parameter: Array, joint: Array) -> None:
+        nonlocal pending
+        elements.append(element)
+        rows.append((parameter, joint))
+        pending = np.eye(4)
+
+    for joint in joints:
+        for step in joint.placement.steps:
+            if isinstance(step.value, str):
+                entry = step.sign * np.eye(len(names))[names.index(step.value)]
+                add(Elementary(step.axis, _key(pending)), entry, np.zeros(len(moving)))
+            else:
+                pending = pending @ step.matrix({})
+        where = f"{leg.name}, joint {joint.name!r}"
+        pending = pending @ joint.placement.rest(leg.nominal_by_name, where)
+        if joint.kind != "fixed":
+            entry = np.eye(len(moving))[moving.index(joint.name)]
+            element, sign = _motion(joint, _key(pending))
+            add(element, np.zeros(len(names)), sign * entry)
+    tree = forest(tuple(elements), _key(pending), spatial=spatial, copies=copies)
+    return Chain(
+        tree,
+        np.array([parameter for parameter, _ in rows]).reshape(len(rows), len(names)),
+        np.array([entry for _, entry in rows]).reshape(len(rows), len(moving)),
+    )
+
+
+def _motion(joint: Joint, placement: tuple[float, ...]) -> tuple[Elementary, float]:
+    """Return a joint's elementary motion, along or about a coordinate axis where it can be."""
+    turn = "r" if joint.kind == "revolute" else ""
+    for letter, component in zip("xyz", joint.axis, strict=True):
+        if abs(component) == 1.0:
+            return Elementary(turn + letter, placement), component
+    return Elementary(turn or "t", placement, joint.axis), 1.0
+
+
+def _key(matrix: Array) -> tuple[float, ...]:
+    """Return a homogeneous matrix as a hashable row, empty for the identity."""
+    return () if np.array_equal(matrix, np.eye(4)) else tuple(float(v) for v in matrix.ravel())

@@ -1,0 +1,207 @@
+"""Loop closure of one leg, with every derivative of it, at N poses.
+
+Closure is a platform-point constraint in the rows that the mechanism can move in:
+c(x, θ, p; φ) = p_tip(θ, p; φ) − (r + R b(φ)) = 0, with pose x, active joint θ,
+passive joints p and parameters φ. Passive joints are eliminated by projection on the
+left null space N of ∂c/∂p: Nᵀ c is what the leg demands of pose, reading and
+parameters, whatever its passive joints do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.chain import leg_chain, point_chain
+from pincal.model.leg import Leg
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Closure c of one leg and its derivatives at N configurations; m rows are kept."""
+
+    gap: Array
+    """c, shape (N, m), base frame, [m]."""
+    active: Array
+    """∂c/∂θ, shape (N, m, 1)."""
+    passive: Array
+    """∂c/∂p, shape (N, m, n_passive)."""
+    parameter: Array
+    """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
+    pose: Array
+    """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
+    lever: Array
+    """Speed of the first passive axis after the active joint per unit of its rate, shape (N,)."""
+
+    @cached_property
+    def normal(self) -> Array:
+        """Orthonormal left null space of ∂c/∂p, shape (N, m, m - n_passive)."""
+        return left_null(self.passive)
+
+    def project(self, matrix: Array) -> Array:
+        """Return Nᵀ A for A of shape (N, m, k), shape (N, m - n_passive, k)."""
+        return product(self.normal.transpose(0, 2, 1), matrix)
+
+    @cached_property
+    def constraint(self) -> Array:
+        """Nᵀ c, shape (N, m - n_passive), [m]."""
+        return self.project(self.gap[:, :, None])[:, :, 0]
+
+    @cached_property
+    def drive(self) -> Array:
+        """Nᵀ ∂c/∂θ, shape (N, m - n_passive, 1): zero at a type-1 singularity."""
+        return self.project(self.active)
+
+    def active_step(self) -> Array:
+        """Return the Newton step of the active joint that closes the leg, shape (N, 1)."""
+        return -solve(self.drive, self.constraint[:, :, None])[:, :, 0]
+
+    def passive_step(self, gap_change: Array | None = None) -> Array:
+        """Return the Gauss-Newton step of the passive joints, shape (N, n_passive).
+
+        Args:
+            gap_change: Change of c by other steps taken at the same time, shape (N, m).
+        """
+        gap = self.gap if gap_change is None else self.gap + gap_change
+        transposed = self.passive.transpose(0, 2, 1)
+        normal = product(transposed, self.passive)
+        return -solve(normal, product(transposed, gap[:, :, None]))[:, :, 0]
+
+
+class LegClosure:
+    """Evaluates the closure of one leg at given parameter values."""
+
+    def __init__(self, leg: Leg, platform: Platform, parameters: Array | None = None) -> None:
+        self.leg = leg
+        self.platform = platform
+        self.parameters = leg.nominal if parameters is None else np.asarray(parameters, float)
+        self._rows = list(platform.closure_rows)
+        spatial = len(self._rows) == 3
+        self._chain = leg_chain(leg, spatial)
+        point = point_chain(leg)
+        b, db = point.forest.columns(point.configurations(self.parameters, np.zeros((1, 0))))
+        self._b = b[0]
+        self._db = db[:3, 0] @ point.from_parameters
+
+    @cached_property
+    def size(self) -> float:
+        """Length of the stretched leg, [m]: the scale against which gaps are small."""
+        arms = [np.linalg.norm(j.placement.xyz) for j in (*self.leg.joints[1:], self.leg.point)]
+        slides = [abs(j.home) for j in self.leg.moving if j.kind == "prismatic"]
+        return float(sum(arms) + sum(slides))
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Parameter values by name."""
+        return dict(zip(self.leg.parameter_names, self.parameters.tolist(), strict=True))
+
+    def targets(self, matrices: Array) -> Array:
+        """Return the platform point in the base frame, shape (N, 3), [m].
+
+        Args:
+            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        """
+        return matrices[:, :3, 3] + matrices[:, :3, :3] @ self._b
+
+    def tips(self, joints: Array) -> Array:
+        """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
+        return self._chain.forest.columns(self._chain.configurations(self.parameters, joints))[0]
+
+    def evaluate(self, joints: Array, matrices: Array) -> Closure:
+        """Return closure and derivatives at joint positions (N, n_joints) and poses (N, 4, 4)."""
+        chain, rows = self._chain, self._rows
+        tips, columns = chain.forest.columns(chain.configurations(self.parameters, joints))
+        speed = np.stack([columns[row] for row in rows], axis=1)  # (N, m, n)
+        moved = speed @ chain.from_joints
+        arm = matrices[:, :3, :3] @ self._b
+        passive = [i for i in range(len(self.leg.moving)) if i != self.leg.active]
+        parameter = speed @ chain.from_parameters
+        if self._db.any():
+            parameter -= (matrices[:, :3, :3] @ self._db)[:, rows]
+        return Closure(
+            gap=(tips - matrices[:, :3, 3] - arm)[:, rows],
+            active=moved[:, :, self.leg.active, None],
+            passive=moved[:, :, passive],
+            parameter=parameter,
+            pose=-_point_velocity(arm, self.platform.twist_rows)[:, rows],
+            lever=self._lever(columns, tips, moved),
+        )
+
+    def _lever(self, columns: Array, tips: Array, moved: Array) -> Array:
+        """Return the speed of the next revolute axis after the active joint; see ``Closure``."""
+        own = np.linalg.norm(moved[:, :, self.leg.active], axis=1)
+        following = [j for j in self.leg.moving[self.leg.active + 1 :] if j.kind == "revolute"]
+        if not following:
+            return own
+        index = [j.name for j in self.leg.moving].index(following[0].name)
+        motion, turn = (
+            int(np.flatnonzero(self._chain.from_joints[:, i])[0]) for i in (self.leg.active, index)
+        )
+        axis, velocity = columns[3:, :, turn].T, columns[:3, :, turn].T
+        arm = np.cross(axis, velocity)  # from the tip to the nearest point of the next axis
+        speed = columns[:3, :, motion].T + np.cross(columns[3:, :, motion].T, arm)
+        lever = np.linalg.norm(speed[:, self._rows], axis=1)
+        return np.where(lever > 1e-9 * (1e-300 + own), lever, own)
+
+
+def _point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
+    """Return the velocity of a platform point for unit platform twists, shape (N, 3, dof)."""
+    columns = np.zeros((len(arm), 3, len(twist_rows)))
+    for index, row in enumerate(twist_rows):
+        if row < 3:
+            columns[:, row, index] = 1.0
+        else:  # e_i × arm
+            i = row - 3
+            j, k = (i + 1) % 3, (i + 2) % 3
+            columns[:, j, index], columns[:, k, index] = -arm[:, k], arm[:, j]
+    return columns
+
+
+def product(a: Array, b: Array) -> Array:
+    """Return the batched product of (N, i, j) and (N, j, k), quick where the sizes are tiny."""
+    if a.shape[2] == 0:
+        return np.zeros((len(a), a.shape[1], b.shape[2]))
+    if a.shape[2] <= 3:
+        total = a[:, :, 0, None] * b[:, None, 0, :]
+        for j in range(1, a.shape[2]):
+            total += a[:, :, j, None] * b[:, None, j, :]
+        return total
+    return a @ b
+
+
+def solve(a: Array, b: Array) -> Array:
+    """Return X of A X = B, shapes (N, k, k) and (N, k, j); NaN or infinite where A is singular."""
+    if a.shape[1] == 0:
+        return np.zeros_like(b)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if a.shape[1] == 1:
+            return b / a
+        if a.shape[1] == 2:
+            (p, q), (r, s) = a[:, 0].T, a[:, 1].T
+            adjugate = np.stack((s, -q, -r, p), axis=1).reshape(-1, 2, 2)
+            return product(adjugate, b) / (p * s - q * r)[:, None, None]
+    singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
+    safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
+    return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, b))
+
+
+def left_null(matrix: Array) -> Array:
+    """Return orthonormal columns N with Nᵀ A = 0, shape (N, m, p) to (N, m, m - p)."""
+    count, m, p = matrix.shape
+    if p == 0:
+        return np.broadcast_to(np.eye(m), (count, m, m))
+    if (m, p) in ((2, 1), (3, 2)):  # the vector across: no factorisation needed
+        if m == 2:
+            normal = np.stack((-matrix[:, 1, 0], matrix[:, 0, 0]), axis=1)
+        else:
+            normal = np.cross(matrix[:, :, 0], matrix[:, :, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return (normal / np.linalg.norm(normal, axis=1)[:, None])[:, :, None]
+    q, _ = np.linalg.qr(matrix, mode="complete")
+    return q[:, :, p:]

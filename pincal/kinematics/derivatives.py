@@ -1,0 +1,118 @@
+"""What one leg demands of pose, reading and parameters, linearised: the rows of identification.
+
+A closed leg demands e = Nᵀ c(x, θ(ψ), p; φ) = 0. Its derivatives in parameters φ, pose x
+and reading ψ give both residuals in use: the closure residual e itself, and the joint
+residual (predicted less measured reading), whose rows are those of e over −∂e/∂ψ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.inverse import CHUNK, close
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Poses
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Demand:
+    """Nᵀ c of one leg and its derivatives at N poses; one row each for one drive."""
+
+    value: Array
+    """e = Nᵀ c, shape (N, k), [m]."""
+    parameter: Array
+    """∂e/∂φ, shape (N, k, n_params), [m/unit]."""
+    pose: Array
+    """∂e/∂x for the platform's freedoms as a twist, shape (N, k, dof), [1] and [m/rad]."""
+    reading: Array
+    """∂e/∂ψ, shape (N, k), [m/rad] or [1]."""
+
+    def as_joint(self) -> Demand:
+        """Return the rows of the joint residual: predicted less measured reading."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = -1.0 / self.reading
+        return Demand(
+            self.value * scale,
+            self.parameter * scale[:, :, None],
+            self.pose * scale[:, :, None],
+            -np.ones_like(self.reading),
+        )
+
+
+def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
+    """Return what a leg demands, from its closure and the readings, shape (N,)."""
+    by_reading, by_gain, by_offset = leg.leg.sensor.derivatives(readings, leg.by_name)
+    names = leg.leg.parameter_names
+    parameter = closure.project(closure.parameter)
+    drive = closure.drive[:, :, 0]
+    if isinstance(leg.leg.sensor.gain, str):
+        parameter[:, :, names.index(leg.leg.sensor.gain)] += drive * by_gain[:, None]
+    if isinstance(leg.leg.sensor.offset, str):
+        parameter[:, :, names.index(leg.leg.sensor.offset)] += drive * by_offset
+    return Demand(
+        closure.constraint, parameter, closure.project(closure.pose), drive * by_reading
+    )
+
+
+def leg_demand(
+    mechanism: Mechanism, leg: str, poses: Poses, parameters: Array | None = None
+) -> Demand:
+    """Return what a leg demands at poses that it reaches: value zero, NaN where out of reach.
+
+    Args:
+        mechanism: The mechanism.
+        leg: Name of the leg.
+        poses: N platform poses.
+        parameters: Parameter values of the leg, shape (n_params,); nominal if not given.
+
+    Raises:
+        MechanismError: unknown leg; poses of a wrong shape, or not finite.
+    """
+    transforms = mechanism.platform.transforms(poses)
+    closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
+    count, n, dof = len(transforms), len(closure.leg.parameters), mechanism.platform.dof
+    value, reading = np.empty((count, 1)), np.empty((count, 1))
+    parameter, pose = np.empty((count, 1, n)), np.empty((count, 1, dof))
+    for begin in range(0, count, CHUNK):
+        rows = slice(begin, min(begin + CHUNK, count))
+        matrices = transforms[rows].as_matrix()
+        closed = close(closure, matrices)
+        psi = closure.leg.sensor.reading(closed.joints[:, closure.leg.active], closure.by_name)
+        part = demand(closure, closed.closure, psi)
+        lost = ~closed.reached
+        value[rows], reading[rows] = part.value, part.reading
+        parameter[rows], pose[rows] = part.parameter, part.pose
+        for array in (value, reading, parameter, pose):
+            array[rows][lost] = np.nan
+    return Demand(value, parameter, pose, reading)
+
+
+def identification_jacobian(
+    mechanism: Mechanism, leg: str, poses: Poses, parameters: Array | None = None
+) -> Array:
+    """Return the identification Jacobian of one leg: ∂(predicted reading)/∂parameter.
+
+    C = ∂g/∂φ (5R paper, Eq. 6; 3-RRR paper, Eq. 11), by implicit differentiation of the
+    closure with Pinocchio's joint columns; inverse kinematics is included.
+
+    Args:
+        mechanism: The mechanism.
+        leg: Name of the leg.
+        poses: N platform poses: coordinates, shape (N, dof), or transforms.
+        parameters: Parameter values of the leg, shape (n_params,); nominal if not given.
+
+    Returns:
+        Shape (N, n_params), [rad/unit] or [m/unit]; NaN where the leg does not reach.
+
+    Raises:
+        MechanismError: unknown leg; poses of a wrong shape, or not finite.
+    """
+    rows = leg_demand(mechanism, leg, poses, parameters)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return (rows.parameter / -rows.reading[:, :, None])[:, 0]

@@ -1,0 +1,171 @@
+"""Forward kinematics: poses of readings, by Newton's method on the pose and all passive joints.
+
+Passive joints are eliminated leg by leg (projection on the left null space of their
+columns), so each step solves one small system for the platform's twist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from pincal.errors import MechanismError
+from pincal.kinematics.closure import Closure, LegClosure, product, solve
+from pincal.kinematics.inverse import CHUNK, close
+from pincal.kinematics.singularity import platform_margin
+from pincal.kinematics.starts import home_mode, mode_sign, start
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Poses
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_NEWTON_STEPS = 40
+_SMALL = 1e-9  # relative step after which the next error is rounding
+_LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
+
+
+@dataclass(frozen=True)
+class ForwardSolution:
+    """Forward kinematics of N rows of readings."""
+
+    poses: Array
+    """Platform coordinates, shape (N, dof), [m] and [rad]; NaN where not found."""
+    converged: Mask
+    """Shape (N,)."""
+    iterations: int
+    reasons: tuple[str, ...]
+    """Why a row has no pose; empty strings where it has one."""
+
+
+def forward(
+    mechanism: Mechanism, readings: Array, guess: Poses | None = None
+) -> ForwardSolution:
+    """Return the poses of sensor readings, found from a guess in the assembly mode of home.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        readings: Sensor readings, shape (N, n_legs), [rad] or [m], legs in order.
+        guess: N poses near the solutions; the home pose if not given.
+
+    Raises:
+        MechanismError: readings or guess of a wrong shape, or not finite.
+    """
+    readings = np.asarray(readings, dtype=np.float64)
+    if readings.ndim != 2 or readings.shape[1] != len(mechanism.legs):
+        raise MechanismError(
+            f"readings have shape (N, {len(mechanism.legs)}), one column a leg; "
+            f"got {readings.shape}"
+        )
+    if not np.isfinite(readings).all():
+        row = int(np.argmin(np.isfinite(readings).all(axis=1)))
+        raise MechanismError(f"reading {row + 1} is not a finite number")
+    platform = mechanism.platform
+    if guess is None:
+        guess = np.tile(platform.home, (len(readings), 1))
+    transforms = platform.transforms(guess)
+    if len(transforms) != len(readings):
+        raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
+    legs = [LegClosure(leg, platform) for leg in mechanism.legs]
+    poses = np.full((len(readings), platform.dof), np.nan)
+    reasons: list[str] = []
+    iterations = 0
+    for begin in range(0, len(readings), CHUNK):
+        rows = slice(begin, begin + CHUNK)
+        matrices, why, steps = _solve(mechanism, legs, readings[rows], transforms[rows])
+        found = np.array([not reason for reason in why], dtype=bool)
+        poses[rows][found] = platform.from_matrices(matrices[found])
+        reasons += why
+        iterations = max(iterations, steps)
+    converged = np.array([not reason for reason in reasons], dtype=bool)
+    return ForwardSolution(poses, converged, iterations, tuple(reasons))
+
+
+def _solve(
+    mechanism: Mechanism, legs: list[LegClosure], readings: Array, guess: RigidTransform
+) -> tuple[Array, list[str], int]:
+    """Return matrices, reasons and the number of steps for one chunk."""
+    matrices = guess.as_matrix().copy()
+    joints = [_joints_near(leg, matrices) for leg in legs]
+    for leg, column, q in zip(legs, readings.T, joints, strict=True):
+        q[:, leg.leg.active] = leg.leg.sensor.position(column, leg.by_name)
+    size = max(leg.size for leg in legs)
+    open_ = np.ones(len(matrices), dtype=bool)
+    steps = 0
+    while open_.any() and steps < _NEWTON_STEPS:
+        steps += 1
+        rows = np.flatnonzero(open_)
+        closures = [
+            leg.evaluate(q[rows], matrices[rows]) for leg, q in zip(legs, joints, strict=True)
+        ]
+        twist = _platform_step(closures)
+        linear, angular = _split(mechanism, twist)
+        length = np.maximum(
+            np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1)
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shorten = np.minimum(1.0, _LARGEST_STEP / length)[:, None]
+        moved = length
+        for leg, q, closure in zip(legs, joints, closures, strict=True):
+            change = product(closure.pose, (shorten * twist)[:, :, None])[:, :, 0]
+            step = closure.passive_step(change)
+            passive = [i for i in range(q.shape[1]) if i != leg.leg.active]
+            q[np.ix_(rows, passive)] += step
+            moved = np.maximum(moved, np.abs(step).max(axis=1, initial=0.0))
+        finite = np.isfinite(moved)
+        good = rows[finite]
+        matrices[good, :3, 3] += (shorten * linear)[finite]
+        turn = Rotation.from_rotvec((shorten * angular)[finite]).as_matrix()
+        matrices[good, :3, :3] = turn @ matrices[good, :3, :3]
+        open_[rows] = finite & (moved > _SMALL)
+    return matrices, _reasons(mechanism, legs, joints, matrices, open_), steps
+
+
+def _joints_near(leg: LegClosure, matrices: Array) -> Array:
+    """Return joints that close the leg at poses, or nearly so where it does not reach."""
+    closed = close(leg, matrices)
+    near, _ = start(leg, matrices)
+    return np.where(closed.reached[:, None], closed.joints, near)
+
+
+def _platform_step(closures: list[Closure]) -> Array:
+    """Return the twist that closes all legs to first order, shape (N, dof)."""
+    lines = np.concatenate([c.project(c.pose) for c in closures], axis=1)
+    gaps = np.concatenate([c.constraint for c in closures], axis=1)[:, :, None]
+    if lines.shape[1] != lines.shape[2]:
+        transposed = lines.transpose(0, 2, 1)
+        lines, gaps = transposed @ lines, transposed @ gaps
+    return -solve(lines, gaps)[:, :, 0]
+
+
+def _split(mechanism: Mechanism, twist: Array) -> tuple[Array, Array]:
+    """Return linear and angular parts, each of shape (N, 3), of twists in platform freedoms."""
+    full = np.zeros((len(twist), 6))
+    full[:, list(mechanism.platform.twist_rows)] = twist
+    return full[:, :3], full[:, 3:]
+
+
+def _reasons(
+    mechanism: Mechanism,
+    legs: list[LegClosure],
+    joints: list[Array],
+    matrices: Array,
+    open_: Mask,
+) -> list[str]:
+    """Return why each row has no pose, or an empty string where it has one."""
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    for q in joints:
+        finite &= np.isfinite(q).all(axis=1)
+    safe = [
+        np.where(finite[:, None], q, leg.leg.home) for leg, q in zip(legs, joints, strict=True)
+    ]
+    closures = [leg.evaluate(q, matrices) for leg, q in zip(legs, safe, strict=True)]
+    closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
+    for leg, closure in zip(legs, closures, strict=True):
+        closes &= (np.abs(closure.gap) <= 1e-8 * leg.size).all(axis=1)
+        in_mode &= mode_sign(closure) == home_mode(leg.leg, leg.platform)
+    in_mode &= platform_margin(mechanism, closures) > 0.0
+    reasons = np.where(in_mode, "", "left the working or assembly mode of home")
+    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")]

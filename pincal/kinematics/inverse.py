@@ -1,0 +1,122 @@
+"""Inverse kinematics: joints and readings of poses, each leg in its working mode.
+
+Newton's method on closure from a start in the mode. A pose that a leg cannot reach in
+its mode is NaN with a reason, never a wrong branch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.starts import home_mode, mode_sign, start
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Poses
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+CHUNK = 8192
+_NEWTON_STEPS = 30
+_SMALL = 1e-8  # of the leg's size: the next Newton step reaches rounding error
+
+
+@dataclass(frozen=True)
+class ClosedLeg:
+    """One leg closed at N poses."""
+
+    joints: Array
+    """Positions of the moving joints, shape (N, n_joints), [rad] or [m]; NaN where not reached."""
+    reached: Mask
+    """Where the leg closes in its working mode, shape (N,)."""
+    closure: Closure
+    """Closure and derivatives there; of no meaning where not reached."""
+
+
+def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
+    """Return one leg closed at poses ``T_base_platform``, shape (N, 4, 4)."""
+    joints, possible = start(leg, matrices)
+    closure = leg.evaluate(joints, matrices)
+    joints = joints + _newton_step(leg, closure)
+    open_ = possible & ~_small(leg, closure)
+    if open_.any():
+        for _ in range(_NEWTON_STEPS):
+            rows = np.flatnonzero(open_)
+            part = leg.evaluate(joints[rows], matrices[rows])
+            joints[rows] += _newton_step(leg, part)
+            open_[rows] = ~_small(leg, part) & np.isfinite(joints[rows]).all(axis=1)
+            if not open_.any():
+                break
+        finite = np.isfinite(joints).all(axis=1)
+        closure = leg.evaluate(np.where(finite[:, None], joints, leg.leg.home), matrices)
+    in_mode = mode_sign(closure) == home_mode(leg.leg, leg.platform)
+    reached = possible & _small(leg, closure) & in_mode & np.isfinite(joints).all(axis=1)
+    return ClosedLeg(np.where(reached[:, None], joints, np.nan), reached, closure)
+
+
+def _newton_step(leg: LegClosure, closure: Closure) -> Array:
+    """Return the Newton step of all joints, shape (N, n_joints)."""
+    active = closure.active_step()
+    passive = closure.passive_step((closure.active * active[:, None, :])[:, :, 0])
+    return np.insert(passive, [leg.leg.active], active, axis=1)
+
+
+def _small(leg: LegClosure, closure: Closure) -> Mask:
+    return np.asarray((np.abs(closure.gap) <= _SMALL * leg.size).all(axis=1))
+
+
+def close_chunks(
+    mechanism: Mechanism, poses: Poses, chunk: int = CHUNK
+) -> Iterator[tuple[slice, Array, list[ClosedLeg]]]:
+    """Yield the closed legs of poses in chunks of bounded memory: rows, matrices, one per leg."""
+    transforms = mechanism.platform.transforms(poses)
+    legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    for begin in range(0, len(transforms), chunk):
+        rows = slice(begin, min(begin + chunk, len(transforms)))
+        matrices = transforms[rows].as_matrix()
+        yield rows, matrices, [close(leg, matrices) for leg in legs]
+
+
+@dataclass(frozen=True)
+class InverseSolution:
+    """Inverse kinematics of N poses."""
+
+    joints: dict[str, Array]
+    """By leg: positions of its moving joints, shape (N, n_joints); NaN where not reached."""
+    readings: Array
+    """Sensor readings, shape (N, n_legs), [rad] or [m]; NaN where not reached."""
+    reached: Mask
+    """Whether each leg closes in its working mode, shape (N, n_legs)."""
+    leg_names: tuple[str, ...]
+
+    def reason(self, row: int) -> str:
+        """Return why a pose has no solution, or an empty string if it has one."""
+        beyond = [name for name, ok in zip(self.leg_names, self.reached[row], strict=True) if not ok]
+        return f"out of reach of {', '.join(beyond)} in its working mode" if beyond else ""
+
+
+def inverse(mechanism: Mechanism, poses: Poses) -> InverseSolution:
+    """Return joints and readings of poses; NaN where a leg cannot reach in its working mode.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        poses: N platform poses: coordinates, shape (N, dof), [m] and [rad], or transforms.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    transforms = mechanism.platform.transforms(poses)
+    count = len(transforms)
+    joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
+    readings = np.empty((count, len(mechanism.legs)))
+    reached = np.empty((count, len(mechanism.legs)), dtype=bool)
+    for rows, _, closed in close_chunks(mechanism, transforms):
+        for index, (leg, one) in enumerate(zip(mechanism.legs, closed, strict=True)):
+            joints[leg.name][rows] = one.joints
+            active = one.joints[:, leg.active]
+            readings[rows, index] = leg.sensor.reading(active, leg.nominal_by_name)
+            reached[rows, index] = one.reached
+    return InverseSolution(joints, readings, reached, mechanism.leg_names)

@@ -1,0 +1,92 @@
+"""How far poses are from singularities, dimensionless.
+
+Type 1 (a leg loses the grip of its drive): |Nᵀ ∂c/∂θ| over the lever of the drive; at a
+planar dyad the sine of the elbow angle. Type 2 (the platform gains a freedom): the
+determinant of the legs' constraint lines, unit directions, moments over the platform's
+radius. Its sign is relative to the home pose: negative poses lie beyond a type-2
+singularity, in another assembly mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.inverse import close_chunks
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Poses
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Distances of N poses from singularities; NaN where a leg does not reach."""
+
+    type1: Array
+    """Drive of each leg, shape (N, n_legs), in [0, 1]."""
+    type2: Array
+    """Stiffness of the platform, shape (N,), signed relative to home."""
+
+
+def margins(mechanism: Mechanism, poses: Poses) -> Margins:
+    """Return the distances of poses from both types of singularity.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    transforms = mechanism.platform.transforms(poses)
+    type1 = np.empty((len(transforms), len(mechanism.legs)))
+    type2 = np.empty(len(transforms))
+    for rows, _, closed in close_chunks(mechanism, transforms):
+        reached = np.stack([leg.reached for leg in closed], axis=1)
+        closures = [leg.closure for leg in closed]
+        type1[rows] = np.where(reached, drive_margins(closures), np.nan)
+        signed = platform_margin(mechanism, closures)
+        type2[rows] = np.where(reached.all(axis=1), signed, np.nan)
+    return Margins(type1, type2)
+
+
+def drive_margins(closures: Sequence[Closure]) -> Array:
+    """Return |Nᵀ ∂c/∂θ| over the drive's lever, one column a leg, shape (N, n_legs)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack(
+            [np.linalg.norm(c.drive, axis=(1, 2)) / c.lever for c in closures], axis=1
+        )
+
+
+def platform_margin(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
+    """Return the determinant of the legs' unit constraint lines, signed as at home, shape (N,)."""
+    return _determinant(mechanism, closures) * _home_sign(mechanism)
+
+
+def _determinant(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
+    lines = np.concatenate([c.project(c.pose) for c in closures], axis=1)
+    turns = [i for i, row in enumerate(mechanism.platform.twist_rows) if row >= 3]
+    lines[:, :, turns] /= _radius(mechanism)
+    if lines.shape[1] == lines.shape[2]:
+        return np.asarray(np.linalg.det(lines))
+    gram = lines.transpose(0, 2, 1) @ lines
+    return np.sqrt(np.clip(np.linalg.det(gram), 0.0, None))
+
+
+@lru_cache(maxsize=64)
+def _radius(mechanism: Mechanism) -> float:
+    """Return the root mean square radius of the platform points, [m]; 1 if they coincide."""
+    points = np.array([leg.point.placement.xyz for leg in mechanism.legs])
+    return float(np.sqrt((points**2).sum(axis=1).mean())) or 1.0
+
+
+@lru_cache(maxsize=64)
+def _home_sign(mechanism: Mechanism) -> float:
+    matrices = mechanism.platform.home_pose.as_matrix()
+    closures = [
+        LegClosure(leg, mechanism.platform).evaluate(leg.home[None], matrices)
+        for leg in mechanism.legs
+    ]
+    return float(np.sign(_determinant(mechanism, closures)[0])) or 1.0

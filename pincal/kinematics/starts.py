@@ -1,0 +1,110 @@
+"""Start values for inverse kinematics that lie in the leg's working mode.
+
+A planar dyad has a closed form. Any other leg is sampled once: of many joint
+positions in its mode, the one whose tip is nearest is a start from which Newton's
+method stays in the mode. The working mode is the sign of det ∂c/∂(θ, p) at home.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from pincal.kinematics.closure import Closure, LegClosure
+from pincal.model.leg import Leg
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+_SAMPLES = 20_000
+
+
+def start(closure: LegClosure, matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return joint positions near those that close the leg, and where that may be possible.
+
+    A planar dyad that cannot reach a pose starts stretched or folded towards it. Shapes
+    (N, n_joints), [rad] or [m], and (N,).
+
+    Args:
+        closure: The leg at its parameter values.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+    """
+    targets = closure.targets(matrices)
+    if is_planar_dyad(closure.leg):
+        return _dyad(closure, targets)
+    tree, joints = _samples(closure.leg, closure.platform)
+    rows = list(closure.platform.closure_rows)
+    nearest = tree.query(targets[:, rows])[1]
+    return joints[nearest], np.ones(len(targets), dtype=bool)
+
+
+def is_planar_dyad(leg: Leg) -> bool:
+    """Return whether a leg has two revolute joints with parallel axes across the plane."""
+    return len(leg.moving) == 2 and all(
+        joint.kind == "revolute" and abs(joint.axis[2]) == 1.0 for joint in leg.moving
+    )
+
+
+def _dyad(closure: LegClosure, targets: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the two angles of planar dyads by the cosine law, in the mode of home."""
+    leg = closure.leg
+    zero, quarter = np.zeros(2), np.pi / 2
+    probes = np.array([zero, [np.pi, 0.0], [0.0, quarter]])
+    tips = closure.tips(probes)[:, :2] @ np.array([1.0, 1j])
+    sign, sign_elbow = (joint.axis[2] for joint in leg.moving)
+    shoulder = (tips[0] + tips[1]) / 2
+    elbow = (tips[2] - 1j * sign_elbow * tips[0]) / (1 - 1j * sign_elbow)
+    upper, fore = elbow - shoulder, tips[0] - elbow
+    a, b = abs(upper), abs(fore)
+    bend_zero = float(np.angle(fore) - np.angle(upper))
+    mode = np.sign(np.sin(sign_elbow * leg.home[1] + bend_zero))
+
+    reach = targets[:, 0] + 1j * targets[:, 1] - shoulder
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cos = (np.abs(reach) ** 2 - a**2 - b**2) / (2 * a * b)
+    sin = mode * np.sqrt(np.clip((1 - cos) * (1 + cos), 0.0, None))
+    bend = np.arctan2(sin, np.clip(cos, -1.0, 1.0))
+    angle = np.angle(reach) - np.angle(a + b * np.exp(1j * bend)) - np.angle(upper)
+    angles = np.stack((sign * angle, sign_elbow * (bend - bend_zero)), axis=1)
+    return leg.home + _wrapped(angles - leg.home), np.abs(cos) <= 1.0
+
+
+def _wrapped(angles: Array) -> Array:
+    """Return angles in [-pi, pi)."""
+    return (angles + np.pi) % (2 * np.pi) - np.pi
+
+
+@lru_cache(maxsize=64)
+def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array]:
+    """Return sampled tips of the leg in its working mode, and their joint positions."""
+    closure = LegClosure(leg, platform)
+    rng = np.random.default_rng(0)
+    low, high = [], []
+    for joint in leg.moving:
+        turn = np.pi if joint.kind == "revolute" else np.inf
+        low.append(max(joint.lower, joint.home - turn))
+        high.append(min(joint.upper, joint.home + turn))
+    joints = rng.uniform(low, high, (_SAMPLES, len(leg.moving)))
+    poses = np.broadcast_to(platform.home_pose.as_matrix(), (_SAMPLES, 4, 4))
+    keep = mode_sign(closure.evaluate(joints, poses)) == home_mode(leg, platform)
+    joints = joints[keep]
+    return KDTree(closure.tips(joints)[:, list(platform.closure_rows)]), joints
+
+
+def mode_sign(closure: Closure) -> Array:
+    """Return the sign of det ∂c/∂(θ, p), shape (N,); one where the closure is not square."""
+    both = np.concatenate((closure.active, closure.passive), axis=2)
+    if both.shape[1] != both.shape[2]:
+        return np.ones(len(both))
+    if both.shape[1] == 2:
+        return np.sign(both[:, 0, 0] * both[:, 1, 1] - both[:, 0, 1] * both[:, 1, 0])
+    return np.sign(np.linalg.det(both))
+
+
+@lru_cache(maxsize=256)
+def home_mode(leg: Leg, platform: Platform) -> float:
+    """Return the sign of det ∂c/∂(θ, p) in the home configuration: the leg's working mode."""
+    closure = LegClosure(leg, platform).evaluate(leg.home[None], platform.home_pose.as_matrix())
+    return float(mode_sign(closure)[0])

@@ -1,0 +1,1 @@
+"""What a mechanism is and how it is written down; no kinematics."""

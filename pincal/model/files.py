@@ -1,0 +1,275 @@
+"""A mechanism folder: ``mechanism.yaml``, one URDF per leg, ``platform.urdf``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from pincal.errors import FileError, MechanismError
+from pincal.model.leg import Joint, Leg
+from pincal.model.mechanism import Mechanism
+from pincal.model.output import writing
+from pincal.model.placement import Coordinate, Placement
+from pincal.model.platform import Platform
+from pincal.model.sensor import Sensor
+from pincal.model.urdf import leg_urdf, platform_urdf, read_chain, read_points
+
+FORMAT = 1
+_LARGEST = 4 * 1024 * 1024  # bytes
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+Value = Name | FiniteFloat
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class _Sensor(_Strict):
+    joint: Name
+    form: Literal["joint", "reading"]
+    gain: Value = 1.0
+    offset: Value = 0.0
+    direction: Literal[1, -1] = 1
+    zero: FiniteFloat = 0.0
+
+
+class _Leg(_Strict):
+    name: Name
+    urdf: str
+    tip: str
+    platform_point: str
+    home: dict[str, FiniteFloat]
+    sensor: _Sensor
+    parameters: dict[Name, FiniteFloat]
+    placements: dict[str, list[dict[str, Value | list[Value]]]]
+
+
+class _Platform(_Strict):
+    kind: str
+    urdf: str
+    home: dict[str, FiniteFloat]
+
+
+class _Mechanism(_Strict):
+    pincal: Literal[1]
+    name: str
+    description: str = ""
+    platform: _Platform
+    legs: list[_Leg] = Field(min_length=1)
+
+
+def bundled() -> dict[str, Path]:
+    """Return the folders of the mechanisms that come with pincal, by name."""
+    package = Path(__file__).resolve().parents[1]
+    for robots in (package / "robots", package.parent / "robots"):
+        if robots.is_dir():
+            return {p.parent.name: p.parent for p in sorted(robots.glob("*/mechanism.yaml"))}
+    return {}
+
+
+def load_mechanism(name_or_path: str | Path) -> Mechanism:
+    """Return a mechanism from a bundled name (``"3RRR"``) or a mechanism folder.
+
+    Raises:
+        FileError: no such folder, or a file in it is missing.
+        MechanismError: a file that does not say what it should; the message names the place.
+    """
+    folder = Path(name_or_path)
+    if not folder.is_dir() and str(name_or_path) in bundled():
+        folder = bundled()[str(name_or_path)]
+    if not folder.is_dir():
+        raise FileError(
+            f"no mechanism {str(name_or_path)!r}: it is neither a folder nor one of the bundled "
+            f"ones ({', '.join(bundled()) or 'none found'})"
+        )
+    path = folder / "mechanism.yaml"
+    spec = _read(path)
+    try:
+        return _mechanism(spec, folder)
+    except MechanismError as error:
+        raise MechanismError(str(error) if str(folder) in str(error) else f"{path}: {error}") from error
+
+
+def _read(path: Path) -> _Mechanism:
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise MechanismError(f"{path}: larger than {_LARGEST // 2**20} MiB; not a mechanism")
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise MechanismError(f"{path}: not UTF-8 text: {error}") from error
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise MechanismError(f"{path}: the YAML does not parse: {error}") from error
+    try:
+        return _Mechanism.model_validate(data)
+    except ValidationError as error:
+        raise MechanismError(f"{path}: {_explain(error)}") from error
+
+
+def _explain(error: ValidationError) -> str:
+    """Return one sentence on the first fault of a YAML file."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    place = ".".join(str(part) for part in first["loc"]) or "the file"
+    if first["type"] == "extra_forbidden":
+        text = f"unknown key {place!r}; remove it, or correct its spelling"
+    elif first["type"] == "missing":
+        text = f"key {place!r} is missing"
+    else:
+        text = f"{place}: {first['msg']}; got {str(first['input'])[:80]!r}"
+    others = error.error_count() - 1
+    return text + (f" (and {others} more)" if others else "")
+
+
+def _mechanism(spec: _Mechanism, folder: Path) -> Mechanism:
+    home = spec.platform.home
+    platform = Platform(spec.platform.kind, tuple(home.values()))
+    if tuple(home) != platform.coordinates:
+        raise MechanismError(
+            f"platform.home has {', '.join(home)}; expected {', '.join(platform.coordinates)}"
+        )
+    points = read_points(_inside(folder, spec.platform.urdf))
+    legs = tuple(_leg(leg, folder, points) for leg in spec.legs)
+    return Mechanism(spec.name, platform, legs, spec.description)
+
+
+def _leg(spec: _Leg, folder: Path, points: dict[str, Joint]) -> Leg:
+    path = _inside(folder, spec.urdf)
+    chain = read_chain(path, spec.tip)
+    if spec.platform_point not in points:
+        raise MechanismError(
+            f"{spec.name}: the platform has no point {spec.platform_point!r}; its fixed frames are "
+            f"{', '.join(sorted(points)) or 'none'}"
+        )
+    point = points[spec.platform_point]
+    names = {joint.name for joint in (*chain, point)}
+    for key in (*spec.placements, *spec.home, spec.sensor.joint):
+        if key not in names:
+            raise MechanismError(
+                f"{spec.name}: unknown joint {key!r}; {path.name} has "
+                f"{', '.join(joint.name for joint in chain)}, the platform point is {point.name!r}"
+            )
+    moving = [joint.name for joint in chain if joint.kind != "fixed"]
+    if set(spec.home) != set(moving):
+        raise MechanismError(
+            f"{spec.name}: 'home' gives {', '.join(spec.home) or 'nothing'}; it needs the home "
+            f"position of each moving joint: {', '.join(moving)}"
+        )
+
+    def described(joint: Joint) -> Joint:
+        coordinates = tuple(
+            _coordinate(item, spec.name, joint.name) for item in spec.placements.get(joint.name, [])
+        )
+        placement = Placement(coordinates, joint.placement.xyz, joint.placement.rpy)
+        home = spec.home.get(joint.name, 0.0)
+        return Joint(joint.name, joint.kind, placement, joint.axis, joint.lower, joint.upper, home)
+
+    return Leg(
+        name=spec.name,
+        joints=tuple(described(joint) for joint in chain),
+        sensor=Sensor(**spec.sensor.model_dump()),
+        parameters=tuple(spec.parameters.items()),
+        point=described(point),
+        tip=spec.tip,
+    )
+
+
+def _coordinate(item: dict[str, Any], leg: str, joint: str) -> Coordinate:
+    if len(item) != 1:
+        raise MechanismError(
+            f"{leg}, placement of {joint!r}: each entry is one coordinate, such as "
+            f"'- polar: [OA, beta]'; got {list(item)}"
+        )
+    ((kind, values),) = item.items()
+    try:
+        return Coordinate(kind, tuple(values) if isinstance(values, list) else (values,))
+    except MechanismError as error:
+        raise MechanismError(f"{leg}, placement of {joint!r}: {error}") from error
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """Return a file of the mechanism's folder; paths that lead out of it are refused."""
+    path = (folder / name).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise MechanismError(f"{name!r} leads out of the mechanism's folder; keep its files inside")
+    return folder / name
+
+
+def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = False) -> Path:
+    """Write a mechanism to a folder, whole or not at all, and return the folder.
+
+    Raises:
+        FileError: the folder exists and ``force`` is not set, or cannot be written.
+    """
+    with writing(folder, force=force) as scratch:
+        scratch.mkdir()
+        (scratch / "mechanism.yaml").write_text(_dump(mechanism), encoding="utf-8")
+        for leg in mechanism.legs:
+            (scratch / f"{leg.name}.urdf").write_text(leg_urdf(leg), encoding="utf-8")
+        platform = platform_urdf(mechanism.name, mechanism.legs)
+        (scratch / "platform.urdf").write_text(platform, encoding="utf-8")
+    return Path(folder)
+
+
+def _dump(mechanism: Mechanism) -> str:
+    platform = mechanism.platform
+    data = {
+        "pincal": FORMAT,
+        "name": mechanism.name,
+        **({"description": mechanism.description} if mechanism.description else {}),
+        "platform": {
+            "kind": platform.kind,
+            "urdf": "platform.urdf",
+            "home": _Flow(zip(platform.coordinates, platform.home, strict=True)),
+        },
+        "legs": [_dump_leg(leg) for leg in mechanism.legs],
+    }
+    header = "# A mechanism of pincal. Lengths in m, angles in rad. See docs/mechanism_files.md\n"
+    return header + yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=100)
+
+
+def _dump_leg(leg: Leg) -> dict[str, Any]:
+    sensor = leg.sensor
+    return {
+        "name": leg.name,
+        "urdf": f"{leg.name}.urdf",
+        "tip": leg.tip,
+        "platform_point": leg.point.name,
+        "home": _Flow((joint.name, float(joint.home)) for joint in leg.moving),
+        "sensor": _Flow(
+            joint=sensor.joint,
+            form=sensor.form,
+            gain=sensor.gain,
+            offset=sensor.offset,
+            direction=sensor.direction,
+            zero=float(sensor.zero),
+        ),
+        "parameters": {name: float(value) for name, value in leg.parameters},
+        "placements": {
+            joint.name: [_Flow({c.kind: _values(c)}) for c in joint.placement.coordinates]
+            for joint in (*leg.joints, leg.point)
+            if joint.placement.coordinates
+        },
+    }
+
+
+def _values(coordinate: Coordinate) -> Any:
+    values = coordinate.values
+    return values[0] if len(values) == 1 else list(values)
+
+
+class _Flow(dict[str, Any]):
+    """A mapping that YAML writes on one line."""
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes ``_Flow`` mappings on one line."""
+
+
+_Dumper.add_representer(
+    _Flow,
+    lambda dumper, data: dumper.represent_mapping("tag:yaml.org,2002:map", data, flow_style=True),
+)

@@ -1,0 +1,175 @@
+"""A leg is a serial chain from base to platform point with named kinematic parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MechanismError
+from pincal.model.placement import Placement
+from pincal.model.sensor import Sensor
+
+Array = NDArray[np.float64]
+JointKind = Literal["revolute", "prismatic", "fixed"]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of a leg: a placement on the parent link, then a motion about or along an axis."""
+
+    name: str
+    kind: JointKind
+    placement: Placement = Placement()
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Unit axis in the joint's own frame; no meaning where fixed."""
+    lower: float = -2 * np.pi
+    upper: float = 2 * np.pi
+    """Limits, [rad] or [m]."""
+    home: float = 0.0
+    """Position in the home configuration, [rad] or [m]; fixes the working mode."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Serial chain from the base to a platform point.
+
+    The chain's last frame (``tip``) meets the platform's point (``point``). Joint
+    positions of a leg are ordered as its moving joints, base first.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    """All joints, base first, fixed ones included; the last one's frame is the tip."""
+    sensor: Sensor
+    parameters: tuple[tuple[str, float], ...]
+    """Names and nominal values of the identified parameters, in order."""
+    point: Joint
+    """Platform point: a fixed joint from the platform frame."""
+    tip: str = "tip"
+    """Name of the tip link."""
+
+    def __post_init__(self) -> None:
+        names = [joint.name for joint in self.joints]
+        if len(set(names)) != len(names):
+            raise MechanismError(f"{self.name}: joint names repeat: {names}")
+        if self.sensor.joint not in {joint.name for joint in self.moving}:
+            raise MechanismError(
+                f"{self.name}: active joint {self.sensor.joint!r} is not a moving joint of the "
+                f"leg; it has {', '.join(j.name for j in self.moving)}"
+            )
+        used = set(self.units)
+        declared = [name for name, _ in self.parameters]
+        if len(set(declared)) != len(declared):
+            raise MechanismError(f"{self.name}: parameter names repeat: {declared}")
+        if missing := used - set(declared):
+            raise MechanismError(
+                f"{self.name}: parameter {sorted(missing)[0]!r} is used in a placement or the "
+                "sensor but has no nominal value under 'parameters'"
+            )
+        if unused := set(declared) - used:
+            raise MechanismError(
+                f"{self.name}: parameter {sorted(unused)[0]!r} is used by no placement and not "
+                "by the sensor; name it in one of them or remove it"
+            )
+        if not all(np.isfinite(value) for _, value in self.parameters):
+            raise MechanismError(f"{self.name}: a nominal parameter is not a finite number")
+        gain, _ = self.sensor.constants(self.nominal_by_name)
+        if gain == 0.0:
+            raise MechanismError(f"{self.name}: the sensor's gain is zero; it must not be")
+        for joint in (*self.joints, self.point):
+            joint.placement.rest(self.nominal_by_name, f"{self.name}, joint {joint.name!r}")
+
+    @cached_property
+    def moving(self) -> tuple[Joint, ...]:
+        """Joints that move, base first."""
+        return tuple(joint for joint in self.joints if joint.kind != "fixed")
+
+    @cached_property
+    def active(self) -> int:
+        """Index of the active joint among the moving joints."""
+        return [joint.name for joint in self.moving].index(self.sensor.joint)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the identified parameters, in order."""
+        return tuple(name for name, _ in self.parameters)
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Nominal parameter values, shape (n_params,), SI units; not writable."""
+        values = np.array([value for _, value in self.parameters], dtype=np.float64)
+        values.setflags(write=False)
+        return values
+
+    @property
+    def nominal_by_name(self) -> dict[str, float]:
+        """Nominal parameter values by name."""
+        return dict(self.parameters)
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Units of the parameters, by name: m, rad, or 1 for a gain."""
+        units: dict[str, str] = {}
+        for joint in (*self.joints, self.point):
+            units |= joint.placement.parameter_units
+        if isinstance(self.sensor.gain, str):
+            units[self.sensor.gain] = "1"
+        if isinstance(self.sensor.offset, str):
+            units[self.sensor.offset] = self.reading_unit
+        return units
+
+    @property
+    def reading_unit(self) -> str:
+        """Unit of the sensor's reading: rad or m."""
+        joint = next(j for j in self.joints if j.name == self.sensor.joint)
+        return "m" if joint.kind == "prismatic" else "rad"
+
+    @cached_property
+    def home(self) -> Array:
+        """Home positions of the moving joints, shape (n_joints,), [rad] or [m]."""
+        return np.array([joint.home for joint in self.moving])
+
+    def with_parameters(self, values: Mapping[str, float] | Sequence[float] | Array) -> Leg:
+        """Return the leg with other nominal parameter values, its URDF origins moved along.
+
+        Args:
+            values: New values by name (others are kept), or all of them in order.
+
+        Raises:
+            MechanismError: an unknown name, or a wrong number of values.
+        """
+        if isinstance(values, Mapping):
+            if unknown := set(values) - set(self.parameter_names):
+                raise MechanismError(
+                    f"{self.name} has no parameter {sorted(unknown)[0]!r}; it has "
+                    f"{', '.join(self.parameter_names)}"
+                )
+            new = self.nominal_by_name | {name: float(v) for name, v in values.items()}
+        else:
+            if len(values) != len(self.parameters):
+                raise MechanismError(
+                    f"{self.name} has {len(self.parameters)} parameters, got {len(values)} values"
+                )
+            new = dict(zip(self.parameter_names, map(float, values), strict=True))
+        old = self.nominal_by_name
+
+        def moved(joint: Joint) -> Joint:
+            return replace(joint, placement=joint.placement.moved(old, new, self.name))
+
+        return replace(
+            self,
+            joints=tuple(moved(joint) for joint in self.joints),
+            point=moved(self.point),
+            parameters=tuple(new.items()),
+        )
+
+    def with_home(self, positions: Sequence[float] | Array) -> Leg:
+        """Return the leg with other home positions of its moving joints, [rad] or [m]."""
+        home = dict(zip((j.name for j in self.moving), map(float, positions), strict=True))
+        joints = tuple(replace(j, home=home.get(j.name, j.home)) for j in self.joints)
+        return replace(self, joints=joints)

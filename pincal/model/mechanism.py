@@ -1,0 +1,100 @@
+"""A mechanism is a platform and the legs that close on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MechanismError
+from pincal.model.leg import Leg
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Parallel mechanism: legs from a common base to a common platform."""
+
+    name: str
+    platform: Platform
+    legs: tuple[Leg, ...]
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        names = [leg.name for leg in self.legs]
+        if not names:
+            raise MechanismError(f"mechanism {self.name!r} has no legs")
+        if len(set(names)) != len(names):
+            raise MechanismError(f"mechanism {self.name!r}: leg names repeat: {names}")
+        for leg in self.legs:
+            for joint in leg.joints:
+                _check_planar(leg.name, joint.name, joint.kind, joint.placement.origin(), joint.axis)
+
+    @cached_property
+    def leg_names(self) -> tuple[str, ...]:
+        """Names of the legs, in order."""
+        return tuple(leg.name for leg in self.legs)
+
+    def leg(self, name: str) -> Leg:
+        """Return a leg by name.
+
+        Raises:
+            MechanismError: no such leg.
+        """
+        for leg in self.legs:
+            if leg.name == name:
+                return leg
+        raise MechanismError(
+            f"mechanism {self.name!r} has no leg {name!r}; it has {', '.join(self.leg_names)}"
+        )
+
+    def with_parameters(
+        self, values: Mapping[str, Mapping[str, float] | Sequence[float] | Array]
+    ) -> Mechanism:
+        """Return the mechanism with other nominal parameters: by leg, then by name or in order.
+
+        Raises:
+            MechanismError: an unknown leg or parameter, or a wrong number of values.
+        """
+        for name in values:
+            self.leg(name)
+        legs = (
+            leg.with_parameters(values[leg.name]) if leg.name in values else leg
+            for leg in self.legs
+        )
+        return replace(self, legs=tuple(legs))
+
+    def parameters(self) -> dict[str, Array]:
+        """Return the nominal parameter values by leg, each of shape (n_params,), SI units."""
+        return {leg.name: leg.nominal for leg in self.legs}
+
+    def save(self, folder: str | Path, *, force: bool = False) -> Path:
+        """Write ``mechanism.yaml`` and the URDFs to a new folder, whole or not at all.
+
+        Raises:
+            FileError: the folder exists and ``force`` is not set, or cannot be written.
+        """
+        from pincal.model.files import save_mechanism
+
+        return save_mechanism(self, folder, force=force)
+
+
+def _check_planar(
+    leg: str, joint: str, kind: str, origin: Array, axis: tuple[float, float, float]
+) -> None:
+    """Raise if a joint would move the leg out of the x-y plane of the base."""
+    out_of_plane = abs(abs(origin[2, 2]) - 1.0) > 1e-9
+    along_z = abs(abs(axis[2]) - 1.0) < 1e-9
+    in_plane = abs(axis[2]) < 1e-9
+    wrong_axis = (kind == "revolute" and not along_z) or (kind == "prismatic" and not in_plane)
+    if out_of_plane or wrong_axis:
+        raise MechanismError(
+            f"{leg}: joint {joint!r} leaves the plane; in a planar mechanism revolute axes are "
+            "parallel to z, prismatic axes perpendicular to it, and frames turn about z only"
+        )

@@ -1,0 +1,251 @@
+"""A placement puts a joint on its parent link by named coordinates: every parameter is a joint.
+
+A placement is the URDF origin of a joint together with the coordinates that are
+identified in it. Each coordinate expands into elementary displacements along or
+about the axes of the parent link, applied in order (``x`` and ``rz`` are
+Pinocchio's ``PX`` and ``RZ`` joints). What the coordinates do not explain of the
+origin is a constant displacement after them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MechanismError
+
+Array = NDArray[np.float64]
+Value = str | float  # a parameter's name, or a constant
+
+#: Coordinate kinds and, for each of their values, its unit.
+KINDS: dict[str, tuple[str, ...]] = {
+    "x": ("m",),
+    "y": ("m",),
+    "z": ("m",),
+    "rx": ("rad",),
+    "ry": ("rad",),
+    "rz": ("rad",),
+    "polar": ("m", "rad"),  # radius, azimuth about z: a point, orientation kept
+    "spherical": ("m", "rad", "rad"),  # radius, angle from z, azimuth: a point
+}
+_TOLERANCE = 1e-9  # relative agreement between an origin and its coordinates
+
+
+@dataclass(frozen=True)
+class Step:
+    """One elementary displacement: ``sign * value`` along (x, y, z) or about (rx, ry, rz)."""
+
+    axis: str
+    value: Value
+    sign: int = 1
+
+    def amount(self, parameters: Mapping[str, float]) -> float:
+        """Return the displacement, [m] or [rad]."""
+        value = parameters[self.value] if isinstance(self.value, str) else self.value
+        return self.sign * value
+
+    def matrix(self, parameters: Mapping[str, float]) -> Array:
+        """Return the displacement as a homogeneous matrix, shape (4, 4)."""
+        matrix = np.eye(4)
+        amount = self.amount(parameters)
+        if self.axis.startswith("r"):
+            matrix[:3, :3] = Rotation.from_euler(self.axis[1], amount).as_matrix()
+        else:
+            matrix["xyz".index(self.axis), 3] = amount
+        return matrix
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A named coordinate of a placement, such as ``polar: [OA, beta]`` or ``x: l``."""
+
+    kind: str
+    values: tuple[Value, ...]
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise MechanismError(
+                f"unknown coordinate {self.kind!r}; expected one of {', '.join(KINDS)}"
+            )
+        if len(self.values) != len(KINDS[self.kind]):
+            raise MechanismError(
+                f"coordinate {self.kind!r} takes {len(KINDS[self.kind])} value(s), "
+                f"got {list(self.values)}"
+            )
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Elementary displacements, in order.
+
+        The azimuth turns the point but not what follows: +azimuth before the
+        radius, -azimuth after it (a tie between two joints).
+        """
+        if self.kind == "polar":
+            radius, azimuth = self.values
+            return Step("rz", azimuth), Step("x", radius), Step("rz", azimuth, -1)
+        if self.kind == "spherical":
+            radius, polar, azimuth = self.values
+            return (
+                Step("rz", azimuth),
+                Step("ry", polar),
+                Step("z", radius),
+                Step("ry", polar, -1),
+                Step("rz", azimuth, -1),
+            )
+        return (Step(self.kind, self.values[0]),)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the coordinate turns what follows it."""
+        return self.kind in ("rx", "ry", "rz")
+
+
+def polar(radius: Value, azimuth: Value) -> Coordinate:
+    """Return the coordinate of a point at a radius and an azimuth about z."""
+    return Coordinate("polar", (radius, azimuth))
+
+
+def spherical(radius: Value, polar_angle: Value, azimuth: Value) -> Coordinate:
+    """Return the coordinate of a point at a radius, an angle from z and an azimuth."""
+    return Coordinate("spherical", (radius, polar_angle, azimuth))
+
+
+def cartesian(x: Value, y: Value, z: Value | None = None) -> tuple[Coordinate, ...]:
+    """Return the coordinates of a point given by x, y and, in space, z."""
+    first = (Coordinate("x", (x,)), Coordinate("y", (y,)))
+    return first if z is None else (*first, Coordinate("z", (z,)))
+
+
+def along(axis: str, value: Value) -> Coordinate:
+    """Return a displacement along an axis (``"x"``) or about it (``"rx"``)."""
+    return Coordinate(axis, (value,))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a joint sits on its parent link: URDF origin, and the coordinates in it."""
+
+    coordinates: tuple[Coordinate, ...] = ()
+    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """URDF origin, [m]."""
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """URDF origin, roll-pitch-yaw about fixed axes, [rad]."""
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Elementary displacements of all coordinates, in order."""
+        return tuple(step for c in self.coordinates for step in c.steps)
+
+    @property
+    def parameter_units(self) -> dict[str, str]:
+        """Units of the parameters that this placement uses, by name."""
+        return {
+            value: unit
+            for c in self.coordinates
+            for value, unit in zip(c.values, KINDS[c.kind], strict=True)
+            if isinstance(value, str)
+        }
+
+    @property
+    def turns(self) -> bool:
+        """Whether the coordinates, taken together, can turn the joint's frame."""
+        return any(c.turns for c in self.coordinates)
+
+    def displacement(self, parameters: Mapping[str, float]) -> Array:
+        """Return the product of the elementary displacements, shape (4, 4)."""
+        matrix = np.eye(4)
+        for c in self.coordinates:
+            part = np.eye(4)
+            for step in c.steps:
+                part = part @ step.matrix(parameters)
+            if not c.turns:  # exact: a point does not turn what follows
+                part[:3, :3] = np.eye(3)
+            matrix = matrix @ part
+        return matrix
+
+    def origin(self) -> Array:
+        """Return the URDF origin as a homogeneous matrix, shape (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = Rotation.from_euler("xyz", self.rpy).as_matrix()
+        matrix[:3, 3] = self.xyz
+        return matrix
+
+    def rest(self, parameters: Mapping[str, float], where: str) -> Array:
+        """Return the constant displacement after the coordinates, shape (4, 4).
+
+        Coordinates whose nominal values are all zero are corrections to the URDF
+        origin. Otherwise they must give the whole position of the origin.
+
+        Raises:
+            MechanismError: coordinates and URDF origin disagree.
+        """
+        rest = np.linalg.inv(self.displacement(parameters)) @ self.origin()
+        if not self.turns:
+            rest[:3, :3] = self.origin()[:3, :3]
+        corrections = not any(step.amount(parameters) for step in self.steps)
+        if corrections:
+            return rest
+        expected = self.displacement(parameters)[:3, 3]
+        scale = float(np.abs([self.xyz, expected]).max())
+        if float(np.abs(rest[:3, 3]).max()) > _TOLERANCE * scale:
+            raise MechanismError(
+                f"{where}: the URDF origin is at {_numbers(self.xyz)} m, but its coordinates and "
+                f"nominal parameters put it at {_numbers(expected)} m. Make them agree, or write "
+                "a constant part as a number, for example '- z: 0.3'."
+            )
+        rest[:3, 3] = 0.0
+        return rest
+
+    def moved(
+        self, old: Mapping[str, float], new: Mapping[str, float], where: str
+    ) -> Placement:
+        """Return the placement at new parameter values; its constant part stays.
+
+        Raises:
+            MechanismError: coordinates and URDF origin disagree.
+        """
+        if not self.coordinates:
+            return self
+        return self.at(new, self.rest(old, where))
+
+    def at(self, parameters: Mapping[str, float], rest: Array) -> Placement:
+        """Return the placement whose origin is ``displacement(parameters) @ rest``."""
+        origin = self.displacement(parameters) @ rest
+        rpy = self.rpy
+        if self.turns or not np.array_equal(rest[:3, :3], self.origin()[:3, :3]):
+            rpy = _roll_pitch_yaw(origin[:3, :3])
+        return replace(self, xyz=_floats(origin[:3, 3]), rpy=rpy)
+
+
+def placed(parameters: Mapping[str, float], *coordinates: Coordinate) -> Placement:
+    """Return the placement that coordinates give at nominal parameter values."""
+    return Placement(coordinates).at(parameters, np.eye(4))
+
+
+def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
+    """Return roll, pitch, yaw about fixed axes, [rad], without Euler's gimbal warning.
+
+    Angles within rounding of a multiple of pi/2 are set to it, so that files are clean.
+    """
+    pitch = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
+    if np.hypot(rotation[0, 0], rotation[1, 0]) > 1e-12:
+        roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
+        yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    else:
+        roll, yaw = float(np.arctan2(-rotation[1, 2], rotation[1, 1])), 0.0
+    angles = np.array([roll, pitch, yaw])
+    quarter = np.round(angles / (np.pi / 2)) * (np.pi / 2)
+    return _floats(np.where(np.abs(angles - quarter) < 1e-14, quarter, angles))
+
+
+def _floats(values: Array) -> tuple[float, float, float]:
+    x, y, z = (float(v) + 0.0 for v in values)
+    return x, y, z
+
+
+def _numbers(values: Array | tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{v:.9g}" for v in values) + ")"

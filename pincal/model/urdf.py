@@ -1,0 +1,288 @@
+"""URDF in and out: a leg is read strictly, as one serial chain, and written with simple visuals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from pincal.errors import FileError, MechanismError
+from pincal.model.leg import Joint, JointKind, Leg
+from pincal.model.placement import Placement
+
+Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+_KINDS: dict[str, JointKind] = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+    "fixed": "fixed",
+}
+_LARGEST = 16 * 1024 * 1024  # bytes
+_ORANGE, _BLUE, _GREY = "0.85 0.37 0.01 1", "0.12 0.47 0.71 1", "0.35 0.35 0.35 1"
+
+
+def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
+    """Return the joints from a URDF's root link to its tip link, base first.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: not well-formed, no serial chain, or no such tip link.
+    """
+    robot = _read_xml(path)
+    joints = robot.findall("joint")
+    by_parent: dict[str, etree._Element] = {}
+    children = set()
+    for element in joints:
+        parent, child = _link(element, "parent", path), _link(element, "child", path)
+        if parent in by_parent or child in children:
+            raise MechanismError(
+                f"{path}, line {element.sourceline}: link {parent!r} branches or closes a loop; a "
+                "leg must be a serial chain, one joint from each link to the next"
+            )
+        by_parent[parent] = element
+        children.add(child)
+    links = {link.get("name") for link in robot.findall("link")}
+    if tip not in links:
+        raise MechanismError(
+            f"{path}: no link named {tip!r} for the tip; it has "
+            f"{', '.join(sorted(str(link) for link in links)) or 'no links'}"
+        )
+    roots = links - children
+    if len(roots) != 1:
+        raise MechanismError(
+            f"{path}: {len(roots)} root links; a leg must be one serial chain with one root"
+        )
+    link, chain = str(roots.pop()), []
+    while link != tip:
+        if link not in by_parent:
+            raise MechanismError(f"{path}: the chain from the root ends at {link!r}, not at {tip!r}")
+        element = by_parent[link]
+        chain.append(_joint(element, path))
+        link = _link(element, "child", path)
+    if not any(joint.kind != "fixed" for joint in chain):
+        raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
+    return tuple(chain)
+
+
+def read_points(path: Path) -> dict[str, Joint]:
+    """Return the fixed joints of a platform URDF by the names of joint and child link.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: not well-formed.
+    """
+    points: dict[str, Joint] = {}
+    for element in _read_xml(path).findall("joint"):
+        joint = _joint(element, path)
+        if joint.kind == "fixed":
+            points[joint.name] = points[_link(element, "child", path)] = joint
+    return points
+
+
+def _read_xml(path: Path) -> etree._Element:
+    """Return the <robot> element; entities are not resolved and nothing is fetched."""
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise MechanismError(f"{path}: larger than {_LARGEST // 2**20} MiB; not a leg's URDF")
+        text = path.read_bytes()
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
+    try:
+        root = etree.fromstring(text, parser)
+    except etree.XMLSyntaxError as error:
+        raise MechanismError(f"{path}: the URDF does not parse: {error}") from error
+    if root.tag != "robot":
+        raise MechanismError(f"{path}: expected a <robot> element, found <{root.tag}>")
+    return root
+
+
+def _joint(element: etree._Element, path: Path) -> Joint:
+    where = f"{path}, line {element.sourceline}"
+    name, kind = element.get("name"), element.get("type")
+    if not name:
+        raise MechanismError(f"{where}: a joint without a name")
+    if kind not in _KINDS:
+        raise MechanismError(
+            f"{where}: joint {name!r} is of type {kind!r}; a leg may have {', '.join(_KINDS)}"
+        )
+    if element.find("mimic") is not None:
+        raise MechanismError(f"{where}: joint {name!r} mimics another; a leg's joints are its own")
+    placement = Placement(
+        xyz=_triple(element.find("origin"), "xyz", where, (0.0, 0.0, 0.0)),
+        rpy=_triple(element.find("origin"), "rpy", where, (0.0, 0.0, 0.0)),
+    )
+    if kind == "fixed":
+        return Joint(name, "fixed", placement)
+    axis = np.array(_triple(element.find("axis"), "xyz", where, (1.0, 0.0, 0.0)))
+    norm = float(np.linalg.norm(axis))
+    if norm < 1e-9:
+        raise MechanismError(f"{where}: joint {name!r} has an axis of length zero")
+    if abs(norm - 1.0) > 1e-12:
+        axis = axis / norm
+    x, y, z = (float(v) for v in axis)
+    lower, upper = (-np.inf, np.inf) if kind == "continuous" else _limits(element, name, where)
+    return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
+
+
+def _limits(element: etree._Element, name: str, where: str) -> tuple[float, float]:
+    limit = element.find("limit")
+    if limit is None:
+        raise MechanismError(f"{where}: joint {name!r} needs a <limit> with lower and upper")
+    lower, upper = (_number(limit.get(key, "0"), where) for key in ("lower", "upper"))
+    if not lower < upper:
+        raise MechanismError(
+            f"{where}: joint {name!r} has limits {lower:g} to {upper:g}; lower must be below upper"
+        )
+    return lower, upper
+
+
+def _link(element: etree._Element, key: str, path: Path) -> str:
+    child = element.find(key)
+    name = None if child is None else child.get("link")
+    if not name:
+        raise MechanismError(
+            f"{path}, line {element.sourceline}: joint {element.get('name')!r} has no {key} link"
+        )
+    return name
+
+
+def _triple(element: etree._Element | None, key: str, where: str, default: Triple) -> Triple:
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    numbers = [_number(word, where) for word in text.split()]
+    if len(numbers) != 3:
+        raise MechanismError(f"{where}: {key}={text!r} should hold three numbers")
+    x, y, z = numbers
+    return x, y, z
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise MechanismError(f"{where}: {text!r} is not a number") from error
+    if not np.isfinite(value):
+        raise MechanismError(f"{where}: {text!r} is not a finite number")
+    return value
+
+
+def leg_urdf(leg: Leg) -> str:
+    """Return a leg's URDF: its joints, and visuals that reach from each joint to the next."""
+    robot = etree.Element("robot", name=leg.name)
+    size = _size(leg)
+    link = _link_element(robot, f"{leg.name}_base")
+    _visual(link, "box", size=(3 * size, 3 * size, size), rgba=_GREY)
+    for index, joint in enumerate(leg.joints):
+        last = index == len(leg.joints) - 1
+        if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
+            _rod(link, joint.placement.xyz, size)
+        link = _link_element(robot, leg.tip if last else f"{leg.name}_{joint.name}_link")
+        if joint.kind == "revolute":
+            colour = _ORANGE if joint.name == leg.sensor.joint else _BLUE
+            roll = _axis_rpy(joint.axis)
+            _visual(link, "cylinder", radius=size, length=3 * size, rpy=roll, rgba=colour)
+        elif joint.kind == "prismatic":
+            colour = _ORANGE if joint.name == leg.sensor.joint else _BLUE
+            _visual(link, "box", size=(2 * size, 2 * size, 2 * size), rgba=colour)
+        else:
+            _visual(link, "sphere", radius=size, rgba=_BLUE)
+        parent = f"{leg.name}_base" if index == 0 else f"{leg.name}_{leg.joints[index - 1].name}_link"
+        _joint_element(robot, joint, parent, str(link.get("name")))
+    return _text(robot)
+
+
+def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
+    """Return a platform's URDF: one fixed frame for each platform point."""
+    robot = etree.Element("robot", name=f"{name}_platform")
+    size = max(_size(leg) for leg in legs)
+    platform = _link_element(robot, "platform")
+    _visual(platform, "cylinder", radius=1.5 * size, length=size, rgba=_GREY)
+    points = {leg.point.name: leg.point for leg in legs}
+    for point in points.values():
+        if not np.allclose(point.placement.xyz, 0.0):
+            _rod(platform, point.placement.xyz, size)
+    for point in points.values():
+        link = _link_element(robot, point.name)
+        _visual(link, "sphere", radius=1.2 * size, rgba=_GREY)
+        _joint_element(robot, point, "platform", point.name)
+    return _text(robot)
+
+
+def _size(leg: Leg) -> float:
+    """Return a radius for joints that suits the leg's longest link, two digits, [m]."""
+    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints]
+    return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
+
+
+def _link_element(robot: etree._Element, name: str) -> etree._Element:
+    return etree.SubElement(robot, "link", name=name)
+
+
+def _joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) -> None:
+    continuous = joint.kind == "revolute" and not np.isfinite(joint.lower)
+    kind = "continuous" if continuous else joint.kind
+    element = etree.SubElement(robot, "joint", name=joint.name, type=kind)
+    etree.SubElement(element, "parent", link=parent)
+    etree.SubElement(element, "child", link=child)
+    p = joint.placement
+    etree.SubElement(element, "origin", xyz=_triple_text(p.xyz), rpy=_triple_text(p.rpy))
+    if joint.kind == "fixed":
+        return
+    etree.SubElement(element, "axis", xyz=_triple_text(joint.axis))
+    if not continuous:
+        limits = {"lower": _f(joint.lower), "upper": _f(joint.upper)}
+        etree.SubElement(element, "limit", effort="0", velocity="0", **limits)
+
+
+def _rod(link: etree._Element, end: Triple, size: float) -> None:
+    """Add a cylinder from the link's origin to a point of it."""
+    vector = np.array(end)
+    length = float(np.linalg.norm(vector))
+    centre = _triple_text((end[0] / 2, end[1] / 2, end[2] / 2))
+    rpy = _axis_rpy((end[0] / length, end[1] / length, end[2] / length))
+    _visual(link, "cylinder", radius=size / 2, length=length, xyz=centre, rpy=rpy, rgba=_GREY)
+
+
+def _axis_rpy(axis: Triple) -> str:
+    """Return the roll-pitch-yaw that turns z onto a unit axis."""
+    x, y, z = axis
+    return _triple_text((0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x))))
+
+
+def _visual(
+    link: etree._Element,
+    shape: str,
+    *,
+    rgba: str,
+    xyz: str = "",
+    rpy: str = "",
+    **size: float | Triple,
+) -> None:
+    """Add a shape to a link; sizes in [m], rounded for reading."""
+    visual = etree.SubElement(link, "visual")
+    if xyz or rpy:
+        etree.SubElement(visual, "origin", xyz=xyz or "0 0 0", rpy=rpy or "0 0 0")
+    texts = {key: " ".join(f"{v:.9g}" for v in np.atleast_1d(value)) for key, value in size.items()}
+    etree.SubElement(etree.SubElement(visual, "geometry"), shape, **texts)
+    colours = {_ORANGE: "orange", _BLUE: "blue", _GREY: "grey"}
+    material = etree.SubElement(visual, "material", name=colours[rgba])
+    etree.SubElement(material, "color", rgba=rgba)
+
+
+def _f(value: float) -> str:
+    return repr(float(value) + 0.0)
+
+
+def _triple_text(values: Triple) -> str:
+    return " ".join(_f(v) for v in values)
+
+
+def _text(robot: etree._Element) -> str:
+    etree.indent(robot, space="  ")
+    return str(etree.tostring(robot, encoding="unicode")) + "\n"

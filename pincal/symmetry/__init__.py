@@ -1,0 +1,1 @@
+"""Dihedral symmetry: elements and their action, generated mechanisms, detected groups."""

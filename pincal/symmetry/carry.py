@@ -1,0 +1,203 @@
+"""A leg carried by an isometry: the same leg elsewhere, its geometry in canonical form.
+
+Carried joints keep their variables: under a reflection Q every joint frame becomes
+Q R D with the local mirror D = diag(1, −1, 1), a revolute axis a becomes −D a and a
+prismatic one D a. The result is then brought to a canonical form in which two equal
+legs are equal numbers: axes point to the positive side, and a constant turn about a
+joint's own axis moves into its zero (with γ, in the joint form of the sensor, which is
+how the γ of the 3-RRR paper's Eq. 19 come about).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import SymmetryError
+from pincal.model.leg import Joint, Leg
+from pincal.model.placement import Coordinate, Placement, Value
+from pincal.model.sensor import Sensor
+from pincal.symmetry.elements import Element, wrapped
+
+Array = NDArray[np.float64]
+_LOCAL_MIRROR = np.diag([1.0, -1.0, 1.0])
+#: Signs of elementary coordinates under the local mirror.
+_SIGNS = {"x": 1, "y": -1, "z": 1, "rx": -1, "ry": 1, "rz": -1}
+
+
+def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
+    """Return a leg carried by an element, in canonical form, under new names.
+
+    Raises:
+        SymmetryError: a placement whose coordinates cannot express the carried leg.
+    """
+    old, new = leg.nominal_by_name, dict(leg.parameters)
+    local = _LOCAL_MIRROR if element.reflection else np.eye(3)
+    joints = []
+    for index, joint in enumerate((*leg.joints, leg.point)):
+        where = f"{leg.name}, joint {joint.name!r}"
+        on_base = index == 0 or joint is leg.point
+        p = joint.placement
+        rest = p.rest(old, where)
+        if on_base:
+            coordinates = _move_point(p.coordinates, element, old, new, where)
+            rest[:3, :3] = element.matrix @ rest[:3, :3] @ local
+            rest[:3, 3] = element.matrix @ rest[:3, 3]
+        else:
+            coordinates = p.coordinates
+            if element.reflection:
+                coordinates = tuple(_mirror_coordinate(c, old, new) for c in coordinates)
+            rest[:3, :3] = local @ rest[:3, :3] @ local
+            rest[:3, 3] = local @ rest[:3, 3]
+        axis = local @ np.array(joint.axis)
+        if joint.kind == "revolute":
+            axis = axis * (-1.0 if element.reflection else 1.0)
+        placement = Placement(coordinates).at(new, rest)
+        joints.append(replace(joint, placement=placement, axis=_triple(axis)))
+    moved = replace(
+        leg,
+        name=name,
+        joints=tuple(joints[:-1]),
+        point=replace(joints[-1], name=point),
+        parameters=tuple(new.items()),
+    )
+    return canonical(moved)
+
+
+def canonical(leg: Leg) -> Leg:
+    """Return the same leg with positive axes and no constant turn about a joint's own axis."""
+    for index, joint in enumerate(leg.joints):
+        if joint.kind != "fixed":
+            leg = _absorb_turn(_flip_axis(leg, index), index)
+    return leg
+
+
+def _flip_axis(leg: Leg, index: int) -> Leg:
+    joint, sensor = leg.joints[index], leg.sensor
+    axis = np.array(joint.axis)
+    if axis[np.argmax(np.abs(axis))] > 0:
+        return leg
+    flipped = replace(
+        joint, axis=_triple(-axis), home=-joint.home, lower=-joint.upper, upper=-joint.lower
+    )
+    parameters = leg.nominal_by_name
+    if sensor.joint == joint.name:
+        offset = sensor.offset
+        if sensor.form == "joint":
+            offset = _changed(offset, parameters, lambda value: -value)
+        sensor = replace(
+            sensor, direction=-sensor.direction, zero=0.0 - sensor.zero, offset=offset
+        )
+    return _with(leg, index, flipped, sensor, parameters)
+
+
+def _absorb_turn(leg: Leg, index: int) -> Leg:
+    joint, sensor = leg.joints[index], leg.sensor
+    rest = joint.placement.rest(leg.nominal_by_name, leg.name)
+    axis = np.array(joint.axis)
+    if joint.kind != "revolute" or not np.allclose(rest[:3, :3] @ axis, axis, atol=1e-12):
+        return leg
+    turn = float(Rotation.from_matrix(rest[:3, :3]).as_rotvec() @ axis)
+    if abs(turn) < 1e-15:
+        return leg
+    rest[:3, :3] = np.eye(3)
+    parameters = leg.nominal_by_name
+    if sensor.joint != joint.name:
+        turn = wrapped(joint.home + turn) - joint.home
+    elif sensor.form == "joint":
+        _, offset = sensor.constants(parameters)
+        turn = wrapped(offset + turn) - offset
+        offset_value = _changed(sensor.offset, parameters, lambda value: value + turn)
+        sensor = replace(sensor, offset=offset_value)
+    else:
+        turn = wrapped(sensor.zero + turn) - sensor.zero
+        sensor = replace(sensor, zero=sensor.zero + turn)
+    limited = joint.upper - joint.lower < 2 * np.pi
+    turned = replace(
+        joint,
+        placement=joint.placement.at(parameters, rest),
+        home=joint.home + turn,
+        lower=joint.lower + turn if limited else joint.lower,
+        upper=joint.upper + turn if limited else joint.upper,
+    )
+    return _with(leg, index, turned, sensor, parameters)
+
+
+def _with(leg: Leg, index: int, joint: Joint, sensor: Sensor, parameters: dict[str, float]) -> Leg:
+    joints = (*leg.joints[:index], joint, *leg.joints[index + 1 :])
+    return replace(leg, joints=joints, sensor=sensor, parameters=tuple(parameters.items()))
+
+
+def _changed(
+    value: Value, parameters: dict[str, float], change: Callable[[float], float]
+) -> Value:
+    """Return a constant changed, or a parameter's name after changing its nominal value."""
+    if not isinstance(value, str):
+        return change(value)
+    parameters[value] = change(parameters[value])
+    return value
+
+
+def _move_point(
+    coordinates: tuple[Coordinate, ...],
+    element: Element,
+    old: dict[str, float],
+    new: dict[str, float],
+    where: str,
+) -> tuple[Coordinate, ...]:
+    """Return the coordinates of a point on base or platform after the element."""
+    vector = np.zeros(3)
+    present = set()
+    for c in coordinates:
+        if c.turns:
+            raise SymmetryError(
+                f"{where}: a placement on the base with a rotation ({c.kind}) cannot be carried "
+                "by a symmetry; give the point by polar, spherical or x, y, z"
+            )
+        if c.kind in ("x", "y", "z"):
+            vector["xyz".index(c.kind)] += c.steps[0].amount(old)
+            present.add(c.kind)
+    moved = element.matrix @ vector
+    moved[np.abs(moved) <= 1e-15 * np.abs(vector).max(initial=0.0)] = 0.0
+    for letter, component in zip("xyz", moved, strict=True):
+        if component != 0.0 and letter not in present:
+            raise SymmetryError(f"{where}: the {element} needs a coordinate {letter!r} here")
+    result = []
+    for c in coordinates:
+        if c.kind in ("x", "y", "z"):
+            target = float(moved["xyz".index(c.kind)])
+            result.append(Coordinate(c.kind, (_set(c.values[0], target, new),)))
+        else:
+            *kept, azimuth = c.values
+            before = old[azimuth] if isinstance(azimuth, str) else azimuth
+            azimuth = _set(azimuth, element.azimuth(before), new)
+            result.append(Coordinate(c.kind, (*kept, azimuth)))
+    return tuple(result)
+
+
+def _mirror_coordinate(
+    c: Coordinate, old: dict[str, float], new: dict[str, float]
+) -> Coordinate:
+    """Return a coordinate inside the leg after the local mirror."""
+    *kept, last = c.values
+    if _SIGNS.get(c.kind, -1) > 0:  # polar and spherical: the azimuth turns over
+        return c
+    value = old[last] if isinstance(last, str) else last
+    return Coordinate(c.kind, (*kept, _set(last, -value, new)))
+
+
+def _set(value: Value, target: float, new: dict[str, float]) -> Value:
+    """Return a constant at its target, or a parameter's name after setting its nominal value."""
+    if isinstance(value, str):
+        new[value] = target
+        return value
+    return target
+
+
+def _triple(vector: Array) -> tuple[float, float, float]:
+    x, y, z = (float(v) + 0.0 for v in vector)
+    return x, y, z

@@ -1,0 +1,1 @@
+"""Which poses a mechanism reaches, with margins from singularities."""

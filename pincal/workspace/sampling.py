@@ -1,0 +1,163 @@
+"""A workspace is sampled in a box that tightens around the poses that count.
+
+A pose counts if every leg closes in its working mode, within its joint limits, on the
+home side of type-2 singularities, with margins from both types of singularity, and
+if it can be driven to from home so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import WorkspaceError
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.inverse import close_chunks
+from pincal.kinematics.singularity import drive_margins, platform_margin
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Poses
+from pincal.workspace.component import HomeComponent
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_BATCH = 16_384
+_PILOT = 2_000  # accepted poses from which the box is tightened and connected
+_WIDEN = 0.1  # of the box around the accepted poses, on each side
+_MOST = 400  # batches without enough poses before giving up
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Least distances from singularities that a pose must keep, dimensionless."""
+
+    type1: float = 0.23
+    """Drive of each leg; at a planar dyad the sine of the elbow angle."""
+    type2: float = 0.2
+    """Determinant of the legs' unit constraint lines, signed as at home."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("type-1", self.type1), ("type-2", self.type2)):
+            if not 0.0 <= value < 1.0:
+                raise WorkspaceError(f"the {name} margin is {value:g}; expected 0 to 1")
+
+
+def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = None) -> Mask:
+    """Return which poses count, shape (N,).
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    least = least or Margins()
+    transforms = mechanism.platform.transforms(poses)
+    inside = np.empty(len(transforms), dtype=bool)
+    for rows, _, closed in close_chunks(mechanism, transforms):
+        ok = np.ones(rows.stop - rows.start, dtype=bool)
+        for leg, one in zip(mechanism.legs, closed, strict=True):
+            low, high = zip(*((j.lower, j.upper) for j in leg.moving), strict=True)
+            with np.errstate(invalid="ignore"):
+                limits = (one.joints >= low) & (one.joints <= high)
+            ok &= one.reached & limits.all(axis=1)
+        closures = [one.closure for one in closed]
+        with np.errstate(invalid="ignore"):
+            ok &= (drive_margins(closures) >= least.type1).all(axis=1)
+            ok &= platform_margin(mechanism, closures) >= least.type2
+        inside[rows] = ok
+    return inside
+
+
+def sample_workspace(
+    mechanism: Mechanism,
+    count: int,
+    seed: int | np.random.Generator = 0,
+    least: Margins | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Array:
+    """Return poses spread evenly over the workspace, coordinates of shape (count, dof).
+
+    Args:
+        mechanism: The mechanism.
+        count: Number of poses.
+        seed: Seed or generator; the same seed gives the same poses.
+        least: Margins from singularities.
+        progress: Called with the number of poses found so far.
+
+    Raises:
+        WorkspaceError: no or too few poses count.
+    """
+    if count < 1:
+        raise WorkspaceError(f"the number of poses is {count}; expected at least 1")
+    rng = np.random.default_rng(seed)
+    low, high, connected = _explore(mechanism, rng, least)
+    found = [np.empty((0, mechanism.platform.dof))]
+    total = 0
+    for _ in range(_MOST * (1 + count // _BATCH)):
+        poses = rng.uniform(low, high, (_BATCH, mechanism.platform.dof))
+        kept = poses[in_workspace(mechanism, poses, least)]
+        kept = kept[connected(kept)]
+        found.append(kept)
+        total += len(kept)
+        if progress:
+            progress(min(total, count))
+        if total >= count:
+            return np.concatenate(found)[:count]
+    raise WorkspaceError(
+        f"only {total} of {count} poses found in the workspace; lower the margins or the count"
+    )
+
+
+def _explore(
+    mechanism: Mechanism, rng: np.random.Generator, least: Margins | None
+) -> tuple[Array, Array, HomeComponent]:
+    """Return lower and upper corners of a box around the workspace, and its part around home."""
+    home = np.array(mechanism.platform.home)
+    reach = _reach_box(mechanism)
+    if not in_workspace(mechanism, home[None], least)[0]:
+        raise WorkspaceError(
+            f"the home pose of {mechanism.name!r} does not keep the margins from singularities "
+            "or the joint limits; lower the margins (--margin-type1, --margin-type2) or move home"
+        )
+
+    def counts(poses: Array) -> Mask:
+        return in_workspace(mechanism, poses, least)
+
+    low, high = reach
+    kept = home[None]
+    for _ in range(_MOST):
+        poses = rng.uniform(low, high, (_BATCH, len(low)))
+        kept = np.concatenate((kept, poses[counts(poses)]))
+        if len(kept) >= _PILOT:
+            break
+        if len(kept) > 8:  # few hits: look closer to where they are
+            low, high = _around(kept, 0.5, *reach)
+    connected = HomeComponent(kept, home, counts)
+    for _ in range(2):  # tighten to the part around home, and widen where the box cut
+        low, high = _around(kept[connected(kept)], _WIDEN, *reach)
+        poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
+        kept = np.concatenate((kept, poses[counts(poses)]))
+        connected = HomeComponent(kept[-4 * _PILOT :], home, counts)
+    return *_around(kept[connected(kept)], _WIDEN / 4, *reach), connected
+
+
+def _around(poses: Array, widen: float, least: Array, most: Array) -> tuple[Array, Array]:
+    """Return the box around poses, widened by a part of its size, within bounds."""
+    low, high = poses.min(axis=0), poses.max(axis=0)
+    size = high - low
+    return np.maximum(low - widen * size, least), np.minimum(high + widen * size, most)
+
+
+def _reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return a box that holds every pose that all legs can reach."""
+    low, high = np.full(3, -np.inf), np.full(3, np.inf)
+    for leg in mechanism.legs:
+        base = np.array(leg.joints[0].placement.xyz)
+        reach = LegClosure(leg, mechanism.platform).size
+        low, high = np.maximum(low, base - reach), np.minimum(high, base + reach)
+    rows = mechanism.platform.twist_rows
+    corners_low = [low[row] if row < 3 else -np.pi for row in rows]
+    corners_high = [high[row] if row < 3 else np.pi for row in rows]
+    if any(a >= b for a, b in zip(corners_low, corners_high, strict=True)):
+        raise WorkspaceError(f"no pose of {mechanism.name!r} is within reach of all its legs")
+    return np.array(corners_low), np.array(corners_high)
