@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 
@@ -52,10 +52,14 @@ class Step:
         """Return the displacement as a homogeneous matrix, shape (4, 4)."""
         matrix = np.eye(4)
         amount = self.amount(parameters)
+        index = "xyz".index(self.axis[-1])
         if self.axis.startswith("r"):
-            matrix[:3, :3] = Rotation.from_euler(self.axis[1], amount).as_matrix()
+            j, k = (index + 1) % 3, (index + 2) % 3
+            matrix[j, j] = matrix[k, k] = cos(amount)
+            matrix[k, j] = sin(amount)
+            matrix[j, k] = -matrix[k, j]
         else:
-            matrix["xyz".index(self.axis), 3] = amount
+            matrix[index, 3] = amount
         return matrix
 
 
@@ -170,7 +174,9 @@ class Placement:
     def origin(self) -> Array:
         """Return the URDF origin as a homogeneous matrix, shape (4, 4)."""
         matrix = np.eye(4)
-        matrix[:3, :3] = Rotation.from_euler("xyz", self.rpy).as_matrix()
+        if any(self.rpy):
+            for axis, angle in zip(("rx", "ry", "rz"), self.rpy, strict=True):
+                matrix = Step(axis, angle).matrix({}) @ matrix
         matrix[:3, 3] = self.xyz
         return matrix
 

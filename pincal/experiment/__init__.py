@@ -1,0 +1,1 @@
+"""Which poses to measure, how good that choice is, and what would be measured there."""

@@ -1,0 +1,115 @@
+"""The active robot calibration algorithm: add the best pose, drop the worst, until it stands.
+
+Sun and Hollerbach (2008), for candidates that contribute one row or several. Adding Aⱼ
+multiplies det Σ Aᵀ A by det(I + Aⱼ M⁻¹ Aⱼᵀ), dropping it by det(I − Aⱼ M⁻¹ Aⱼᵀ); M⁻¹
+follows by low-rank updates.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+_EXCHANGES = 1000
+_POOL = 500  # candidates by which the pool grows
+_RIDGE = 1e-12  # of unit columns
+
+
+def exchange(
+    blocks: Array, count: int, weights: Array, rng: np.random.Generator, starts: int
+) -> tuple[Index, float]:
+    """Return the best set of candidates found from several starts, and its log det.
+
+    The first start rounds the continuous design, the others are drawn at random. Exchange
+    runs in a pool that grows by the candidates that would improve the set, so that the
+    result stands against all candidates.
+
+    Args:
+        blocks: Rows that each candidate contributes, shape (M, r, n); together of rank n.
+        count: Size of the set, without repetition.
+        weights: Continuous design on the candidates, shape (M,).
+        rng: Source of the random starts.
+        starts: Number of starts.
+    """
+    n = blocks.shape[2]
+    scale = np.linalg.norm(blocks.reshape(-1, n), axis=0)
+    blocks = blocks / scale
+    pool = np.argsort(-weights, kind="stable")[: max(_POOL, 2 * count)]
+    best, best_value = pool[:count], -np.inf
+    for number in range(starts):
+        chosen = pool[:count] if number == 0 else rng.permutation(len(blocks))[:count]
+        chosen, value, pool = _improve_among_all(blocks, chosen, pool)
+        if value > best_value:
+            best, best_value = chosen, value
+    return np.sort(best), best_value + 2.0 * float(np.log(scale).sum())
+
+
+def _improve_among_all(blocks: Array, chosen: Index, pool: Index) -> tuple[Index, float, Index]:
+    """Return a set that no exchange improves, its log det, and the pool with what was needed."""
+    value = -np.inf
+    while True:
+        pool = np.union1d(pool, chosen)
+        inside, new_value = _improve(blocks[pool], np.searchsorted(pool, chosen))
+        if new_value <= value + 1e-9:
+            return chosen, value, pool
+        chosen, value = pool[inside], new_value
+        inverse = _inverse(blocks[chosen])
+        variance = _inner(blocks.reshape(-1, blocks.shape[2]) @ inverse, blocks)
+        gain = np.trace(variance, axis1=1, axis2=2)
+        pool = np.union1d(pool, np.argsort(-gain, kind="stable")[:_POOL])
+
+
+def _improve(blocks: Array, chosen: Index) -> tuple[Index, float]:
+    """Return a set that no exchange of the best addition for the worst member improves."""
+    count, r, n = blocks.shape
+    flat = blocks.reshape(-1, n)
+    members = np.zeros(count, dtype=bool)
+    members[chosen] = True
+    inverse = _inverse(blocks[members])
+    identity = np.eye(r)
+    for step in range(_EXCHANGES):
+        if step % 25 == 24:  # rounding
+            inverse = _inverse(blocks[members])
+        gain = _det(identity + _inner(flat @ inverse, blocks))
+        gain[members] = -np.inf
+        added = int(np.argmax(gain))
+        inverse = _updated(inverse, blocks[added], 1.0)
+        members[added] = True
+        inside = np.flatnonzero(members)
+        loss = _det(identity - _inner(blocks[inside].reshape(-1, n) @ inverse, blocks[inside]))
+        dropped = int(inside[np.argmax(loss)])
+        if dropped == added or gain[added] * loss.max() <= 1.0 + 1e-9:
+            members[added] = False
+            break
+        members[dropped] = False
+        inverse = _updated(inverse, blocks[dropped], -1.0)
+    chosen = np.flatnonzero(members)
+    rows = blocks[chosen].reshape(-1, n)
+    sign, value = np.linalg.slogdet(rows.T @ rows)
+    return chosen, float(value) if sign > 0 else -np.inf
+
+
+def _inverse(blocks: Array) -> Array:
+    """Return (Σ Aᵀ A)⁻¹, shape (n, n), with a ridge: a random start may lack rank."""
+    rows = blocks.reshape(-1, blocks.shape[2])
+    return np.linalg.inv(rows.T @ rows + _RIDGE * np.eye(rows.shape[1]))
+
+
+def _inner(left: Array, blocks: Array) -> Array:
+    """Return Aⱼ M⁻¹ Aⱼᵀ, shape (M, r, r), from Aⱼ M⁻¹ stacked row by row."""
+    shaped = left.reshape(blocks.shape)
+    if blocks.shape[1] == 1:
+        return (shaped * blocks).sum(axis=2)[:, :, None]
+    return shaped @ blocks.transpose(0, 2, 1)
+
+
+def _det(matrices: Array) -> Array:
+    return matrices[:, 0, 0] if matrices.shape[1] == 1 else np.linalg.det(matrices)
+
+
+def _updated(inverse: Array, rows: Array, sign: float) -> Array:
+    """Return (M ± Aᵀ A)⁻¹ from M⁻¹ (Sherman, Morrison, Woodbury)."""
+    product = inverse @ rows.T
+    return inverse - product @ np.linalg.solve(sign * np.eye(len(rows)) + rows @ product, product.T)

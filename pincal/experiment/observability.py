@@ -1,0 +1,120 @@
+"""How well rows of an identification Jacobian determine the parameters.
+
+Observability indices from singular values, the diagonal of R in C = Q R, and rank, with
+the parameters that cannot be told apart named in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+Array = NDArray[np.float64]
+_RANK_TOLERANCE = 1e-9  # of the largest singular value, columns of unit length
+
+
+@dataclass(frozen=True)
+class Indices:
+    """Observability indices of a set of poses (Sun and Hollerbach 2008), from singular values s."""
+
+    O1: float
+    """(s₁ … sₙ)^(1/n) / √m for m rows (Borm and Menq)."""
+    O1_per_parameter: float
+    """(s₁ … sₙ)^(1/n) / n, as the papers print it (3-RRR paper, Eq. 13)."""
+    O2: float
+    """sₙ / s₁."""
+    O3: float
+    """sₙ."""
+    O4: float
+    """sₙ² / s₁."""
+    O5: float
+    """1 / Σ 1/sᵢ."""
+
+
+def indices(C: Array) -> Indices:
+    """Return the observability indices of an identification Jacobian, shape (m, n).
+
+    Singular values carry the units of the columns; compare sets of poses with them, not
+    mechanisms.
+    """
+    m, n = C.shape
+    s = np.linalg.svd(C, compute_uv=False)
+    if m < n or s[-1] == 0.0:
+        return Indices(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    mean = float(np.exp(np.log(s).mean()))
+    return Indices(
+        O1=mean / np.sqrt(m),
+        O1_per_parameter=mean / n,
+        O2=float(s[-1] / s[0]),
+        O3=float(s[-1]),
+        O4=float(s[-1] ** 2 / s[0]),
+        O5=float(1.0 / (1.0 / s).sum()),
+    )
+
+
+def r_diagonal(C: Array) -> Array:
+    """Return |R_ii| of C = Q R, shape (n,): the observability of each parameter (Eq. 9).
+
+    A parameter's value says what it adds to those before it; zero is not observable.
+    """
+    R = np.linalg.qr(C, mode="r")
+    diagonal = np.zeros(C.shape[1])
+    found = np.abs(np.diagonal(R))
+    diagonal[: len(found)] = found
+    return diagonal
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Rank of an identification Jacobian and what it cannot tell apart."""
+
+    rank: int
+    n_params: int
+    condition: float
+    """Condition number, columns scaled to unit length; infinite where rank is lost."""
+    groups: tuple[tuple[str, ...], ...]
+    """Parameters that move together, one group for each lost rank."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether every parameter is determined."""
+        return self.rank == self.n_params
+
+    def in_words(self, where: str) -> str:
+        """Return what is not determined, in words: ``l and L of leg_2 move together``."""
+        return "; ".join(
+            f"{group[0]} of {where} has no effect"
+            if len(group) == 1
+            else f"{', '.join(group[:-1])} and {group[-1]} of {where} move together"
+            for group in self.groups
+        )
+
+
+def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
+    """Return rank and undetermined combinations of an identification Jacobian.
+
+    Args:
+        C: Shape (m, n).
+        names: Names of the n parameters.
+    """
+    n = C.shape[1]
+    lengths = np.linalg.norm(C, axis=0)
+    scaled = C / np.where(lengths > 0.0, lengths, 1.0)
+    if not len(C):
+        return Identifiability(0, n, np.inf, tuple((name,) for name in names))
+    s = np.linalg.svd(scaled, compute_uv=False)
+    rank = int((s > _RANK_TOLERANCE * s[0]).sum()) if s[0] > 0.0 else 0
+    if rank == n:
+        return Identifiability(rank, n, float(s[0] / s[-1]), ())
+    _, R, order = qr(scaled, mode="economic", pivoting=True)
+    kept, lost = order[:rank], order[rank:]
+    weights = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])  # lost columns from the kept
+    groups = []
+    for column, index in zip(weights.T, lost, strict=True):
+        members = {int(index)} | {int(i) for i, w in zip(kept, column, strict=True) if abs(w) > 1e-6}
+        groups.append(tuple(names[i] for i in sorted(members)))
+    return Identifiability(rank, n, np.inf, tuple(groups))

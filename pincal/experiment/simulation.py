@@ -1,0 +1,138 @@
+"""Simulated measurements: a disturbed mechanism is driven by the nominal one and measured.
+
+As in the papers: the nominal inverse kinematics commands readings, the true mechanism
+goes where its forward kinematics says, and pose and readings are measured with noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.kinematics.forward import forward
+from pincal.kinematics.inverse import inverse
+from pincal.model.measurements import Measurements, Noise, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Poses
+
+Array = NDArray[np.float64]
+
+
+def disturb(
+    mechanism: Mechanism, sigma: float, seed: int | np.random.Generator = 0
+) -> Mechanism:
+    """Return the mechanism with normal errors on every identified parameter.
+
+    Args:
+        mechanism: The nominal mechanism.
+        sigma: Standard deviation, alike for lengths [m], angles [rad] and gains [1].
+        seed: Seed or generator.
+
+    Raises:
+        MeasurementError: a negative or infinite sigma.
+    """
+    if not (np.isfinite(sigma) and sigma >= 0.0):
+        raise MeasurementError(f"the disturbance is {sigma}; expected 0 or more")
+    rng = np.random.default_rng(seed)
+    return mechanism.with_parameters(
+        {leg.name: leg.nominal + sigma * rng.standard_normal(len(leg.parameters))
+         for leg in mechanism.legs}
+    )
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Simulated measurements, and the poses of the plan that could not be measured."""
+
+    measurements: Measurements
+    rows: NDArray[np.intp]
+    """Row of the plan that each measurement belongs to, shape (N,)."""
+    unreachable: tuple[tuple[int, str], ...]
+    """Rows of the plan without a measurement, and why."""
+
+
+def simulate(
+    mechanism: Mechanism,
+    truth: Mechanism,
+    plan: Plan,
+    noise: Noise | None = None,
+    seed: int | np.random.Generator = 0,
+) -> Simulation:
+    """Return what a measurement of the true mechanism at planned poses would give.
+
+    Args:
+        mechanism: The nominal mechanism, which commands the poses.
+        truth: The true mechanism, which goes elsewhere.
+        plan: Poses to command.
+        noise: Standard deviations of what is measured.
+        seed: Seed or generator.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    noise = noise or Noise()
+    rng = np.random.default_rng(seed)
+    count, platform = len(plan.poses), mechanism.platform
+    commanded = inverse(mechanism, plan.poses)
+    driven = np.flatnonzero(commanded.reached.all(axis=1))
+    solution = forward(truth, commanded.readings[driven], plan.poses[driven])
+    reasons = {row: f"nominal mechanism: {commanded.reason(row)}" for row in range(count)}
+    for row, reason in zip(driven, solution.reasons, strict=True):
+        reasons[int(row)] = f"true mechanism: {reason}" if reason else ""
+    # One draw for each planned pose, so that a lost pose does not shift the others' noise.
+    pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
+    reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.legs)))
+    rows = driven[solution.converged]
+    measurements = Measurements(
+        poses=solution.poses[solution.converged] + pose_noise[rows],
+        readings=commanded.readings[rows] + reading_noise[rows],
+        sets=None if plan.sets is None else tuple(plan.sets[row] for row in rows),
+    )
+    lost = tuple((row, reason) for row, reason in reasons.items() if reason)
+    return Simulation(measurements, rows, lost)
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How far the platform goes from where it is sent."""
+
+    position: float
+    """Root mean square distance, [m]."""
+    orientation: float
+    """Root mean square angle, [rad]; zero for a platform without orientation."""
+    worst_position: float
+    """[m]."""
+    poses: int
+    unreachable: int
+    """Poses that the model cannot command or the true mechanism cannot reach."""
+
+
+def accuracy(model: Mechanism, truth: Mechanism, poses: Poses) -> Accuracy:
+    """Return the errors of the true mechanism when a model commands its poses.
+
+    The root mean squares are the papers' RMSE of commanded against measured pose, without
+    measuring noise.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    platform = model.platform
+    wanted = platform.coordinates_of(poses)
+    commanded = inverse(model, wanted)
+    driven = np.flatnonzero(commanded.reached.all(axis=1))
+    solution = forward(truth, commanded.readings[driven], wanted[driven])
+    errors = (solution.poses - wanted[driven])[solution.converged]
+    linear = [unit == "m" for unit in platform.units]
+    angular = [unit == "rad" for unit in platform.units]
+    turns = (errors[:, angular] + np.pi) % (2 * np.pi) - np.pi
+    distances = np.linalg.norm(errors[:, linear], axis=1)
+    return Accuracy(
+        position=float(np.sqrt((distances**2).mean())) if len(errors) else np.nan,
+        orientation=float(np.sqrt((turns**2).sum(axis=1).mean())) if len(errors) else np.nan,
+        worst_position=float(distances.max(initial=0.0)),
+        poses=len(wanted),
+        unreachable=len(wanted) - len(errors),
+    )
