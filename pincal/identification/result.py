@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,3 +112,13 @@ class CalibrationResult:
             f"  reduced χ² {self.reduced_chi2:.3g} on {self.degrees_of_freedom} degrees of freedom"
         )
         return "\n".join(lines + [f"  warning: {text}" for text in self.warnings])
+
+    def save(self, folder: str | Path, *, force: bool = False) -> Path:
+        """Write ``result.json``, ``residuals.csv`` and the calibrated mechanism to a folder.
+
+        Raises:
+            FileError: the folder exists and ``force`` is not set, or cannot be written.
+        """
+        from pincal.identification.result_files import save_result
+
+        return save_result(self, folder, force=force)

@@ -1,0 +1,115 @@
+"""``pincal inverse``, ``forward`` and ``workspace``: poses to readings and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from scipy.spatial import KDTree
+
+from pincal.cli.app import Count, Force, Mech, Seed, app, counting, output_option, stderr, working, wrote
+from pincal.errors import MeasurementError
+from pincal.kinematics.forward import forward as solve_forward
+from pincal.kinematics.inverse import inverse as solve_inverse
+from pincal.model.files import load_mechanism
+from pincal.model.measurements import (
+    Plan,
+    read_poses,
+    read_readings,
+    write_poses,
+    write_readings,
+)
+from pincal.model.output import refuse_existing
+from pincal.workspace.sampling import Margins, sample_workspace
+
+MarginType1 = Annotated[
+    float, typer.Option(help="Least distance from type-1 singularities; a dyad's elbow sine.")
+]
+MarginType2 = Annotated[float, typer.Option(help="Least distance from type-2 singularities.")]
+_SHOWN = 5
+
+
+@app.command()
+def inverse(
+    mech: Mech,
+    poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
+    output: Annotated[Path, output_option("READINGS.csv", "Readings, one column a leg.")],
+    force: Force = False,
+) -> None:
+    """Write the sensor readings of poses.
+
+    Nothing is written if a pose is out of reach.
+    """
+    mechanism = load_mechanism(mech)
+    refuse_existing(output, force=force)
+    plan = read_poses(poses, mechanism)
+    solution = solve_inverse(mechanism, plan.poses)
+    reached = solution.reached.all(axis=1)
+    lost = np.flatnonzero(~reached)
+    _refuse_lost(poses, [(int(row), solution.reason(row)) for row in lost], "pose")
+    write_readings(output, mechanism, solution.readings, force=force)
+    wrote(output)
+
+
+@app.command()
+def forward(
+    mech: Mech,
+    readings: Annotated[Path, typer.Argument(metavar="READINGS.csv", help="leg_1 [rad], …")],
+    output: Annotated[Path, output_option("POSES.csv", "Poses of the platform.")],
+    force: Force = False,
+) -> None:
+    """Write the poses of sensor readings, in the assembly mode of home.
+
+    The search starts from the nearest of many sampled poses. Nothing is written if some
+    readings have no pose.
+    """
+    mechanism = load_mechanism(mech)
+    refuse_existing(output, force=force)
+    values = read_readings(readings, mechanism)
+    with working("sampling the workspace for start poses"):
+        samples = sample_workspace(mechanism, 3000, least=Margins(0.05, 0.02))
+    tree = KDTree(solve_inverse(mechanism, samples).readings)
+    solution = solve_forward(mechanism, values, samples[tree.query(values)[1]])
+    lost = np.flatnonzero(~solution.converged)
+    _refuse_lost(readings, [(int(row), solution.reasons[row]) for row in lost], "reading")
+    write_poses(output, mechanism, Plan(solution.poses), force=force)
+    wrote(output)
+
+
+def _refuse_lost(path: Path, lost: list[tuple[int, str]], what: str) -> None:
+    """Raise if some rows have no solution."""
+    if lost:
+        named = "; ".join(f"row {row + 1}: {reason}" for row, reason in lost[:_SHOWN])
+        more = f"; and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+        raise MeasurementError(
+            f"{path}: {len(lost)} {what}(s) without a solution, nothing written. {named}{more}. "
+            "Correct or remove these rows"
+        )
+
+
+@app.command()
+def workspace(
+    mech: Mech,
+    output: Annotated[Path, output_option("CANDIDATES.csv", "Poses in the workspace.")],
+    count: Count = 30_000,
+    seed: Seed = 0,
+    margin_type1: MarginType1 = 0.23,
+    margin_type2: MarginType2 = 0.2,
+    force: Force = False,
+) -> None:
+    """Write poses spread over the workspace: candidates to select from.
+
+    Every leg reaches them in its working mode, within joint limits and margins from
+    singularities, and they are connected to home.
+    """
+    mechanism = load_mechanism(mech)
+    refuse_existing(output, force=force)
+    least = Margins(margin_type1, margin_type2)
+    with counting("sampling the workspace", count) as done:
+        poses = sample_workspace(mechanism, count, seed, least, done)
+    write_poses(output, mechanism, Plan(poses), force=force)
+    box = zip(mechanism.platform.coordinates, poses.min(axis=0), poses.max(axis=0), strict=True)
+    stderr.print(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f}' for n, a, b in box)}")
+    wrote(output)

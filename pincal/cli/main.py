@@ -1,0 +1,20 @@
+"""The ``pincal`` command: errors raised on purpose become one message and exit code 2."""
+
+from __future__ import annotations
+
+import sys
+
+from pincal.cli import calibration, experiment, kinematics, mechanisms
+from pincal.cli.app import app, stderr
+from pincal.errors import PincalError
+
+__all__ = ["app", "calibration", "experiment", "kinematics", "main", "mechanisms"]
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input."""
+    try:
+        app(args=argv, prog_name="pincal")
+    except PincalError as error:
+        stderr.print(f"pincal: {error}", style="bold red", markup=False, highlight=False)
+        sys.exit(2)

@@ -1,0 +1,57 @@
+"""``pincal mechanisms`` and ``pincal check``: what there is, and whether it is sound."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.cli.app import Mech, app, stdout, working
+from pincal.experiment.observability import identifiability
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import identification_jacobian
+from pincal.kinematics.readers import tips_by_reader
+from pincal.model.files import bundled, load_mechanism
+from pincal.show.tables import parameters_table
+from pincal.symmetry.detect import symmetry_group
+from pincal.workspace.sampling import sample_workspace
+
+
+@app.command()
+def mechanisms() -> None:
+    """List the mechanisms that come with pincal."""
+    for name, folder in bundled().items():
+        mechanism = load_mechanism(folder)
+        legs, platform = len(mechanism.legs), mechanism.platform
+        stdout.print(f"{name:8s} {legs} legs, {', '.join(platform.coordinates)}", markup=False)
+        stdout.print(f"         {mechanism.description}", markup=False)
+
+
+@app.command()
+def check(mech: Mech) -> None:
+    """Load a mechanism and say whether it is sound: loops, URDFs, rank, symmetry."""
+    mechanism = load_mechanism(mech)
+    stdout.print(parameters_table(mechanism))
+    platform = mechanism.platform
+    home = platform.home_pose.as_matrix()
+    for leg in mechanism.legs:
+        closure = LegClosure(leg, platform)
+        gap = float(np.abs(closure.evaluate(leg.home[None], home).gap).max())
+        tips = tips_by_reader(leg)
+        own = closure.tips(leg.home[None])[0]
+        off = max(float(np.abs(tip - own).max()) for tip in tips.values())
+        stdout.print(
+            f"{leg.name}: closes at home within {gap:.2g} m; its URDF is read alike by "
+            f"{' and '.join(tips)} within {off:.2g} m",
+            markup=False,
+        )
+    with working("sampling the workspace"):
+        poses = sample_workspace(mechanism, 500)
+    for leg in mechanism.legs:
+        C = identification_jacobian(mechanism, leg.name, poses)
+        found = identifiability(C, leg.parameter_names)
+        words = "" if found.complete else f": {found.in_words(leg.name)}"
+        stdout.print(
+            f"{leg.name}: {found.rank} of {found.n_params} parameters observable from full poses "
+            f"(condition {found.condition:.3g}){words}",
+            markup=False,
+        )
+    stdout.print(f"symmetry: {symmetry_group(mechanism)}", markup=False)

@@ -1,0 +1,114 @@
+"""A result folder: ``result.json``, ``residuals.csv`` and the calibrated mechanism."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pincal.model.output as output
+from pincal.errors import FileError, MeasurementError
+from pincal.identification.result import CalibrationResult, LegResult
+from pincal.model.table import write_table
+
+FORMAT = 1
+MECHANISM = "mechanism"
+
+
+def save_result(result: CalibrationResult, folder: str | Path, *, force: bool = False) -> Path:
+    """Write a result folder, whole or not at all, and return it.
+
+    Raises:
+        FileError: the folder exists and ``force`` is not set, or cannot be written.
+    """
+    with output.writing(folder, force=force) as scratch:
+        scratch.mkdir()
+        text = json.dumps(as_json(result), indent=2, ensure_ascii=False, allow_nan=False)
+        (scratch / "result.json").write_text(text + "\n", encoding="utf-8")
+        result.identified.save(scratch / MECHANISM)
+        unit = "m" if result.residual == "closure" else "rad"
+        write_table(
+            scratch / "residuals.csv",
+            {
+                "leg": [leg.name for leg in result.legs for _ in leg.rows],
+                "row": [str(row + 1) for leg in result.legs for row in leg.rows],
+                f"residual [{unit}]": [r for leg in result.legs for r in leg.residuals],
+                f"sigma [{unit}]": [s for leg in result.legs for s in leg.sigma],
+            },
+        )
+    return Path(folder)
+
+
+def as_json(result: CalibrationResult) -> dict[str, Any]:
+    """Return a result as plain data for JSON; numbers that do not exist are null."""
+    from importlib.metadata import version
+
+    return {
+        "pincal_result": FORMAT,
+        "pincal": version("pincal"),
+        "mechanism": result.nominal.name,
+        "calibrated_mechanism": MECHANISM,
+        "method": result.method,
+        "residual": result.residual,
+        "poses": result.poses,
+        "converged": result.converged,
+        "message": result.message,
+        "iterations": result.iterations,
+        "reduced_chi2": _number(result.reduced_chi2),
+        "degrees_of_freedom": result.degrees_of_freedom,
+        "noise": {
+            "known": result.noise_known,
+            "position": result.noise.position,
+            "orientation": result.noise.orientation,
+            "reading": result.noise.reading,
+        },
+        "warnings": list(result.warnings),
+        "legs": [_leg(leg) for leg in result.legs],
+        "covariance": result.covariance.tolist(),
+    }
+
+
+def _leg(leg: LegResult) -> dict[str, Any]:
+    return {
+        "name": leg.name,
+        "parameters": [
+            {
+                "name": p.name,
+                "unit": p.unit,
+                "nominal": p.nominal,
+                "identified": p.identified,
+                "std": _number(p.std),
+                "interval_95": [_number(p.low), _number(p.high)],
+            }
+            for p in leg.parameters
+        ],
+        "rank": leg.rank,
+        "condition": _number(leg.condition),
+        "rms_before": _number(leg.rms_before),
+        "rms_after": _number(leg.rms_after),
+        "n_residuals": leg.n_residuals,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def read_result(folder: str | Path) -> dict[str, Any]:
+    """Return the contents of a result folder's ``result.json``.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: not a result of pincal, or of an unknown version.
+    """
+    path = Path(folder) / "result.json"
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise MeasurementError(f"{path}: not JSON: {error}") from error
+    if not isinstance(data, dict) or data.get("pincal_result") != FORMAT:
+        raise MeasurementError(f"{path}: not a result of pincal in format {FORMAT}")
+    return data

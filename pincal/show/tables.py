@@ -1,0 +1,124 @@
+"""Tables for people: values in the units in which machines are built, mm and mrad."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from pincal.experiment.selection import Selection
+from pincal.experiment.simulation import Accuracy
+from pincal.identification.result import CalibrationResult
+from pincal.model.mechanism import Mechanism
+
+#: Unit in which people read a quantity, and its factor from SI.
+_SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
+
+
+def parameters_table(mechanism: Mechanism) -> Table:
+    """Return a table of nominal parameters, one row a parameter, one column a leg."""
+    table = Table(title=f"{mechanism.name}: nominal parameters", title_justify="left")
+    table.add_column("parameter")
+    for name in mechanism.leg_names:
+        table.add_column(name, justify="right")
+    table.add_column("unit")
+    names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
+    for name in names:
+        values = [leg.nominal_by_name.get(name) for leg in mechanism.legs]
+        cells = ["" if value is None else f"{value:.6f}" for value in values]
+        unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
+        table.add_row(name, *cells, unit)
+    return table
+
+
+def selection_table(selection: Selection) -> Table:
+    """Return a table of what a selection gives each leg."""
+    table = Table(
+        title=f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
+        f"{selection.candidates} candidates",
+        title_justify="left",
+        caption="efficiency: (det/det of the continuous D-optimal bound)^(1/n), at most 1; "
+        "O1 of the unweighted Jacobian, over the number of parameters",
+        caption_justify="left",
+    )
+    for name in ("leg", "poses", "efficiency", "O1", "condition"):
+        table.add_column(name, justify="left" if name == "leg" else "right")
+    for leg in selection.legs:
+        table.add_row(
+            leg.leg,
+            str(leg.poses),
+            f"{leg.efficiency:.4f}",
+            f"{leg.indices.O1_per_parameter:.4f}",
+            f"{leg.condition:.3g}",
+        )
+    return table
+
+
+def result_table(result: CalibrationResult) -> Table:
+    """Return a table of identified parameters with 95 % intervals and changes."""
+    table = Table(
+        title=f"{result.nominal.name} calibrated: {result.method}, {result.residual} residual",
+        title_justify="left",
+        caption="change over std: how many standard errors the parameter moved",
+        caption_justify="left",
+    )
+    table.add_column("leg")
+    table.add_column("parameter")
+    for name in ("nominal", "identified", "change", "± 95 %", "change/std"):
+        table.add_column(name, justify="right")
+    table.add_column("unit")
+    for leg in result.legs:
+        for i, p in enumerate(leg.parameters):
+            unit, factor = _SHOWN[p.unit]
+            change = p.identified - p.nominal
+            table.add_row(
+                leg.name if i == 0 else "",
+                p.name,
+                f"{p.nominal:.6f}",
+                f"{p.identified:.6f}",
+                f"{factor * change:+.3f} {unit}",
+                f"{factor * (p.high - p.low) / 2:.3f} {unit}",
+                f"{change / p.std:+.1f}" if p.std > 0 else "",
+                p.unit,
+                end_section=i == len(leg.parameters) - 1,
+            )
+    return table
+
+
+def legs_table(result: CalibrationResult) -> Table:
+    """Return a table of residuals, rank and condition of each leg."""
+    unit, factor = _SHOWN["m" if result.residual == "closure" else "rad"]
+    table = Table(title="residuals", title_justify="left")
+    table.add_column("leg")
+    for name in (f"rms before [{unit}]", f"rms after [{unit}]", "poses", "rank", "condition"):
+        table.add_column(name, justify="right")
+    for leg in result.legs:
+        table.add_row(
+            leg.name,
+            f"{factor * leg.rms_before:.4f}",
+            f"{factor * leg.rms_after:.4f}",
+            str(leg.n_residuals),
+            f"{leg.rank} of {len(leg.parameters)}",
+            f"{leg.condition:.3g}",
+        )
+    return table
+
+
+def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Table:
+    """Return a table of platform errors with nominal and with identified parameters."""
+    table = Table(
+        title=f"platform error over the workspace, {before.poses} poses", title_justify="left"
+    )
+    table.add_column("model")
+    table.add_column("position rms [mm]", justify="right")
+    table.add_column("worst [mm]", justify="right")
+    if turns:
+        table.add_column("orientation rms [mrad]", justify="right")
+    table.add_column("not reached", justify="right")
+    for name, one in (("nominal (before)", before), ("identified (after)", after)):
+        cells = [f"{1e3 * one.position:.4f}", f"{1e3 * one.worst_position:.4f}"]
+        cells += [f"{1e3 * one.orientation:.4f}"] if turns else []
+        table.add_row(name, *cells, str(one.unreachable))
+    ratio = [f"{before.position / after.position:.1f} times"]
+    ratio += [f"{before.worst_position / after.worst_position:.1f} times"]
+    ratio += [f"{before.orientation / after.orientation:.1f} times"] if turns else []
+    table.add_row("better by", *ratio, "")
+    return table
