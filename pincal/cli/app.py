@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,11 +12,14 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-stdout = Console(highlight=False)
-stderr = Console(stderr=True, highlight=False)
+_WIDTH = None if sys.stdout.isatty() else 100  # of tables in a file or pipe
+stdout = Console(highlight=False, width=_WIDTH)
+stderr = Console(stderr=True, highlight=False, soft_wrap=True)
 
 app = typer.Typer(
     no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,  # so that [m] in a help text stays
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Kinematic calibration of parallel robots: which poses to measure, what the parameters "

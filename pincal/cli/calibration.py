@@ -70,7 +70,7 @@ def calibrate(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Identify the parameters from measured poses and readings.
+    """Identify the parameters from measurements.
 
     Without noise options, equal noise of positions [m] and orientations [rad] is assumed
     and its scale estimated from the residuals. RESULT holds result.json, residuals.csv and
@@ -136,7 +136,7 @@ def demo(
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
-    """Calibrate a simulated machine end to end, on real files, and show what it brings.
+    """See it all at work on a simulated machine.
 
     Samples the workspace, chooses poses, simulates measurements of a disturbed mechanism,
     calibrates, and compares the platform's errors before and after.

@@ -56,7 +56,7 @@ def select(
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
-    """Choose the poses to measure, with a certificate of how good they are.
+    """Choose the poses to measure.
 
     The efficiency printed compares them with a bound that no choice can exceed. Without a
     protocol named, symmetric where the mechanism allows it, else independent.
@@ -133,8 +133,9 @@ def simulate(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Simulate measurements: the nominal mechanism commands, a disturbed one moves.
+    """Simulate measurements of a disturbed machine.
 
+    The nominal mechanism commands the poses, the true one moves.
     Poses that the true mechanism cannot reach are left out and listed.
     """
     mechanism = load_mechanism(mech)

@@ -60,8 +60,9 @@ def forward(
     output: Annotated[Path, output_option("POSES.csv", "Poses of the platform.")],
     force: Force = False,
 ) -> None:
-    """Write the poses of sensor readings, in the assembly mode of home.
+    """Write the poses of sensor readings.
 
+    Poses are those in the assembly mode of home.
     The search starts from the nearest of many sampled poses. Nothing is written if some
     readings have no pose.
     """
@@ -99,8 +100,9 @@ def workspace(
     margin_type2: MarginType2 = 0.2,
     force: Force = False,
 ) -> None:
-    """Write poses spread over the workspace: candidates to select from.
+    """Write poses spread over the workspace.
 
+    They are candidates for 'pincal select'.
     Every leg reaches them in its working mode, within joint limits and margins from
     singularities, and they are connected to home.
     """

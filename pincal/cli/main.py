@@ -8,7 +8,12 @@ from pincal.cli import calibration, experiment, kinematics, mechanisms
 from pincal.cli.app import app, stderr
 from pincal.errors import PincalError
 
-__all__ = ["app", "calibration", "experiment", "kinematics", "main", "mechanisms"]
+_GROUPS = (mechanisms, kinematics, experiment, calibration)  # as people come to need them
+app.registered_commands.sort(
+    key=lambda command: [group.__name__ for group in _GROUPS].index(
+        command.callback.__module__ if command.callback else ""
+    )
+)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -27,7 +27,9 @@ def mechanisms() -> None:
 
 @app.command()
 def check(mech: Mech) -> None:
-    """Load a mechanism and say whether it is sound: loops, URDFs, rank, symmetry."""
+    """Say whether a mechanism is sound.
+
+    Loops closed at home, URDFs read alike by others, parameters observable, symmetry."""
     mechanism = load_mechanism(mech)
     stdout.print(parameters_table(mechanism))
     platform = mechanism.platform

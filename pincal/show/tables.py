@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from rich import box
+from rich.console import Group
+from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from pincal.experiment.selection import Selection
 from pincal.experiment.simulation import Accuracy
@@ -13,9 +17,18 @@ from pincal.model.mechanism import Mechanism
 _SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
 
 
-def parameters_table(mechanism: Mechanism) -> Table:
+def _table() -> Table:
+    return Table(box=box.SIMPLE_HEAD, pad_edge=False)
+
+
+def _shown(title: str, table: Table, caption: str = "") -> Group:
+    """Return a table under its title, with a caption as wide as the terminal."""
+    return Group(Text(title, style="bold"), table, *([Text(caption + "\n")] if caption else []))
+
+
+def parameters_table(mechanism: Mechanism) -> Group:
     """Return a table of nominal parameters, one row a parameter, one column a leg."""
-    table = Table(title=f"{mechanism.name}: nominal parameters", title_justify="left")
+    table = _table()
     table.add_column("parameter")
     for name in mechanism.leg_names:
         table.add_column(name, justify="right")
@@ -26,19 +39,12 @@ def parameters_table(mechanism: Mechanism) -> Table:
         cells = ["" if value is None else f"{value:.6f}" for value in values]
         unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
         table.add_row(name, *cells, unit)
-    return table
+    return _shown(f"{mechanism.name}: nominal parameters", table)
 
 
-def selection_table(selection: Selection) -> Table:
+def selection_table(selection: Selection) -> Group:
     """Return a table of what a selection gives each leg."""
-    table = Table(
-        title=f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
-        f"{selection.candidates} candidates",
-        title_justify="left",
-        caption="efficiency: (det/det of the continuous D-optimal bound)^(1/n), at most 1; "
-        "O1 of the unweighted Jacobian, over the number of parameters",
-        caption_justify="left",
-    )
+    table = _table()
     for name in ("leg", "poses", "efficiency", "O1", "condition"):
         table.add_column(name, justify="left" if name == "leg" else "right")
     for leg in selection.legs:
@@ -49,22 +55,24 @@ def selection_table(selection: Selection) -> Table:
             f"{leg.indices.O1_per_parameter:.4f}",
             f"{leg.condition:.3g}",
         )
-    return table
-
-
-def result_table(result: CalibrationResult) -> Table:
-    """Return a table of identified parameters with 95 % intervals and changes."""
-    table = Table(
-        title=f"{result.nominal.name} calibrated: {result.method}, {result.residual} residual",
-        title_justify="left",
-        caption="change over std: how many standard errors the parameter moved",
-        caption_justify="left",
+    return _shown(
+        f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
+        f"{selection.candidates} candidates",
+        table,
+        "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
+        "O1: of the unweighted Jacobian, over the number of parameters",
     )
+
+
+def result_table(result: CalibrationResult) -> Group:
+    """Return a table of identified parameters with 95 % intervals and changes."""
+    table = _table()
     table.add_column("leg")
-    table.add_column("parameter")
-    for name in ("nominal", "identified", "change", "± 95 %", "change/std"):
-        table.add_column(name, justify="right")
+    table.add_column("parameter", no_wrap=True)
+    for name in ("nominal", "identified", "change", "± 95 %"):
+        table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit")
+    table.add_column("σ", justify="right", no_wrap=True)
     for leg in result.legs:
         for i, p in enumerate(leg.parameters):
             unit, factor = _SHOWN[p.unit]
@@ -74,22 +82,27 @@ def result_table(result: CalibrationResult) -> Table:
                 p.name,
                 f"{p.nominal:.6f}",
                 f"{p.identified:.6f}",
-                f"{factor * change:+.3f} {unit}",
-                f"{factor * (p.high - p.low) / 2:.3f} {unit}",
+                f"{factor * change:+.4f}",
+                f"{factor * (p.high - p.low) / 2:.4f}",
+                unit,
                 f"{change / p.std:+.1f}" if p.std > 0 else "",
-                p.unit,
                 end_section=i == len(leg.parameters) - 1,
             )
-    return table
+    return _shown(
+        f"{result.nominal.name} calibrated: {result.method}, {result.residual} residual",
+        table,
+        "nominal and identified in m, rad and 1; change and its 95 % interval in the unit behind; "
+        "σ: how many standard errors the parameter moved",
+    )
 
 
-def legs_table(result: CalibrationResult) -> Table:
+def legs_table(result: CalibrationResult) -> Group:
     """Return a table of residuals, rank and condition of each leg."""
     unit, factor = _SHOWN["m" if result.residual == "closure" else "rad"]
-    table = Table(title="residuals", title_justify="left")
+    table = _table()
     table.add_column("leg")
     for name in (f"rms before [{unit}]", f"rms after [{unit}]", "poses", "rank", "condition"):
-        table.add_column(name, justify="right")
+        table.add_column(escape(name), justify="right")
     for leg in result.legs:
         table.add_row(
             leg.name,
@@ -99,19 +112,17 @@ def legs_table(result: CalibrationResult) -> Table:
             f"{leg.rank} of {len(leg.parameters)}",
             f"{leg.condition:.3g}",
         )
-    return table
+    return _shown("residuals", table)
 
 
-def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Table:
+def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Group:
     """Return a table of platform errors with nominal and with identified parameters."""
-    table = Table(
-        title=f"platform error over the workspace, {before.poses} poses", title_justify="left"
-    )
+    table = _table()
     table.add_column("model")
-    table.add_column("position rms [mm]", justify="right")
-    table.add_column("worst [mm]", justify="right")
+    table.add_column(escape("position rms [mm]"), justify="right")
+    table.add_column(escape("worst [mm]"), justify="right")
     if turns:
-        table.add_column("orientation rms [mrad]", justify="right")
+        table.add_column(escape("orientation rms [mrad]"), justify="right")
     table.add_column("not reached", justify="right")
     for name, one in (("nominal (before)", before), ("identified (after)", after)):
         cells = [f"{1e3 * one.position:.4f}", f"{1e3 * one.worst_position:.4f}"]
@@ -121,4 +132,4 @@ def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Table:
     ratio += [f"{before.worst_position / after.worst_position:.1f} times"]
     ratio += [f"{before.orientation / after.orientation:.1f} times"] if turns else []
     table.add_row("better by", *ratio, "")
-    return table
+    return _shown(f"platform error over the workspace, {before.poses} poses", table)
