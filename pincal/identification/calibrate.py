@@ -1,9 +1,9 @@
 """Calibration: parameters of all legs from measured poses and readings.
 
 Per leg (the papers' divide and conquer) or all legs together, on whitened closure
-residuals or on the papers' joint residuals. Weights are those of the last estimate: the
-fit is repeated with the weights renewed until it stands (feasible generalised least
-squares), so at the optimum Σ Jᵀ W r = 0 with W at the optimum.
+residuals or on the papers' joint residuals. A first search at the nominal weights is
+followed by Gauss-Newton steps that renew the weights (feasible generalised least
+squares) until no step is left, so at the optimum Jᵀ W r = 0 with W at the optimum.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.special import ndtri, stdtrit
+from scipy.special import gammainc, ndtri, stdtrit
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.experiment.observability import identifiability
@@ -30,9 +30,10 @@ from pincal.model.mechanism import Mechanism
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Method = Literal["per-leg", "together"]
-_PRECISION = 1e-15  # of cost and step: the solver stops where rounding does
-_STANDS = 1e-6  # of a standard error: renewed weights change nothing
-_ROUNDS = 10
+_PRECISION = 1e-8  # of cost and step in the first search
+_STANDS = 1e-8  # of a standard error: no step is left, with the weights renewed
+_ROUNDS = 30
+_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 _CONFIDENCE = 0.95
 
 
@@ -82,7 +83,12 @@ def calibrate(
         rows = used[:, group].any(axis=1)
         parts = [
             LegResidual(
-                leg, mechanism.platform, matrices[rows], measurements.readings[rows, i], residual
+                leg,
+                mechanism.platform,
+                matrices[rows],
+                measurements.readings[rows, i],
+                residual,
+                np.flatnonzero(rows),
             )
             for leg, i in zip(legs, group, strict=True)
         ]
@@ -109,36 +115,24 @@ def _fit(
     """Return the least-squares fit of a problem, from the nominal parameters."""
     start = np.concatenate([leg.nominal for leg in legs])
     _check_rank(problem, problem.whitener(start), start, legs)
-    parameters, evaluations = start, 0
+    weighted = kind == "closure"
+    parameters, evaluations = _minimise(problem, problem.whitener(start) if weighted else None, start)
     for _ in range(_ROUNDS):
-        weigh = problem.whitener(parameters) if kind == "closure" else None
-        solution = least_squares(
-            lambda p, weigh=weigh: _weighed(problem.values(p)[:, :, None], weigh, problem.used)[:, 0],
-            parameters,
-            jac=lambda p, weigh=weigh: _weighed(problem.jacobian(p), weigh, problem.used),
-            method="lm",
-            x_scale="jac",
-            ftol=_PRECISION,
-            xtol=_PRECISION,
-            gtol=_PRECISION,
-        )
-        evaluations += int(solution.nfev)
-        step = solution.x - parameters
-        parameters = solution.x
         whitener = problem.whitener(parameters)
-        covariance, ranks = _covariance(problem, whitener, parameters, legs, weighted=kind == "closure")
-        moved = float(np.abs(step / np.sqrt(np.diagonal(covariance))).max())
-        if weigh is None or moved <= _STANDS:
+        weigh = whitener if weighted else None
+        covariance, ranks = _covariance(problem, whitener, parameters, legs, weighted=weighted)
+        step = _gauss_newton_step(problem, weigh, parameters)
+        decrement = float(np.abs(step / np.sqrt(np.diagonal(covariance))).max())
+        if decrement <= _STANDS:
             break
-    r = _weighed(problem.values(parameters)[:, :, None], weigh, problem.used)[:, 0]
-    J = _weighed(problem.jacobian(parameters), weigh, problem.used)
-    left = np.linalg.lstsq(J, r, rcond=None)[0] / np.sqrt(np.diagonal(covariance))
-    decrement = float(np.abs(left).max())
-    converged = bool(solution.status > 0 and decrement <= 1e-3)
+        parameters = parameters + step
+        evaluations += 1
+    converged = decrement <= _STANDS
     message = (
         f"converged after {evaluations} evaluations"
         if converged
-        else f"not converged: {solution.message} The next step would be {decrement:.2g} standard errors"
+        else f"not converged after {evaluations} evaluations: the next step would be "
+        f"{decrement:.2g} standard errors"
     )
     white = _weighed(problem.values(parameters)[:, :, None], whitener, problem.used)[:, 0]
     dof = len(white) - problem.n_params
@@ -148,6 +142,29 @@ def _fit(
     quantile = float(ndtri((1 + _CONFIDENCE) / 2) if known else stdtrit(dof, (1 + _CONFIDENCE) / 2))
     results = _leg_results(problem, legs, rows, parameters, start, covariance, quantile, ranks)
     return _Fit(results, covariance, chi2, dof, evaluations, converged, message)
+
+
+def _minimise(problem: Problem, weigh: Array | None, start: Array) -> tuple[Array, int]:
+    """Return the parameters of least squares at fixed weights, and the number of evaluations.
+
+    Levenberg-Marquardt (MINPACK) stops where the cost no longer falls, half the digits short.
+    """
+    solution = least_squares(
+        lambda p: _weighed(problem.values(p)[:, :, None], weigh, problem.used)[:, 0],
+        start,
+        jac=lambda p: _weighed(problem.jacobian(p), weigh, problem.used),
+        method="lm",
+        x_scale="jac",
+        **dict.fromkeys(("ftol", "xtol", "gtol"), _PRECISION),
+    )
+    return solution.x, int(solution.nfev)
+
+
+def _gauss_newton_step(problem: Problem, weigh: Array | None, parameters: Array) -> Array:
+    r = _weighed(problem.values(parameters)[:, :, None], weigh, problem.used)[:, 0]
+    J = _weighed(problem.jacobian(parameters), weigh, problem.used)
+    scale = np.linalg.norm(J, axis=0)
+    return np.asarray(-np.linalg.lstsq(J / scale, r, rcond=None)[0] / scale)
 
 
 def _weighed(values: Array, weigh: Array | None, used: Mask) -> Array:
@@ -308,7 +325,7 @@ def _warnings(
             "the noise was not given: equal standard deviations of position [m] and orientation "
             "[rad] were assumed and their scale estimated from the residuals"
         )
-    elif dof and not abs(chi2 - 1.0) <= 4.0 * np.sqrt(2.0 / dof):
+    elif dof and not _UNLIKELY <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - _UNLIKELY:
         found.append(
             f"reduced χ² is {chi2:.3g} where 1 is expected: the noise is "
             f"{'larger' if chi2 > 1 else 'smaller'} than given, or the model lacks something; the "

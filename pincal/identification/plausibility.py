@@ -17,8 +17,10 @@ from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_FITS = 0.1  # median gap over the leg's size below which measurements are plausible
-_BETTER = 0.2  # of the gap as given: another unit explains the measurements
+_DOUBTFUL = 0.02  # median gap over the leg's size from which another unit is tried
+_REFUSED = 0.1  # from which nothing is identified
+_EXPLAINED = 0.01  # in another unit: it explains the measurements
+_BETTER = 0.1  # of the gap as given
 _ROWS = 500  # enough to judge by
 
 
@@ -32,16 +34,18 @@ def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
     poses, readings = data.poses[::step], data.readings[::step]
     for index, leg in enumerate(mechanism.legs):
         gap = _gap(mechanism, index, poses, readings)
-        if gap <= _FITS:
+        if gap <= _DOUBTFUL:
             continue
         for suspect, changed_poses, changed_readings in _suspects(mechanism, poses, readings):
             other = _gap(mechanism, index, changed_poses, changed_readings)
-            if other <= min(_FITS, _BETTER * gap):
+            if other <= min(_EXPLAINED, _BETTER * gap):
                 raise MeasurementError(
                     f"{leg.name}: as given, the measurements miss the nominal mechanism by "
                     f"{100 * gap:.0f} % of the leg's length; {suspect} they would by "
                     f"{100 * other:.2g} %. Correct the units in the headers"
                 )
+        if gap <= _REFUSED:
+            continue
         raise MeasurementError(
             f"{leg.name}: measured poses and readings miss the nominal mechanism by "
             f"{100 * gap:.0f} % of the leg's length (median). Check the units, the order and signs "

@@ -31,7 +31,13 @@ class LegResidual:
     """Residual of one leg and its derivatives, at any parameter values."""
 
     def __init__(
-        self, leg: Leg, platform: Platform, matrices: Array, readings: Array, kind: Residual
+        self,
+        leg: Leg,
+        platform: Platform,
+        matrices: Array,
+        readings: Array,
+        kind: Residual,
+        rows: NDArray[np.intp] | None = None,
     ) -> None:
         """Hold the measurements of a leg.
 
@@ -41,12 +47,14 @@ class LegResidual:
             matrices: Measured poses ``T_base_platform``, shape (N, 4, 4).
             readings: Measured readings, shape (N,), [rad] or [m].
             kind: ``"closure"`` or ``"joint"``.
+            rows: Rows of the measurements, counted from 0, for messages, shape (N,).
         """
         self.leg = leg
         self.kind = kind
         self._platform = platform
         self._matrices = matrices
         self._readings = readings
+        self._rows = np.arange(len(readings)) if rows is None else rows
         self._joints: Array | None = None  # passive joints of the last call are the next start
 
     def __call__(self, parameters: Array) -> Demand:
@@ -75,7 +83,7 @@ class LegResidual:
     def _joint(self, closure: LegClosure) -> Demand:
         closed = close(closure, self._matrices)
         if not closed.reached.all():
-            row = int(np.argmin(closed.reached))
+            row = int(self._rows[np.argmin(closed.reached)])
             raise MeasurementError(
                 f"{self.leg.name} does not reach measured pose {row + 1} with the parameters being "
                 "tried, so its joint residual does not exist there; use the closure residual "

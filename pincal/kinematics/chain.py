@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,10 +39,14 @@ class Chain:
         """
         q = np.empty((len(joints), len(self.from_parameters)))
         q[:] = self.from_parameters @ parameters
-        for column, entries in enumerate(self.from_joints.T):
-            row = int(np.flatnonzero(entries)[0])
-            q[:, row] = entries[row] * joints[:, column]
+        for column, row in enumerate(self.joint_entries):
+            q[:, row] = self.from_joints[row, column] * joints[:, column]
         return q
+
+    @cached_property
+    def joint_entries(self) -> tuple[int, ...]:
+        """Elementary joint of each leg joint."""
+        return tuple(int(np.flatnonzero(entries)[0]) for entries in self.from_joints.T)
 
 
 @lru_cache(maxsize=256)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.chain import leg_chain, point_chain
+from pincal.kinematics.forest import cross
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
@@ -36,8 +37,8 @@ class Closure:
     """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
     pose: Array
     """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
-    lever: Array
-    """Speed of the first passive axis after the active joint per unit of its rate, shape (N,)."""
+    twists: tuple[Array, Array | None]
+    """Tip twists (6, N) of the active joint and of the next revolute joint, if there is one."""
 
     @cached_property
     def normal(self) -> Array:
@@ -57,6 +58,21 @@ class Closure:
     def drive(self) -> Array:
         """Nᵀ ∂c/∂θ, shape (N, m - n_passive, 1): zero at a type-1 singularity."""
         return self.project(self.active)
+
+    @cached_property
+    def lever(self) -> Array:
+        """Speed of the next revolute axis after the active joint per unit of its rate, (N,).
+
+        At a planar dyad the length l; the tip's own speed where there is no such axis.
+        """
+        active, following = self.twists
+        own = np.linalg.norm(self.active[:, :, 0], axis=1)
+        if following is None:
+            return own
+        arm = cross(following[3:].T, following[:3].T)  # from the tip to the next axis
+        speed = active[:3].T + cross(active[3:].T, arm)
+        lever = np.linalg.norm(speed, axis=1)
+        return np.where(lever > 1e-9 * own, lever, own)
 
     def active_step(self) -> Array:
         """Return the Newton step of the active joint that closes the leg, shape (N, 1)."""
@@ -130,24 +146,16 @@ class LegClosure:
             passive=moved[:, :, passive],
             parameter=parameter,
             pose=-_point_velocity(arm, self.platform.twist_rows)[:, rows],
-            lever=self._lever(columns, tips, moved),
+            twists=self._drive_twists(columns),
         )
 
-    def _lever(self, columns: Array, tips: Array, moved: Array) -> Array:
-        """Return the speed of the next revolute axis after the active joint; see ``Closure``."""
-        own = np.linalg.norm(moved[:, :, self.leg.active], axis=1)
-        following = [j for j in self.leg.moving[self.leg.active + 1 :] if j.kind == "revolute"]
-        if not following:
-            return own
-        index = [j.name for j in self.leg.moving].index(following[0].name)
-        motion, turn = (
-            int(np.flatnonzero(self._chain.from_joints[:, i])[0]) for i in (self.leg.active, index)
-        )
-        axis, velocity = columns[3:, :, turn].T, columns[:3, :, turn].T
-        arm = np.cross(axis, velocity)  # from the tip to the nearest point of the next axis
-        speed = columns[:3, :, motion].T + np.cross(columns[3:, :, motion].T, arm)
-        lever = np.linalg.norm(speed[:, self._rows], axis=1)
-        return np.where(lever > 1e-9 * (1e-300 + own), lever, own)
+    def _drive_twists(self, columns: Array) -> tuple[Array, Array | None]:
+        """Return the tip twists of the active joint and of the next revolute joint."""
+        moving, active = self.leg.moving, self.leg.active
+        entries = self._chain.joint_entries
+        following = [i for i in range(active + 1, len(moving)) if moving[i].kind == "revolute"]
+        turn = columns[:, :, entries[following[0]]] if following else None
+        return columns[:, :, entries[active]], turn
 
 
 def _point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
@@ -200,7 +208,7 @@ def left_null(matrix: Array) -> Array:
         if m == 2:
             normal = np.stack((-matrix[:, 1, 0], matrix[:, 0, 0]), axis=1)
         else:
-            normal = np.cross(matrix[:, :, 0], matrix[:, :, 1])
+            normal = cross(matrix[:, :, 0], matrix[:, :, 1])
         with np.errstate(divide="ignore", invalid="ignore"):
             return (normal / np.linalg.norm(normal, axis=1)[:, None])[:, :, None]
     q, _ = np.linalg.qr(matrix, mode="complete")

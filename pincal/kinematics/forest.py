@@ -104,9 +104,9 @@ class Forest:
     def _tips(self, dummies: Array) -> Array:
         """Return the tips from the twists of the dummy joints, shapes (6, N, 1 or 2) to (N, 3)."""
         moment, axis = dummies[:3, :, 0].T, dummies[3:, :, 0].T
-        tips = _cross(axis, moment)
+        tips = cross(axis, moment)
         if self.spatial:  # the part along the first axis, from the second
-            second, third = dummies[:3, :, 1].T, _cross(axis, dummies[3:, :, 1].T)
+            second, third = dummies[:3, :, 1].T, cross(axis, dummies[3:, :, 1].T)
             tips += axis * np.einsum("ni,ni->n", second, third)[:, None]  # (p × b)·(a × b) = p·a
         return tips
 
@@ -122,7 +122,7 @@ def _shifted(twists: Array, tips: Array) -> Array:
     return shifted
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross(a: Array, b: Array) -> Array:
     """Return a × b for shapes (N, 3); NumPy's own is several times slower."""
     x, y, z = a.T
     u, v, w = b.T

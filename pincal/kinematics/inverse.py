@@ -20,8 +20,9 @@ from pincal.model.platform import Poses
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 CHUNK = 8192
-_NEWTON_STEPS = 30
-_SMALL = 1e-8  # of the leg's size: the next Newton step reaches rounding error
+_NEWTON_STEPS = 15
+_ATTEMPTS = 6
+_SMALL = 1e-11  # of the leg's size: the step after that reaches rounding error
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,39 @@ def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
     joints, possible = start(leg, matrices)
     closure = leg.evaluate(joints, matrices)
     joints = joints + _newton_step(leg, closure)
-    open_ = possible & ~_small(leg, closure)
-    if open_.any():
+    closed = possible & _small(leg, closure)
+    if not (closed | ~possible).all():
+        joints, closed = _search(leg, matrices, joints, closed, possible)
+        closure = leg.evaluate(np.where(closed[:, None], joints, leg.leg.home), matrices)
+    reached = closed & (mode_sign(closure) == home_mode(leg.leg, leg.platform))
+    return ClosedLeg(np.where(reached[:, None], joints, np.nan), reached, closure)
+
+
+def _search(
+    leg: LegClosure, matrices: Array, joints: Array, closed: Mask, possible: Mask
+) -> tuple[Array, Mask]:
+    """Return joints and where they close the leg, by Newton's method from several starts."""
+    joints, closed = joints.copy(), closed.copy()
+    for attempt in range(_ATTEMPTS):
+        rows = np.flatnonzero(possible & ~closed)
+        if attempt:
+            again, may = start(leg, matrices[rows], attempt)
+            rows, joints[rows] = rows[may], again
+        found = rows
         for _ in range(_NEWTON_STEPS):
-            rows = np.flatnonzero(open_)
             part = leg.evaluate(joints[rows], matrices[rows])
             joints[rows] += _newton_step(leg, part)
-            open_[rows] = ~_small(leg, part) & np.isfinite(joints[rows]).all(axis=1)
-            if not open_.any():
+            going = ~_small(leg, part) & np.isfinite(joints[rows]).all(axis=1)
+            rows = rows[going]
+            if not len(rows):
                 break
-        finite = np.isfinite(joints).all(axis=1)
-        closure = leg.evaluate(np.where(finite[:, None], joints, leg.leg.home), matrices)
-    in_mode = mode_sign(closure) == home_mode(leg.leg, leg.platform)
-    reached = possible & _small(leg, closure) & in_mode & np.isfinite(joints).all(axis=1)
-    return ClosedLeg(np.where(reached[:, None], joints, np.nan), reached, closure)
+        found = found[np.isfinite(joints[found]).all(axis=1)]
+        part = leg.evaluate(joints[found], matrices[found])
+        in_mode = mode_sign(part) == home_mode(leg.leg, leg.platform)
+        closed[found] = _small(leg, part) & in_mode
+        if (closed | ~possible).all():
+            break
+    return joints, closed
 
 
 def _newton_step(leg: LegClosure, closure: Closure) -> Array:

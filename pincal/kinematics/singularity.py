@@ -69,10 +69,11 @@ def _determinant(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
     lines = np.concatenate([c.project(c.pose) for c in closures], axis=1)
     turns = [i for i, row in enumerate(mechanism.platform.twist_rows) if row >= 3]
     lines[:, :, turns] /= _radius(mechanism)
-    if lines.shape[1] == lines.shape[2]:
-        return np.asarray(np.linalg.det(lines))
-    gram = lines.transpose(0, 2, 1) @ lines
-    return np.sqrt(np.clip(np.linalg.det(gram), 0.0, None))
+    with np.errstate(invalid="ignore"):  # a leg whose passive joints are singular is NaN
+        if lines.shape[1] == lines.shape[2]:
+            return np.asarray(np.linalg.det(lines))
+        gram = lines.transpose(0, 2, 1) @ lines
+        return np.sqrt(np.clip(np.linalg.det(gram), 0.0, None))
 
 
 @lru_cache(maxsize=64)

@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 _SAMPLES = 20_000
 
 
-def start(closure: LegClosure, matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
+def start(
+    closure: LegClosure, matrices: Array, attempt: int = 0
+) -> tuple[Array, NDArray[np.bool_]]:
     """Return joint positions near those that close the leg, and where that may be possible.
 
     A planar dyad that cannot reach a pose starts stretched or folded towards it. Shapes
@@ -30,13 +32,15 @@ def start(closure: LegClosure, matrices: Array) -> tuple[Array, NDArray[np.bool_
     Args:
         closure: The leg at its parameter values.
         matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        attempt: Counts from 0; each gives another sampled start. A closed form has one.
     """
     targets = closure.targets(matrices)
     if is_planar_dyad(closure.leg):
-        return _dyad(closure, targets)
+        joints, possible = _dyad(closure, targets)
+        return joints, possible & (attempt == 0)
     tree, joints = _samples(closure.leg, closure.platform)
     rows = list(closure.platform.closure_rows)
-    nearest = tree.query(targets[:, rows])[1]
+    nearest = np.asarray(tree.query(targets[:, rows], [attempt + 1])[1])[:, 0]
     return joints[nearest], np.ones(len(targets), dtype=bool)
 
 

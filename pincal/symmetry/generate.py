@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from pincal.errors import MechanismError
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import close
@@ -54,4 +56,4 @@ def at_home(leg: Leg, platform: Platform) -> Leg:
             f"{leg.name} does not reach the home pose {platform.home}; correct the home pose, the "
             "leg's lengths, or its home (which says on which side the leg bends)"
         )
-    return leg.with_home(closed.joints[0])
+    return leg.with_home(np.round(closed.joints[0], 12))

@@ -1,0 +1,44 @@
+"""Fixtures: bundled mechanisms, and what it costs to make only once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pincal
+
+KINDS = ["3RRR", "5R"]
+
+
+@pytest.fixture(params=KINDS)
+def kind(request: pytest.FixtureRequest) -> str:
+    """Name of a bundled mechanism."""
+    return str(request.param)
+
+
+@pytest.fixture
+def mechanism(kind: str) -> pincal.Mechanism:
+    """Bundled mechanism."""
+    return pincal.load_mechanism(kind)
+
+
+@pytest.fixture(scope="session")
+def candidates() -> dict[str, NDArray[np.float64]]:
+    """30,000 workspace poses of each bundled mechanism, default margins."""
+    return {
+        name: pincal.sample_workspace(pincal.load_mechanism(name), 30_000, seed=0)
+        for name in KINDS
+    }
+
+
+@pytest.fixture(scope="session")
+def selections(
+    candidates: dict[str, NDArray[np.float64]],
+) -> dict[str, pincal.Selection]:
+    """Symmetric selection of 24 (3-RRR) and 18 (5R) poses a leg."""
+    counts = {"3RRR": 24, "5R": 18}
+    return {
+        name: pincal.select_poses(pincal.load_mechanism(name), candidates[name], count)
+        for name, count in counts.items()
+    }

@@ -1,0 +1,400 @@
+"""Identification: recovery, other solvers, statistics, and what must be refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from closed_forms import angles, closure, near, reading
+from scipy.optimize import least_squares
+
+import pincal
+from pincal.model.measurements import EVERY_LEG
+
+EXACT = pincal.Noise(0.0, 0.0, 0.0)
+BENDS = {"3RRR": [-1, -1, -1], "5R": [-1, 1]}
+#: Table 2 of the 5R paper, put in order.
+TABLE_2 = {
+    "leg_1": {"l": 0.7478, "L": 1.1006, "A_x": -0.5057, "A_y": 0.0060, "k": 1.0041, "gamma": 6.4e-4},
+    "leg_2": {"l": 0.7417, "L": 1.1014, "A_x": 0.5059, "A_y": -1.9e-4, "k": 1.0045, "gamma": 0.0046},
+}
+
+
+def error(result: pincal.CalibrationResult, truth: pincal.Mechanism) -> float:
+    """Return the largest error of an identified parameter."""
+    pairs = zip(result.identified.legs, truth.legs, strict=True)
+    return max(float(np.abs(a.nominal - b.nominal).max()) for a, b in pairs)
+
+
+@pytest.mark.parametrize("method", ["per-leg", "together"])
+@pytest.mark.parametrize("residual", ["closure", "joint"])
+@pytest.mark.parametrize("poses", ["own", "all"])
+def test_clean_data_recover_the_parameters(
+    kind: str, method: str, residual: str, poses: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """Parameters disturbed by 5e-3 come back to 1e-9 by every method."""
+    mechanism = pincal.load_mechanism(kind)
+    for seed in range(3):
+        truth = pincal.disturb(mechanism, 5e-3, seed)
+        data = pincal.simulate(mechanism, truth, selections[kind].plan, EXACT).measurements
+        result = pincal.calibrate(
+            mechanism, data, method=method, residual=residual, poses=poses  # type: ignore[arg-type]
+        )
+        assert result.converged
+        assert error(result, truth) < 1e-9
+        assert all(leg.rms_after < 1e-12 < leg.rms_before for leg in result.legs)
+
+
+def test_table_2_of_the_5r_paper_is_recovered(selections: dict[str, pincal.Selection]) -> None:
+    """The paper's real parameters come back to 1e-9 from 18 postures a leg."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = mechanism.with_parameters(TABLE_2)
+    data = pincal.simulate(mechanism, truth, selections["5R"].plan, EXACT).measurements
+    assert len(data) == 36
+    result = pincal.calibrate(mechanism, data)
+    assert error(result, truth) < 1e-9
+    identified = {leg.name: {p.name: p.identified for p in leg.parameters} for leg in result.legs}
+    for leg, values in TABLE_2.items():
+        assert identified[leg] == pytest.approx(values, abs=1e-9)
+
+
+def noisy(
+    kind: str, plan: pincal.Plan, seed: int, noise: pincal.Noise, sigma: float = 2e-3
+) -> tuple[pincal.Mechanism, pincal.Mechanism, pincal.Measurements]:
+    """Return nominal and true mechanism, and noisy measurements."""
+    mechanism = pincal.load_mechanism(kind)
+    truth = pincal.disturb(mechanism, sigma, seed)
+    return mechanism, truth, pincal.simulate(mechanism, truth, plan, noise, seed).measurements
+
+
+def independent_solution(
+    residual: Callable[[np.ndarray], np.ndarray], start: np.ndarray
+) -> np.ndarray:
+    """Return SciPy's optimum, with derivatives by differences of fourth order."""
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        columns = []
+        for h in 1e-4 * np.eye(len(x)):
+            near, far = residual(x + h) - residual(x - h), residual(x + 2 * h) - residual(x - 2 * h)
+            columns.append((8 * near - far) / (12 * 1e-4))
+        return np.stack(columns, axis=1)
+
+    found = least_squares(residual, start, jac=jacobian, x_scale="jac", xtol=1e-15, ftol=1e-15)
+    for _ in range(3):
+        found.x = found.x - np.linalg.lstsq(jacobian(found.x), residual(found.x), rcond=None)[0]
+    return found.x
+
+
+def test_closure_optimum_equals_an_independent_solver(
+    kind: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """SciPy on the closed form, same weights, finds the same parameters to 1e-9."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 4, pincal.Noise(1e-4, 1e-4, 1e-5))
+    result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 1e-4, 1e-5))
+    for index, leg in enumerate(mechanism.legs):
+        own = data.serves(leg.name)
+        poses, psi = data.poses[own], data.readings[own, index]
+        names = leg.parameter_names
+        sigma = result.legs[index].sigma
+
+        def whitened(values: np.ndarray, index: int = index, names: tuple = names) -> np.ndarray:
+            p = dict(zip(names, values, strict=True))
+            return closure(kind, index, p, poses, psi) / sigma  # noqa: B023
+
+        other = independent_solution(whitened, leg.nominal)
+        assert np.abs(other - result.legs[index].identified).max() < 1e-9
+        values = np.abs(closure(kind, index, dict(zip(names, other, strict=True)), poses, psi))
+        np.testing.assert_allclose(np.abs(result.legs[index].residuals), values, atol=1e-9)
+
+
+def test_joint_optimum_equals_an_independent_solver(
+    kind: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """The same for the papers' unweighted joint residual."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 5, pincal.Noise())
+    result = pincal.calibrate(mechanism, data, residual="joint")
+    for index, leg in enumerate(mechanism.legs):
+        own = data.serves(leg.name)
+        poses, psi = data.poses[own], data.readings[own, index]
+        bend = BENDS[kind][index]
+
+        def residual(
+            values: np.ndarray, index: int = index, leg: pincal.Leg = leg, bend: int = bend
+        ) -> np.ndarray:
+            p = dict(zip(leg.parameter_names, values, strict=True))
+            shoulder = leg.home[0] + near(angles(kind, p, poses, bend)[0], leg.home[0])  # noqa: B023
+            return reading(kind, index, p, shoulder) - psi  # noqa: B023
+
+        other = independent_solution(residual, leg.nominal)
+        assert np.abs(other - result.legs[index].identified).max() < 1e-9
+
+
+@pytest.fixture(scope="module")
+def statistics(selections: dict[str, pincal.Selection]) -> dict[tuple[str, str], tuple]:
+    """300 noisy fits by case: errors (300, n), standard errors and interval hits."""
+    noise = pincal.Noise(1e-4, 1e-4, 5e-5)
+    found = {}
+    for kind in ("3RRR", "5R"):
+        mechanism = pincal.load_mechanism(kind)
+        truth = pincal.disturb(mechanism, 2e-3, seed=11)
+        plan = selections[kind].plan
+        data = [pincal.simulate(mechanism, truth, plan, noise, s).measurements for s in range(300)]
+        cases = {
+            "per-leg": {"noise": noise},
+            "together": {"noise": noise, "method": "together", "poses": "all"},
+            "joint": {"noise": noise, "residual": "joint"},
+            "scale": {},
+        }
+        true = np.concatenate([leg.nominal for leg in truth.legs])
+        for case, options in cases.items():
+            results = [pincal.calibrate(mechanism, one, **options) for one in data]  # type: ignore[arg-type]
+            values = np.array([np.concatenate([g.identified for g in r.legs]) for r in results])
+            std = np.array([np.concatenate([g.std for g in r.legs]) for r in results])
+            hits = np.array(
+                [[p.low <= t <= p.high for p, t in
+                  zip((p for g in r.legs for p in g.parameters), true, strict=True)]
+                 for r in results]
+            )
+            chi2 = np.array([r.reduced_chi2 for r in results])
+            found[kind, case] = (values - true, std, hits, chi2)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["per-leg", "together", "joint"])
+def test_standard_errors_equal_the_spread(
+    kind: str, case: str, statistics: dict[tuple[str, str], tuple]
+) -> None:
+    """Mean reported standard error is within 10 % of the spread over 300 fits.
+
+    Each parameter's own spread is known to 4 %, so single ones may be off by 15 %.
+    """
+    errors, std, _, chi2 = statistics[kind, case]
+    ratio = std.mean(axis=0) / errors.std(axis=0)
+    assert abs(ratio.mean() - 1) < 0.10
+    assert np.abs(ratio - 1).max() < 0.15
+    if case != "joint":
+        assert abs(chi2.mean() - 1) < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["per-leg", "together", "joint", "scale"])
+def test_intervals_cover_as_they_say(
+    kind: str, case: str, statistics: dict[tuple[str, str], tuple]
+) -> None:
+    """95 % intervals hold the truth in 93 to 97 % of the fits, with the noise given or not."""
+    _, _, hits, _ = statistics[kind, case]
+    assert 0.93 <= hits.mean() <= 0.97
+
+
+@pytest.mark.slow
+def test_estimates_are_unbiased(statistics: dict[tuple[str, str], tuple]) -> None:
+    """The mean error over 300 fits is within 4.5 of its standard errors, every parameter."""
+    for case, (errors, *_) in statistics.items():
+        z = errors.mean(axis=0) / (errors.std(axis=0) / np.sqrt(len(errors)))
+        assert np.abs(z).max() < 4.5, case  # of 156 means, of which many go together
+
+
+@pytest.mark.slow
+def test_together_with_all_poses_beats_each_leg_alone(
+    statistics: dict[tuple[str, str], tuple],
+) -> None:
+    """Every pose for every leg, correlations used, gives less error than own poses alone."""
+    for kind in ("3RRR", "5R"):
+        alone = np.sqrt((statistics[kind, "per-leg"][0] ** 2).mean(axis=0))
+        together = np.sqrt((statistics[kind, "together"][0] ** 2).mean(axis=0))
+        assert (together < alone).mean() > 0.9
+
+
+def test_protocol_of_the_paper_improves_the_platform(
+    candidates: dict[str, np.ndarray], selections: dict[str, pincal.Selection]
+) -> None:
+    """3-RRR, 24 poses a leg, disturbance 2e-3, noise 1e-4: position RMSE falls 40-fold.
+
+    Median over 15 machines, over all 30,000 workspace poses.
+    """
+    noise, ratios = pincal.Noise(1e-4, 1e-4, 0.0), []
+    for seed in range(15):
+        mechanism, truth, data = noisy("3RRR", selections["3RRR"].plan, seed, noise)
+        identified = pincal.calibrate(mechanism, data, noise=noise).identified
+        before = pincal.accuracy(mechanism, truth, candidates["3RRR"][::3])
+        after = pincal.accuracy(identified, truth, candidates["3RRR"][::3])
+        ratios.append(before.position / after.position)
+    assert np.median(ratios) >= 40
+
+
+def test_a_pose_out_of_nominal_reach_does_not_stop_the_closure_residual(
+    selections: dict[str, pincal.Selection],
+) -> None:
+    """A measured pose 2 mm beyond leg 1's stretch is fitted; the joint residual says what to do."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = mechanism.with_parameters({"leg_1": {"L": 1.106}, "leg_2": {"L": 1.106}})
+    data = pincal.simulate(mechanism, truth, selections["5R"].plan, EXACT).measurements
+    stretched = 1.8555 * np.exp(1.1j) - 0.5  # the nominal leg 1 reaches 1.85
+    pose = np.array([[stretched.real, stretched.imag]])
+    readings = pincal.inverse(truth, pose).readings
+    assert not pincal.inverse(mechanism, pose).reached[0, 0]
+    assert np.isfinite(readings).all()
+    poses = np.concatenate((data.poses, pose))
+    more = pincal.Measurements(poses, readings=np.concatenate((data.readings, readings)))
+    result = pincal.calibrate(mechanism, more)
+    assert result.converged
+    assert error(result, truth) < 1e-9
+    with pytest.raises(pincal.MeasurementError, match=r"leg_1 does not reach measured pose 37 .*\(--residual closure"):
+        pincal.calibrate(mechanism, more, residual="joint")
+
+
+def test_noise_scale_does_not_change_the_estimate(
+    kind: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """Only ratios of the noise matter to the estimate; unknown, its scale is found."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 6, pincal.Noise(3e-4, 3e-4))
+    one = pincal.calibrate(mechanism, data, noise=pincal.Noise(3e-4, 3e-4))
+    ten = pincal.calibrate(mechanism, data, noise=pincal.Noise(3e-3, 3e-3))
+    unknown = pincal.calibrate(mechanism, data)
+    for a, b, c in zip(one.legs, ten.legs, unknown.legs, strict=True):
+        np.testing.assert_allclose(b.identified, a.identified, atol=1e-10)
+        np.testing.assert_allclose(c.identified, a.identified, atol=1e-10)
+        np.testing.assert_allclose(b.std, 10 * a.std, rtol=1e-6)
+        assert 0.5 < (c.std / a.std).mean() < 1.6
+    assert "not given" in unknown.warnings[0]
+    assert not one.warnings
+    assert any("smaller than given" in text for text in ten.warnings)
+
+
+def test_sigmas_of_rows_weigh_the_rows(kind: str, selections: dict[str, pincal.Selection]) -> None:
+    """A row with a thousandfold sigma does not pull; without its sigma it does."""
+    mechanism, truth, data = noisy(kind, selections[kind].plan, 7, pincal.Noise(1e-5, 1e-5))
+    bad = data.poses.copy()
+    bad[3, 0] += 0.01
+    sigma = np.full(bad.shape, 1e-5)
+    sigma[3] = 1e-2
+    known = pincal.Measurements(bad, data.sets, readings=data.readings, sigma_poses=sigma)
+    unknown = pincal.Measurements(bad, data.sets, readings=data.readings)
+    weighed = error(pincal.calibrate(mechanism, known), truth)
+    pulled = error(pincal.calibrate(mechanism, unknown), truth)
+    assert weighed < pulled / 10
+
+
+def test_per_leg_and_together_agree_without_shared_noise(
+    kind: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """With reading noise only, legs are independent and both methods give the same."""
+    noise = pincal.Noise(0.0, 0.0, 1e-5)
+    mechanism, _, data = noisy(kind, selections[kind].plan, 8, noise)
+    alone = pincal.calibrate(mechanism, data, noise=noise)
+    together = pincal.calibrate(mechanism, data, noise=noise, method="together")
+    for a, b in zip(alone.legs, together.legs, strict=True):
+        np.testing.assert_allclose(a.identified, b.identified, atol=1e-10)
+        np.testing.assert_allclose(a.std, b.std, rtol=1e-5)
+
+
+def test_both_residuals_agree_away_from_singularities(
+    kind: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """Closure and joint estimates differ by no more than a few standard errors."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 9, pincal.Noise())
+    closed = pincal.calibrate(mechanism, data, noise=pincal.Noise())
+    joint = pincal.calibrate(mechanism, data, noise=pincal.Noise(), residual="joint")
+    for a, b in zip(closed.legs, joint.legs, strict=True):
+        assert (np.abs(a.identified - b.identified) < 5 * b.std).all()
+        assert (a.std <= b.std * 1.0001).all()  # weighting never loses
+
+
+def test_order_of_rows_does_not_matter(kind: str, selections: dict[str, pincal.Selection]) -> None:
+    """Shuffled rows give the same parameters."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 10, pincal.Noise())
+    order = np.random.default_rng(0).permutation(len(data))
+    assert data.sets is not None
+    shuffled = pincal.Measurements(
+        data.poses[order], tuple(data.sets[i] for i in order), readings=data.readings[order]
+    )
+    one, two = (pincal.calibrate(mechanism, d) for d in (data, shuffled))
+    for a, b in zip(one.legs, two.legs, strict=True):
+        np.testing.assert_allclose(a.identified, b.identified, atol=1e-11)
+
+
+def test_result_is_the_same_mechanism_with_other_numbers(
+    kind: str, selections: dict[str, pincal.Selection], tmp_path: Path
+) -> None:
+    """A result saves whole, reads back, and its calibrated mechanism reproduces the truth."""
+    mechanism, truth, data = noisy(kind, selections[kind].plan, 12, EXACT)
+    result = pincal.calibrate(mechanism, data)
+    result.save(tmp_path / "result")
+    calibrated = pincal.load_mechanism(tmp_path / "result" / "mechanism")
+    assert calibrated == result.identified
+    home = np.array([mechanism.platform.home])
+    np.testing.assert_allclose(
+        pincal.inverse(calibrated, home).readings, pincal.inverse(truth, home).readings, atol=1e-9
+    )
+    written = pincal.read_result(tmp_path / "result")
+    assert written == json.loads((tmp_path / "result" / "result.json").read_text())
+    assert [leg["name"] for leg in written["legs"]] == list(mechanism.leg_names)
+    for leg, own in zip(written["legs"], result.legs, strict=True):
+        assert [p["identified"] for p in leg["parameters"]] == own.identified.tolist()
+        assert (leg["rank"], leg["n_residuals"]) == (own.rank, own.n_residuals)
+    with pytest.raises(pincal.FileError, match="exists"):
+        result.save(tmp_path / "result")
+    assert "leg_1" in str(result)
+
+
+def test_too_few_rows_are_refused(kind: str, selections: dict[str, pincal.Selection]) -> None:
+    """Two rows fewer than parameters raise, saying how many are needed for which leg."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 13, pincal.Noise())
+    n = len(mechanism.legs[0].parameters)
+    few = pincal.Measurements(data.poses[: n - 2], readings=data.readings[: n - 2])
+    with pytest.raises(pincal.ObservabilityError, match=f"leg_1: {n - 2} measured poses for {n}"):
+        pincal.calibrate(mechanism, few)
+
+
+def test_unobservable_parameters_are_named() -> None:
+    """3-RRR poses at one orientation raise, naming the parameters that move together."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(mechanism, 300)
+    poses[:, 2] = 0.1
+    poses = poses[pincal.in_workspace(mechanism, poses)]
+    sets = (EVERY_LEG,) * len(poses)
+    data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses, sets), EXACT).measurements
+    with pytest.raises(pincal.ObservabilityError, match="of leg_1 move together"):
+        pincal.calibrate(mechanism, data)
+
+
+@pytest.mark.parametrize(
+    ("suspect", "poses", "readings"),
+    [
+        ("readings are in degrees", [1, 1, 1], 180 / np.pi),
+        ("readings are in radians", [1, 1, 1], np.pi / 180),
+        ("positions are in mm", [1e3, 1e3, 1], 1),
+        ("positions are in metres", [1e-3, 1e-3, 1], 1),
+        ("orientations are in degrees", [1, 1, 180 / np.pi], 1),
+        ("all angles are in degrees", [1, 1, 180 / np.pi], 180 / np.pi),
+    ],
+)
+def test_wrong_units_are_suspected(
+    suspect: str, poses: list[float], readings: float, selections: dict[str, pincal.Selection]
+) -> None:
+    """Measurements in a wrong unit raise, and the message names the unit."""
+    mechanism, _, data = noisy("3RRR", selections["3RRR"].plan, 14, pincal.Noise())
+    wrong = pincal.Measurements(data.poses * poses, data.sets, readings=data.readings * readings)
+    with pytest.raises(pincal.MeasurementError, match=suspect):
+        pincal.calibrate(mechanism, wrong)
+
+
+def test_measurements_of_another_machine_are_refused(
+    kind: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """Readings with the legs swapped raise instead of fitting nonsense."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 15, pincal.Noise())
+    swapped = pincal.Measurements(data.poses, data.sets, readings=data.readings[:, ::-1] + 0.7)
+    with pytest.raises(pincal.MeasurementError, match="Check the units"):
+        pincal.calibrate(mechanism, swapped)
+
+
+def test_noise_of_zero_is_refused(kind: str, selections: dict[str, pincal.Selection]) -> None:
+    """Weights need some noise: all zero raises."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 16, pincal.Noise())
+    with pytest.raises(pincal.MeasurementError, match="no noise at all"):
+        pincal.calibrate(mechanism, data, noise=EXACT)

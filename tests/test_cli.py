@@ -1,0 +1,653 @@
+"""The command line, in process: the whole chain on files, and bad input that harms nothing."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shutil
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pincal
+from pincal.cli import main
+from pincal.cli.app import app
+
+KINDS = ["3RRR", "5R"]
+NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
+DISTURB = ["--disturb", "0.001"]
+COMMANDS = [str(c.callback.__name__) for c in app.registered_commands if c.callback]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left behind: its exit code and what it said."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def trouble(self) -> str:
+        """The last paragraph on stderr after the lines that tell progress, if it is an error."""
+        lines = self.err.splitlines()
+        starts = [i for i, line in enumerate(lines) if line.startswith("pincal: ")]
+        assert len(starts) == 1, self.err
+        before, text = lines[: starts[0]], lines[starts[0] :]
+        assert all(line.endswith(" …") for line in before), self.err
+        assert all(line.strip() for line in text), self.err
+        return "\n".join(text)
+
+
+def run(*arguments: object) -> Outcome:
+    """Run pincal with the arguments, as typed; only ``SystemExit`` may leave it."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as left:
+        main([str(argument) for argument in arguments])
+    return Outcome(int(left.value.code or 0), out.getvalue(), err.getvalue())
+
+
+def done(*arguments: object) -> Outcome:
+    """Run pincal with the arguments; it must succeed."""
+    outcome = run(*arguments)
+    assert outcome.code == 0, outcome.err
+    return outcome
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Return the bytes of all files below a folder, None for folders, by relative path."""
+    return {
+        str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None
+        for p in folder.rglob("*")
+    }
+
+
+def unnamed(words: list[str], text: str) -> list[str]:
+    """Return the words that a text does not hold, as whole words."""
+    return [w for w in words if not re.search(rf"(?<!\w){re.escape(w)}(?!\w)", text)]
+
+
+def chain(kind: str, folder: Path, seed: int = 1) -> Path:
+    """Run workspace, select, simulate and calibrate in a new folder, and return it."""
+    folder.mkdir()
+    plan, measured, seeded = folder / "plan.csv", folder / "measured.csv", ["--seed", seed]
+    candidates = folder / "candidates.csv"
+    done("workspace", kind, "--count", 400, *seeded, "-o", candidates)
+    done("select", kind, "--count", 12, "--candidates", candidates, *seeded, "-o", plan)
+    disturbed = [*DISTURB, *seeded, "--truth", folder / "truth"]
+    done("simulate", kind, plan, *NOISE, *disturbed, "-o", measured)
+    done("calibrate", kind, measured, *NOISE, "-o", folder / "result")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def chains(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Folder with all files of the chain, for each mechanism; not to be written to."""
+    root = tmp_path_factory.mktemp("chains")
+    return {kind: chain(kind, root / kind) for kind in KINDS}
+
+
+@pytest.fixture
+def work(chains: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Current folder, with the files of the 3-RRR's chain, its mechanism, and the 5R's in 5R."""
+    folder = tmp_path / "work"
+    shutil.copytree(chains["3RRR"], folder)
+    shutil.copytree(chains["5R"], folder / "5R-files")
+    shutil.copytree(pincal.bundled()["3RRR"], folder / "robot")
+    monkeypatch.chdir(folder)
+    return folder
+
+
+# The chain
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_result_says_everything(kind: str, chains: dict[str, Path]) -> None:
+    """result.json holds, for every leg and parameter, what was found and how sure that is."""
+    result = json.loads((chains[kind] / "result" / "result.json").read_text(encoding="utf-8"))
+    mechanism = pincal.load_mechanism(kind)
+    data = pincal.read_measurements(chains[kind] / "measured.csv", mechanism)
+    assert result["converged"] is True
+    assert result["method"] == "per-leg"
+    assert [leg["name"] for leg in result["legs"]] == list(mechanism.leg_names)
+    for found, leg in zip(result["legs"], mechanism.legs, strict=True):
+        parameters = found["parameters"]
+        assert [p["name"] for p in parameters] == list(leg.parameter_names)
+        assert {p["name"]: p["unit"] for p in parameters} == leg.units
+        assert [p["nominal"] for p in parameters] == leg.nominal.tolist()
+        assert all(0.0 < p["std"] < 0.01 for p in parameters)
+        assert all(p["interval_95"][0] < p["identified"] < p["interval_95"][1] for p in parameters)
+        assert found["rank"] == len(parameters)
+        assert found["n_residuals"] == data.serves(leg.name).sum() > 9
+        assert 1.0 < found["condition"] < 1e4
+        assert found["rms_after"] < 0.1 * found["rms_before"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_identified_parameters_are_near_the_truth(kind: str, chains: dict[str, Path]) -> None:
+    """Each is within 5 standard errors of the true one, the worst error less than half as before."""
+    result = json.loads((chains[kind] / "result" / "result.json").read_text(encoding="utf-8"))
+    truth, nominal = pincal.load_mechanism(chains[kind] / "truth"), pincal.load_mechanism(kind)
+    for found in result["legs"]:
+        identified = np.array([p["identified"] for p in found["parameters"]])
+        std = np.array([p["std"] for p in found["parameters"]])
+        true = truth.leg(found["name"]).nominal
+        error, before = np.abs(identified - true), np.abs(nominal.leg(found["name"]).nominal - true)
+        assert (error < 5.0 * std).all()
+        assert error.max() < 0.5 * before.max()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_calibrated_mechanism_serves_as_mech(
+    kind: str, chains: dict[str, Path], tmp_path: Path
+) -> None:
+    """The calibrated folder works as MECH, with the identified values and better readings."""
+    folder = chains[kind] / "result"
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    calibrated = folder / result["calibrated_mechanism"]
+    mechanism = pincal.load_mechanism(calibrated)
+    for leg in result["legs"]:
+        identified = [p["identified"] for p in leg["parameters"]]
+        assert mechanism.leg(leg["name"]).nominal.tolist() == identified
+    readings = {}
+    for name, mech in {"true": chains[kind] / "truth", "before": kind, "after": calibrated}.items():
+        done("inverse", mech, chains[kind] / "plan.csv", "-o", tmp_path / name)
+        readings[name] = pincal.read_readings(tmp_path / name, mechanism)
+    before, after = (np.abs(readings[n] - readings["true"]).max() for n in ("before", "after"))
+    assert after < 0.1 * before
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_inverse_then_forward_gives_the_poses(
+    kind: str, chains: dict[str, Path], tmp_path: Path
+) -> None:
+    """Poses to readings and back are the same poses within 1e-9."""
+    done("inverse", kind, chains[kind] / "candidates.csv", "-o", tmp_path / "readings.csv")
+    done("forward", kind, tmp_path / "readings.csv", "-o", tmp_path / "back.csv")
+    mechanism = pincal.load_mechanism(kind)
+    poses, back = (
+        pincal.read_poses(path, mechanism).poses
+        for path in (chains[kind] / "candidates.csv", tmp_path / "back.csv")
+    )
+    assert poses.shape == (400, mechanism.platform.dof)
+    np.testing.assert_allclose(back, poses, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_same_seed_gives_the_same_bytes(kind: str, chains: dict[str, Path], tmp_path: Path) -> None:
+    """The chain run again with the same seed writes the same bytes to every file."""
+    again, first = contents(chain(kind, tmp_path / "again")), contents(chains[kind])
+    assert {name for name in first if again.get(name) != first[name]} == set()
+    assert set(again) == set(first)
+    assert "result/result.json" in first
+
+
+def test_other_seed_gives_other_files(chains: dict[str, Path], tmp_path: Path) -> None:
+    """Another seed writes other poses, another truth and other measurements."""
+    other, first = contents(chain("5R", tmp_path / "other", seed=2)), contents(chains["5R"])
+    for name in ("candidates.csv", "plan.csv", "measured.csv", "truth/mechanism.yaml"):
+        assert other[name] != first[name]
+
+
+def test_existing_truth_is_measured_again(work: Path) -> None:
+    """Without --disturb an existing truth is measured as it is, and not written again."""
+    before = contents(work / "truth")
+    done("simulate", "3RRR", "plan.csv", "--truth", "truth", *NOISE, "--seed", 7, "-o", "more.csv")
+    assert contents(work / "truth") == before
+    done("calibrate", "truth", "more.csv", *NOISE, "-o", "check")
+    result = json.loads((work / "check" / "result.json").read_text(encoding="utf-8"))
+    for leg in result["legs"]:
+        for p in leg["parameters"]:
+            assert abs(p["identified"] - p["nominal"]) < 5.0 * p["std"]
+
+
+def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
+    """Measurements in mm and degrees calibrate to the same parameters as in m and rad."""
+    three = pincal.load_mechanism("3RRR")
+    data = pincal.read_measurements("measured.csv", three)
+    changed = replace(data, poses=data.poses * [1e3, 1e3, 1.0], readings=np.degrees(data.readings))
+    pincal.write_measurements("units.csv", three, changed)
+    text = Path("units.csv").read_text().replace("x [m]", "x [mm]").replace("y [m]", "y [mm]")
+    for i in (1, 2, 3):
+        text = text.replace(f"leg_{i} [rad]", f"leg_{i} [deg]")
+    Path("units.csv").write_text(text)
+    done("calibrate", "3RRR", "units.csv", *NOISE, "-o", "units")
+    for leg, other in zip(
+        pincal.load_mechanism("result/mechanism").legs,
+        pincal.load_mechanism("units/mechanism").legs,
+        strict=True,
+    ):
+        np.testing.assert_allclose(other.nominal, leg.nominal, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tables_on_stdout_name_what_was_found(
+    kind: str, chains: dict[str, Path], tmp_path: Path
+) -> None:
+    """Calibrate prints each leg and parameter on stdout, and the file written on stderr."""
+    output = tmp_path / "result"
+    outcome = done("calibrate", kind, chains[kind] / "measured.csv", *NOISE, "-o", output)
+    for leg in pincal.load_mechanism(kind).legs:
+        assert leg.name in outcome.out
+        assert all(name in outcome.out for name in leg.parameter_names)
+    assert f"wrote {output}" in outcome.err
+    assert "wrote" not in outcome.out
+
+
+# Help
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_each_command(command: str) -> None:
+    """--help of a command exits 0, with its usage and the first line of its docstring."""
+    outcome = run(command, "--help")
+    [found] = [c for c in app.registered_commands if c.callback and c.callback.__name__ == command]
+    assert outcome.code == 0
+    assert outcome.out.startswith(f"Usage: pincal {command} ")
+    assert str(found.callback.__doc__).splitlines()[0] in outcome.out
+    assert outcome.err == ""
+
+
+def test_help_lists_the_commands() -> None:
+    """--help exits 0 and names every command."""
+    outcome = run("--help")
+    assert outcome.code == 0
+    assert len(COMMANDS) >= 9
+    assert all(f"\n  {command} " in outcome.out for command in COMMANDS)
+
+
+def test_mechanisms_lists_the_bundled_ones() -> None:
+    """'mechanisms' exits 0 and names each bundled mechanism."""
+    outcome = done("mechanisms")
+    assert all(name in outcome.out for name in pincal.bundled())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_check_finds_bundled_mechanisms_sound(kind: str) -> None:
+    """'check' of a bundled mechanism exits 0 and finds all parameters of each leg observable."""
+    outcome = done("check", kind)
+    for leg in pincal.load_mechanism(kind).legs:
+        n = len(leg.parameters)
+        assert f"{leg.name}: {n} of {n} parameters observable" in outcome.out
+
+
+# Bad input
+
+Change = Callable[[pincal.Measurements], pincal.Measurements]
+
+
+def edited(path: str, old: str, new: str) -> Callable[[], object]:
+    """Return what replaces a text wherever it is in a file; it must be there."""
+
+    def change() -> None:
+        text = Path(path).read_text()
+        assert old in text, f"{old!r} is not in {path}: the test is out of date"
+        Path(path).write_text(text.replace(old, new))
+
+    return change
+
+
+def table(*lines: str) -> Callable[[], object]:
+    """Return what writes lines to ``t.csv``."""
+    return lambda: Path("t.csv").write_text("\n".join((*lines, "")))
+
+
+def measured(change: Change, kind: str = "3RRR") -> Callable[[], object]:
+    """Return what writes changed measurements of a mechanism to ``t.csv``."""
+    mechanism = pincal.load_mechanism(kind)
+    path = "measured.csv" if kind == "3RRR" else "5R-files/measured.csv"
+    return lambda: pincal.write_measurements(
+        "t.csv", mechanism, change(pincal.read_measurements(path, mechanism))
+    )
+
+
+def only(rows: list[int]) -> Change:
+    """Return what keeps some rows of measurements, for every leg."""
+    return lambda data: pincal.Measurements(poses=data.poses[rows], readings=data.readings[rows])
+
+
+def in_degrees(data: pincal.Measurements) -> pincal.Measurements:
+    """Return measurements whose readings are degrees under a radian header."""
+    return replace(data, readings=np.degrees(data.readings))
+
+
+def in_millimetres(data: pincal.Measurements) -> pincal.Measurements:
+    """Return measurements whose positions are millimetres under a metre header."""
+    return replace(data, poses=data.poses * np.array([1e3, 1e3, 1.0])[: data.poses.shape[1]])
+
+
+def legs_swapped(data: pincal.Measurements) -> pincal.Measurements:
+    """Return measurements whose columns of the first two legs are exchanged."""
+    return replace(data, readings=data.readings[:, [1, 0, 2]])
+
+
+def one_orientation(noise: float = 0.0) -> None:
+    """Write measurements of the truth at 30 poses with the same phi to ``t.csv``."""
+    truth, rng = pincal.load_mechanism("truth"), np.random.default_rng(0)
+    poses = np.column_stack((rng.uniform(-0.2, 0.2, (30, 2)), np.full(30, 0.2)))
+    readings = pincal.inverse(truth, poses).readings
+    poses = poses + noise * rng.standard_normal(poses.shape)
+    data = pincal.Measurements(poses=poses, readings=readings)
+    pincal.write_measurements("t.csv", truth, data)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Bad input: arguments in the folder ``work``, what must be named, and what makes it bad."""
+
+    arguments: str
+    named: list[str]
+    prepare: Callable[[], object] = lambda: None
+
+
+CALIBRATE, SELECT = "calibrate 3RRR t.csv", "select 3RRR --candidates candidates.csv"
+POSES, READINGS = "x [m],y [m],phi [rad]", "leg_1 [rad],leg_2 [rad],leg_3 [rad]"
+ROBOT = "inverse robot plan.csv"
+PHI = ["leg_1", "OA", "beta", "ob", "beta_b"]
+PARTIAL = ["--noise-position", "--noise-orientation"]
+
+BAD = {
+    # mechanisms
+    "mechanism-unknown": Case("inverse 6R plan.csv", ["'6R'", "3RRR", "5R"]),
+    "mechanism-folder-empty": Case("inverse .. plan.csv", ["mechanism.yaml", "No such file"]),
+    "mechanism-without-leg": Case(
+        ROBOT, ["robot/leg_2.urdf", "No such file"], lambda: Path("robot/leg_2.urdf").unlink()
+    ),
+    "urdf-unparsable": Case(
+        ROBOT, ["robot/leg_1.urdf", "parse", "line"], edited("robot/leg_1.urdf", "</robot>", "")
+    ),
+    "joint-unknown": Case(
+        ROBOT,
+        ["robot/mechanism.yaml", "leg_1", "'knee'", "elbow"],
+        edited("robot/mechanism.yaml", "    elbow:", "    knee:"),
+    ),
+    "yaml-key-unknown": Case(
+        ROBOT,
+        ["robot/mechanism.yaml", "'remark'"],
+        edited("robot/mechanism.yaml", "description:", "remark:"),
+    ),
+    "yaml-unparsable": Case(
+        ROBOT,
+        ["robot/mechanism.yaml", "parse", "line"],
+        edited("robot/mechanism.yaml", "legs:", "legs: ["),
+    ),
+    # tables
+    "file-missing": Case("calibrate 3RRR absent.csv", ["absent.csv", "No such file"]),
+    "file-is-folder": Case("calibrate 3RRR truth", ["truth", "directory"]),
+    "column-missing": Case(
+        "calibrate 3RRR measured.csv",
+        ["measured.csv", "'phi'", "'phi [rad]'"],
+        edited("measured.csv", "phi [rad]", "angle [rad]"),
+    ),
+    "column-without-unit": Case(
+        "calibrate 3RRR measured.csv",
+        ["measured.csv", "'x'", "unit", "'x [m]'"],
+        edited("measured.csv", "x [m]", "x"),
+    ),
+    "column-of-other-dimension": Case(
+        "calibrate 3RRR measured.csv",
+        ["measured.csv", "'phi'", "[mm]"],
+        edited("measured.csv", "phi [rad]", "phi [mm]"),
+    ),
+    "text-in-number": Case(
+        "calibrate 3RRR measured.csv",
+        ["measured.csv", "line 2", "'x'"],
+        edited("measured.csv", "leg_3 [rad]\nleg_1,", "leg_3 [rad]\nleg_1,?"),
+    ),
+    "semicolons": Case(
+        "calibrate 3RRR measured.csv",
+        ["measured.csv", "semicolons"],
+        edited("measured.csv", ",", ";"),
+    ),
+    "other-mechanisms-table": Case(
+        "calibrate 3RRR 5R-files/measured.csv", ["5R-files/measured.csv", "'phi'"]
+    ),
+    "other-mechanisms-sets": Case("simulate 5R plan.csv", ["plan.csv", "line 26", "'leg_3'", "5R"]),
+    "header-only": Case("inverse 3RRR t.csv", ["t.csv", "rows"], table(POSES)),
+    # measurements that do not do
+    "rows-too-few": Case(
+        f"{CALIBRATE} {' '.join(NOISE)}", ["leg_1", "6", "8"], measured(only([0, 1, 2, 3, 4, 5]))
+    ),
+    "rows-too-few-without-noise": Case(
+        CALIBRATE, ["leg_1", "8", "9", "noise"], measured(only([0, 1, 2, 3, 4, 5, 6, 7]))
+    ),
+    "readings-in-degrees": Case(
+        CALIBRATE, ["leg_1", "degrees", "radian", "header"], measured(in_degrees)
+    ),
+    "readings-in-degrees-5R": Case(
+        "calibrate 5R t.csv", ["leg_1", "degrees", "radian"], measured(in_degrees, "5R")
+    ),
+    "positions-in-millimetres": Case(
+        CALIBRATE, ["leg_1", "mm", "metre", "header"], measured(in_millimetres)
+    ),
+    "positions-in-millimetres-5R": Case(
+        "calibrate 5R t.csv", ["leg_1", "mm", "metre"], measured(in_millimetres, "5R")
+    ),
+    "readings-in-wrong-order": Case(CALIBRATE, ["leg_1", "order"], measured(legs_swapped)),
+    "one-orientation": Case(CALIBRATE, PHI, one_orientation),
+    "one-pose": Case(CALIBRATE, ["leg_1", "rank", "gamma"], measured(only([0] * 20))),
+    # options
+    "noise-negative": Case(
+        "calibrate 3RRR measured.csv --noise-position -1e-4 --noise-orientation 1e-4",
+        ["position", "-0.0001"],
+    ),
+    "noise-nan": Case("simulate 3RRR plan.csv --noise-reading nan", ["reading", "nan"]),
+    "noise-negative-select": Case(f"{SELECT} --noise-orientation -1", ["orientation", "-1"]),
+    "noise-in-part": Case("calibrate 3RRR measured.csv --noise-position 1e-4", PARTIAL),
+    "noise-in-part-reading": Case("calibrate 3RRR measured.csv --noise-reading 1e-4", PARTIAL),
+    "noise-in-part-5R": Case(
+        "calibrate 5R 5R-files/measured.csv --noise-orientation 1e-4", ["--noise-position"]
+    ),
+    "noise-all-zero": Case(
+        "calibrate 3RRR measured.csv --noise-position 0 --noise-orientation 0",
+        ["noise", "above zero"],
+    ),
+    "noise-all-zero-select": Case(f"{SELECT} --noise-position 0 --noise-orientation 0", ["noise"]),
+    "disturbance-negative": Case("simulate 3RRR plan.csv --disturb -1", ["disturbance", "-1"]),
+    "disturbance-too-large": Case(
+        "simulate 3RRR plan.csv --disturb 5 --truth new", ["plan.csv", "no planned pose"]
+    ),
+    "truth-of-other-mechanism": Case(
+        "simulate 3RRR plan.csv --truth 5R-files/truth", ["5R-files/truth", "3RRR"]
+    ),
+    "truth-exists": Case(
+        "simulate 3RRR plan.csv --truth truth --disturb 0.1", ["truth exists", "--force"]
+    ),
+    "poses-too-few": Case(f"{SELECT} --count 5", ["5 poses", "8", "leg_1"]),
+    "poses-too-many": Case(f"{SELECT} --count 500", ["500", "400"]),
+    "margin-too-large": Case(
+        "workspace 3RRR --count 10 --margin-type1 0.99", ["home", "--margin-type1"]
+    ),
+    "margin-nan": Case("workspace 3RRR --count 10 --margin-type2 nan", ["type-2", "nan"]),
+    # what cannot be solved
+    "pose-unreachable": Case(
+        "inverse 3RRR t.csv", ["t.csv", "row 2", "leg_1", "reach"], table(POSES, "0,0,0", "9,0,0")
+    ),
+    "pose-far-beyond": Case(
+        "inverse 3RRR t.csv", ["t.csv", "row 2"], table(POSES, "0,0,0", "1e200,0,0")
+    ),
+    "reading-without-pose": Case(
+        "forward 3RRR t.csv", ["t.csv", "row 2"], table(READINGS, "0.5,0.5,0.5", "3,0,0")
+    ),
+    "reading-far-beyond": Case(
+        "forward 3RRR t.csv", ["t.csv", "row 1"], table(READINGS, "1e200,0,0")
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_named_and_harms_nothing(case: str, work: Path) -> None:
+    """Bad input: exit code 2, one paragraph that names the trouble, and no file touched."""
+    BAD[case].prepare()
+    before = contents(work)
+    outcome = run(*BAD[case].arguments.split(), "-o", "output")
+    assert outcome.code == 2
+    assert unnamed(BAD[case].named, outcome.trouble) == [], outcome.trouble
+    assert outcome.out == ""
+    assert contents(work) == before
+
+
+def test_one_orientation_is_seen_through_noise(work: Path) -> None:
+    """Poses of one orientation, measured with noise, are refused or warned of by parameter."""
+    one_orientation(1e-5)
+    outcome = run("calibrate", "3RRR", "t.csv", *NOISE, "-o", "output")
+    text = outcome.trouble if outcome.code == 2 else outcome.err
+    assert unnamed(PHI, text) == [], outcome.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["select", "3RRR", "--orbits", "--common"], "--orbits, --common"),
+        (["select", "3RRR", "--count", "0"], "--count"),
+        (["select", "3RRR", "--starts", "none"], "--starts"),
+        (["workspace", "3RRR", "--seed", "-1"], "--seed"),
+        (["calibrate", "3RRR", "measured.csv", "--method", "both"], "'both'"),
+        (["calibrate", "3RRR"], "MEASUREMENTS.csv"),
+        (["workspace"], "MECH"),
+        (["workspace", "3RRR", "--margin", "1"], "--margin"),
+        (["calibrat", "3RRR"], "calibrat"),
+    ],
+)
+def test_wrong_usage_is_named(arguments: list[str], words: str, work: Path) -> None:
+    """Wrong usage: exit code 2, the error on the last line of stderr, and no file touched."""
+    before = contents(work)
+    outcome = run(*arguments, "-o", "output")
+    last = outcome.err.strip().splitlines()[-1]
+    assert outcome.code == 2
+    assert last.startswith("Error: ")
+    assert words in last
+    assert contents(work) == before
+
+
+def test_missing_output_is_named(work: Path) -> None:
+    """A command without -o exits with code 2 and asks for it."""
+    outcome = run("workspace", "3RRR")
+    assert outcome.code == 2
+    assert "'-o' / '--output'" in outcome.err
+
+
+# Output that exists
+
+WRITERS: dict[str, list[object]] = {
+    "workspace": ["workspace", "5R", "--count", 10],
+    "select": ["select", "3RRR", "--candidates", "candidates.csv", "--count", 8, "--starts", 1],
+    "simulate": ["simulate", "3RRR", "plan.csv"],
+    "calibrate": ["calibrate", "3RRR", "measured.csv"],
+    "inverse": ["inverse", "3RRR", "plan.csv"],
+    "forward": ["forward", "5R", "5R-files/readings.csv"],
+}
+
+
+@pytest.fixture
+def readings(work: Path) -> Path:
+    """Folder ``work`` with readings of the 5R's plan."""
+    done("inverse", "5R", "5R-files/plan.csv", "-o", "5R-files/readings.csv")
+    return work
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_existing_output_is_refused(command: str, readings: Path) -> None:
+    """Without --force an output that exists is refused by name and stays as it was."""
+    Path("taken").write_text("keep")
+    before = contents(readings)
+    outcome = run(*WRITERS[command], "-o", "taken")
+    assert outcome.code == 2
+    assert "taken exists" in outcome.trouble
+    assert "--force" in outcome.trouble
+    assert contents(readings) == before
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_force_writes_what_a_new_name_gets(command: str, readings: Path) -> None:
+    """With --force an earlier output is replaced by what a new name gets, byte for byte."""
+    done(*WRITERS[command], "-o", "new")
+    first = contents(readings)
+    if Path("new").is_dir():
+        Path("new/stale").write_text("old")
+    else:
+        Path("new").write_text("old")
+    assert contents(readings) != first
+    done(*WRITERS[command], "-o", "new", "--force")
+    assert contents(readings) == first
+
+
+@pytest.mark.parametrize("command", ["inverse", "calibrate"])  # a table, a folder
+@pytest.mark.parametrize("output", ["thesis", "."])
+def test_force_spares_folders_of_other_things(
+    command: str, output: str, work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even with --force a folder that pincal did not write is refused and stays as it was."""
+    Path("thesis").mkdir()
+    Path("thesis/chapter.tex").write_text("years of work")
+    before = contents(work)
+    outcome = run(*WRITERS[command], "-o", output, "--force")
+    monkeypatch.chdir("/")
+    assert contents(work) == before
+    assert outcome.code == 2
+    assert Path(output).name in outcome.trouble
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_output_in_a_missing_folder_is_refused(command: str, readings: Path) -> None:
+    """An output below a folder that does not exist is refused, and the folder named, not made."""
+    before = contents(readings)
+    outcome = run(*WRITERS[command], "-o", "absent/output")
+    assert outcome.code == 2
+    assert "absent does not exist" in outcome.trouble
+    assert contents(readings) == before
+
+
+def test_calibrate_spares_a_file_in_the_results_place(work: Path) -> None:
+    """A file is not replaced by a result folder, even with --force."""
+    Path("taken").write_text("keep")
+    outcome = run("calibrate", "3RRR", "measured.csv", *NOISE, "-o", "taken", "--force")
+    assert outcome.code == 2
+    assert "taken" in outcome.trouble
+    assert Path("taken").read_text() == "keep"
+
+
+def test_demo_spares_a_file_in_its_folders_place(work: Path) -> None:
+    """A file is not replaced by demo's folder: it is refused by name, even with --force."""
+    Path("taken").write_text("keep")
+    before = contents(work)
+    outcome = run("demo", "5R", "-o", "taken", "--force")
+    assert outcome.code == 2
+    assert "taken" in outcome.trouble
+    assert contents(work) == before
+
+
+def test_simulate_refuses_one_name_for_truth_and_output(work: Path) -> None:
+    """One name for truth and measurements is refused before anything is written."""
+    before = contents(work)
+    outcome = run("simulate", "3RRR", "plan.csv", "--truth", "same", "-o", "same")
+    assert outcome.code == 2
+    assert "same" in outcome.trouble
+    assert contents(work) == before
+
+
+def test_failed_simulation_leaves_no_truth(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If the measurements cannot be written, the truth is not left behind either."""
+    before = contents(work)
+
+    def fail(*_: object, **__: object) -> None:
+        raise pincal.FileError("cannot write new.csv: No space left on device")
+
+    monkeypatch.setattr("pincal.cli.experiment.write_measurements", fail)
+    outcome = run("simulate", "3RRR", "plan.csv", "--truth", "new", "-o", "new.csv")
+    assert outcome.code == 2
+    assert "No space left" in outcome.trouble
+    assert contents(work) == before
+
+
+def test_check_refuses_a_home_that_does_not_close(work: Path) -> None:
+    """'check' of a mechanism whose leg misses the platform at home names the leg, exit code 2."""
+    edited("robot/mechanism.yaml", "home: {shoulder:", "home: {shoulder: 0, elbow: -1} #")()
+    outcome = run("check", "robot")
+    assert outcome.code == 2
+    assert "leg_1" in outcome.trouble

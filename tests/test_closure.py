@@ -1,0 +1,138 @@
+"""Loop closure and its derivatives, for planar and spatial chains of any kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from closed_forms import poses_near_home
+from numpy.typing import NDArray
+
+import pincal
+from pincal.kinematics.closure import LegClosure, left_null, product, solve
+from pincal.kinematics.derivatives import demand
+from pincal.kinematics.forest import Elementary, forest
+from pincal.kinematics.inverse import close
+
+Array = NDArray[np.float64]
+
+
+def check_derivative(
+    function: Callable[[Array], Array], derivative: Array, at: Array, step: float = 1e-6
+) -> None:
+    """Assert that a derivative (…, k) of a function of k numbers equals central differences.
+
+    The tolerance follows from the step: its square, and rounding over it.
+    """
+    for j in range(len(at)):
+        h = step * np.eye(len(at))[j]
+        difference = (function(at + h) - function(at - h)) / (2 * step)
+        scale = max(1.0, np.abs(difference).max())
+        np.testing.assert_allclose(derivative[..., j], difference, atol=1e-9 * scale)
+
+
+@pytest.mark.parametrize("leg_index", [0, 1])
+def test_closure_derivatives(mechanism: pincal.Mechanism, leg_index: int) -> None:
+    """Every derivative of the closure equals central differences: parameters, joints, pose."""
+    rng = np.random.default_rng(leg_index)
+    leg, platform = mechanism.legs[leg_index], mechanism.platform
+    phi = leg.nominal + 0.01 * rng.standard_normal(len(leg.nominal))
+    poses = poses_near_home(mechanism, rng, 20)
+    matrices = platform.transforms(poses).as_matrix()
+    joints = leg.home + rng.uniform(-0.5, 0.5, (20, 2))
+    closure = LegClosure(leg, platform, phi).evaluate(joints, matrices)
+
+    def by_parameters(values: Array) -> Array:
+        return LegClosure(leg, platform, values).evaluate(joints, matrices).gap
+
+    def by_joints(values: Array) -> Array:
+        return LegClosure(leg, platform, phi).evaluate(joints + values, matrices).gap
+
+    def by_pose(values: Array) -> Array:
+        moved = platform.transforms(poses + values).as_matrix()
+        return LegClosure(leg, platform, phi).evaluate(joints, moved).gap
+
+    check_derivative(by_parameters, closure.parameter, phi)
+    both = np.concatenate((closure.active, closure.passive), axis=2)
+    check_derivative(by_joints, both, np.zeros(2))
+    check_derivative(by_pose, closure.pose, np.zeros(platform.dof))
+
+
+def test_demand_derivatives(mechanism: pincal.Mechanism) -> None:
+    """The rows of a closed leg are derivatives of the projected closure, passive joints free."""
+    rng = np.random.default_rng(2)
+    platform = mechanism.platform
+    poses = poses_near_home(mechanism, rng, 30) * 0.3 + 0.7 * np.array(platform.home)
+    for index, leg in enumerate(mechanism.legs):
+        closure = LegClosure(leg, platform)
+        closed = close(closure, platform.transforms(poses).as_matrix())
+        psi = leg.sensor.reading(closed.joints[:, leg.active], leg.nominal_by_name)
+        rows = demand(closure, closed.closure, psi)
+        np.testing.assert_allclose(rows.value, 0.0, atol=1e-14)
+        by_pose = -rows.pose[:, 0] / rows.reading  # of the reading, by implicit differentiation
+
+        def reading(values: Array, index: int = index) -> Array:
+            return pincal.inverse(mechanism, poses + values).readings[:, index]
+
+        check_derivative(reading, by_pose, np.zeros(platform.dof), step=1e-5)
+
+
+def _random_chain(rng: np.random.Generator, length: int) -> list[Elementary]:
+    kinds = ["x", "y", "z", "rx", "ry", "rz", "r", "t"]
+    chain = []
+    for kind in rng.choice(kinds, length):
+        axis = rng.standard_normal(3)
+        x, y, z = axis / np.linalg.norm(axis)
+        placement = tuple(pin.SE3.Random().homogeneous.ravel().tolist())
+        chain.append(Elementary(str(kind), placement, (x, y, z)))
+    return chain
+
+
+@pytest.mark.parametrize("count", [1, 5, 64, 100])
+def test_forest_equals_one_chain_at_a_time(count: int) -> None:
+    """Tips and tip velocities of a forest equal Pinocchio's on one copy, in space."""
+    pin.seed(1)
+    rng = np.random.default_rng(count)
+    chain = _random_chain(rng, 7)
+    end = pin.SE3.Random()
+    tree = forest(tuple(chain), tuple(end.homogeneous.ravel().tolist()), spatial=True)
+    q = rng.uniform(-2, 2, (count, 7))
+    tips, columns = tree.columns(q)
+
+    model, parent = pin.Model(), 0
+    for element in chain:
+        joint, placement = element.pinocchio_joint(), element.pinocchio_placement()
+        parent = model.addJoint(parent, joint, placement, f"j{parent}")
+    frame = model.addFrame(pin.Frame("tip", parent, end, pin.FrameType.OP_FRAME))
+    data = model.createData()
+    for n in range(count):
+        J = pin.computeFrameJacobian(model, data, q[n], frame, pin.LOCAL_WORLD_ALIGNED)
+        pin.updateFramePlacement(model, data, frame)
+        np.testing.assert_allclose(tips[n], data.oMf[frame].translation, atol=1e-12)
+        np.testing.assert_allclose(columns[:, n], J, atol=1e-12)
+
+
+@pytest.mark.parametrize(("m", "p"), [(2, 0), (2, 1), (3, 1), (3, 2), (6, 4), (6, 5)])
+def test_left_null_space(m: int, p: int) -> None:
+    """N is orthonormal and across every column."""
+    A = np.random.default_rng(m).standard_normal((9, m, p))
+    N = left_null(A)
+    assert N.shape == (9, m, m - p)
+    np.testing.assert_allclose(N.transpose(0, 2, 1) @ A, 0.0, atol=1e-14)
+    identity = np.broadcast_to(np.eye(m - p), (9, m - p, m - p))
+    np.testing.assert_allclose(N.transpose(0, 2, 1) @ N, identity, atol=1e-14)
+
+
+@pytest.mark.parametrize("k", [0, 1, 2, 3, 5])
+def test_small_linear_algebra(k: int) -> None:
+    """Batched product and solve equal NumPy's; a singular matrix gives no finite answer."""
+    rng = np.random.default_rng(k)
+    A, B = rng.standard_normal((8, k, k)), rng.standard_normal((8, k, 2))
+    np.testing.assert_allclose(product(A, B), A @ B, atol=1e-14)
+    np.testing.assert_allclose(solve(A, B), np.linalg.solve(A, B), atol=1e-10)
+    if k:
+        A[3] = 0.0
+        assert not np.isfinite(solve(A, B)[3]).any()
+        assert np.isfinite(solve(A, B)[[0, 1, 2, 4]]).all()

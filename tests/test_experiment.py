@@ -1,0 +1,341 @@
+"""Observability, certificates, selection of poses, simulation."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+import pincal
+from pincal.experiment.certificate import continuous_design
+from pincal.experiment.exchange import exchange
+from pincal.experiment.observability import identifiability, indices, r_diagonal
+from pincal.experiment.selection import noise_weighted
+from pincal.kinematics.derivatives import leg_demand
+
+
+def test_indices_equal_their_definitions() -> None:
+    """O1 to O5 of a matrix with known singular values."""
+    s = np.array([4.0, 2.0, 0.5])
+    rng = np.random.default_rng(0)
+    U, _ = np.linalg.qr(rng.standard_normal((9, 3)))
+    V, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    found = indices(U @ np.diag(s) @ V.T)
+    mean = 4.0 ** (1 / 3)
+    expected = [mean / 3, mean / 3, 0.125, 0.5, 0.0625, 1 / (0.25 + 0.5 + 2.0)]
+    values = [found.O1, found.O1_per_parameter, found.O2, found.O3, found.O4, found.O5]
+    np.testing.assert_allclose(values, expected, rtol=1e-12)
+    assert indices(np.ones((5, 2))).O2 < 1e-15
+    assert indices(np.ones((1, 2))).O1 == 0.0
+
+
+def test_r_diagonal_is_that_of_gram_schmidt() -> None:
+    """|R_ii| is the length of a column less its part along those before it."""
+    C = np.random.default_rng(1).standard_normal((12, 4))
+    expected = []
+    for i in range(4):
+        rest = C[:, i] - C[:, :i] @ np.linalg.lstsq(C[:, :i], C[:, i], rcond=None)[0]
+        expected.append(np.linalg.norm(rest))
+    np.testing.assert_allclose(r_diagonal(C), expected, rtol=1e-12)
+
+
+def test_what_cannot_be_told_apart_is_named() -> None:
+    """Two proportional columns move together, a zero column has no effect, the rest is found."""
+    C = np.random.default_rng(2).standard_normal((20, 5)) * [1.0, 1e-4, 1e3, 1.0, 1.0]
+    assert identifiability(C, "abcde").complete
+    C[:, 3] = -2.0 * C[:, 1]
+    C[:, 4] = 0.0
+    found = identifiability(C, "abcde")
+    assert found.rank == 3
+    words = found.in_words("leg_2")
+    assert "b and d of leg_2 move together" in words
+    assert "e of leg_2 has no effect" in words
+    assert "a" not in [name for group in found.groups for name in group]
+
+
+def test_constant_orientation_leaves_named_parameters(mechanism: pincal.Mechanism) -> None:
+    """3-RRR poses all at phi = 0 cannot tell base point from platform point."""
+    if mechanism.name != "3RRR":
+        pytest.skip("a point platform has no orientation")
+    poses = pincal.sample_workspace(mechanism, 200)
+    poses[:, 2] = 0.0
+    poses = poses[pincal.in_workspace(mechanism, poses)]
+    C = pincal.identification_jacobian(mechanism, "leg_1", poses)
+    found = identifiability(C, mechanism.legs[0].parameter_names)
+    assert found.rank == 6
+    named = {name for group in found.groups for name in group}
+    assert named == {"OA", "beta", "ob", "beta_b"}
+
+
+def _blocks(seed: int, count: int, rows: int, n: int) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((count, rows, n))
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_the_bound_holds_and_is_tight(rows: int) -> None:
+    """No weights on the candidates have more information than the bound; the design nearly does."""
+    blocks = _blocks(3, 200, rows, 4)
+    design = continuous_design(blocks)
+    assert design.weights.sum() == pytest.approx(1.0)
+    assert design.log_det_bound - design.log_det < 4 * 2e-3
+    M = np.einsum("j,jri,jrk->ik", design.weights, blocks, blocks)
+    assert np.linalg.slogdet(M)[1] == pytest.approx(design.log_det, abs=1e-9)
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        weights = rng.dirichlet(np.full(200, 0.05))
+        M = np.einsum("j,jri,jrk->ik", weights, blocks, blocks)
+        assert np.linalg.slogdet(M)[1] <= design.log_det_bound
+
+
+def test_the_bound_of_a_known_optimum() -> None:
+    """Points of the segment: weights 1/2 on both ends; of the circle: det M = 1/4."""
+    x = np.linspace(-1, 1, 101)
+    design = continuous_design(np.stack([np.ones(101), x], axis=1)[:, None, :])
+    np.testing.assert_allclose(design.weights[[0, -1]], 0.5, atol=1e-3)
+    assert design.log_det_bound == pytest.approx(0.0, abs=3e-3)
+    a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    circle = continuous_design(np.stack([np.cos(a), np.sin(a)], axis=1)[:, None, :])
+    assert circle.log_det_bound == pytest.approx(np.log(0.25), abs=3e-3)
+
+
+def test_candidates_that_lack_rank_are_refused() -> None:
+    """The continuous design of candidates in a plane of parameter space does not exist."""
+    blocks = _blocks(5, 50, 1, 3)
+    blocks[:, :, 2] = blocks[:, :, 0]
+    with pytest.raises(pincal.ObservabilityError, match="undetermined"):
+        continuous_design(blocks)
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_exchange_finds_the_best_of_all_sets(rows: int) -> None:
+    """On 14 candidates, 5 to be chosen, the exchange finds what trying all 2002 sets finds."""
+    for seed in range(5):
+        blocks = _blocks(seed, 14, rows, 3)
+        design = continuous_design(blocks)
+        rng = np.random.default_rng(0)
+        chosen, log_det = exchange(blocks, 5, design.weights, rng, starts=20)
+
+        def value(index: tuple[int, ...], blocks: np.ndarray = blocks) -> float:
+            stacked = blocks[list(index)].reshape(-1, 3)
+            return float(np.linalg.slogdet(stacked.T @ stacked)[1])
+
+        best = max(value(index) for index in combinations(range(14), 5))
+        assert log_det == pytest.approx(value(tuple(chosen)), abs=1e-9)
+        assert log_det == pytest.approx(best, abs=1e-9)
+        assert len(set(chosen.tolist())) == 5
+        assert design.efficiency(log_det, 5, 3) <= 1.0
+
+
+def test_selection_reaches_the_wanted_efficiency(
+    selections: dict[str, pincal.Selection],
+) -> None:
+    """24 of 30,000 poses of the 3-RRR have 0.955 of the bound's (det)^(1/8); so do the 5R's."""
+    assert selections["3RRR"].efficiency >= 0.955
+    assert selections["5R"].efficiency >= 0.955
+
+
+def test_the_reported_efficiency_is_that_of_the_plan(
+    candidates: dict[str, np.ndarray], selections: dict[str, pincal.Selection]
+) -> None:
+    """Efficiency recomputed from the written poses and a bound by another algorithm agrees."""
+    mechanism = pincal.load_mechanism("3RRR")
+    plan = selections["3RRR"].plan
+
+    def rows(poses: np.ndarray) -> np.ndarray:
+        demand = leg_demand(mechanism, "leg_1", poses)
+        return noise_weighted(demand, mechanism, pincal.Noise())[:, 0]
+
+    A, own = rows(candidates["3RRR"]), rows(plan.poses[plan.serves("leg_1")])
+    A, own = A / np.linalg.norm(A, axis=0), own / np.linalg.norm(A, axis=0)
+    weights = np.full(len(A), 1 / len(A))
+    for _ in range(400):  # the multiplicative algorithm, slow but sure
+        inverse = np.linalg.inv((A * weights[:, None]).T @ A)
+        weights = weights * ((A @ inverse) * A).sum(axis=1) / 8
+    inverse = np.linalg.inv((A * weights[:, None]).T @ A)
+    bound = -np.linalg.slogdet(inverse)[1] + 8 * np.log(((A @ inverse) * A).sum(axis=1).max() / 8)
+    efficiency = np.exp((np.linalg.slogdet(own.T @ own)[1] - bound) / 8) / len(own)
+    assert efficiency <= selections["3RRR"].efficiency + 1e-6  # a looser bound
+    assert efficiency == pytest.approx(selections["3RRR"].efficiency, abs=0.02)
+
+
+def test_selected_poses_are_reachable_candidates_without_repetition(
+    kind: str, candidates: dict[str, np.ndarray]
+) -> None:
+    """Every protocol returns distinct poses within the workspace, as many as asked."""
+    mechanism = pincal.load_mechanism(kind)
+    n_legs = len(mechanism.legs)
+    sizes = {"independent": n_legs, "symmetric": n_legs, "orbits": n_legs, "common": 1}
+    for protocol, times in sizes.items():
+        selection = pincal.select_poses(
+            mechanism, candidates[kind][:3000], 12, protocol, starts=3
+        )
+        plan = selection.plan
+        assert len(plan.poses) == 12 * times
+        slack = pincal.Margins(0.23 - 1e-9, 0.2 - 1e-9)
+        assert pincal.in_workspace(mechanism, plan.poses, slack).all()
+        for leg in mechanism.leg_names:
+            own = plan.poses[plan.serves(leg)]
+            assert len(np.unique(own.round(12), axis=0)) == len(own)
+            assert len(own) == (12 if protocol != "orbits" else 12 * n_legs)
+        assert 0.5 < selection.efficiency <= 1.0
+
+
+def test_mapped_poses_are_symmetrically_observable(
+    kind: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """|R_ii| of every leg at its mapped poses equals leg 1's to 1e-9 (3-RRR paper, Eq. 10)."""
+    mechanism, plan = pincal.load_mechanism(kind), selections[kind].plan
+    diagonals = [
+        r_diagonal(
+            pincal.identification_jacobian(mechanism, leg, plan.poses[plan.serves(leg)])
+        )
+        for leg in mechanism.leg_names
+    ]
+    for diagonal, design in zip(diagonals, selections[kind].legs, strict=True):
+        np.testing.assert_allclose(diagonal, diagonals[0], rtol=1e-9)
+        np.testing.assert_allclose(design.r_diagonal, diagonal, rtol=1e-9)
+
+
+def _information(mechanism: pincal.Mechanism, poses: np.ndarray) -> float:
+    """Return det^(1/2n) of leg 1's information: one over the geometric mean of its errors."""
+    demand = leg_demand(mechanism, "leg_1", poses)
+    rows = noise_weighted(demand, mechanism, pincal.Noise())[:, 0]
+    return float(np.exp(np.linalg.slogdet(rows.T @ rows)[1] / (2 * rows.shape[1])))
+
+
+def test_orbits_gain_over_mapped_poses(
+    candidates: dict[str, np.ndarray], selections: dict[str, pincal.Selection]
+) -> None:
+    """With 72 measured poses, every pose for every leg gains; choosing orbits gains more.
+
+    Errors (geometric mean of the Cramér-Rao bounds) fall by at least 1.48 and 1.6; with 8
+    orbits, 24 poses in all, they come within 11 % of those of 72 mapped poses.
+    """
+    mechanism = pincal.load_mechanism("3RRR")
+    plan = selections["3RRR"].plan
+    own = _information(mechanism, plan.poses[plan.serves("leg_1")])
+    chosen = {
+        count: pincal.select_poses(mechanism, candidates["3RRR"], count, "orbits").plan.poses
+        for count in (8, 24)
+    }
+    assert (len(plan.poses), len(chosen[8]), len(chosen[24])) == (72, 24, 72)
+    shared = _information(mechanism, plan.poses)
+    assert shared / own >= 1.48
+    assert _information(mechanism, chosen[24]) / own >= 1.6
+    assert _information(mechanism, chosen[24]) > shared
+    assert own / _information(mechanism, chosen[8]) <= 1.11
+
+
+def test_selection_is_determined_by_its_seed(
+    mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
+) -> None:
+    """Same seed, same poses; and no worse than its start, the rounded continuous design."""
+    poses = candidates[mechanism.name][:2000]
+    one = pincal.select_poses(mechanism, poses, 12, seed=5, starts=4)
+    two = pincal.select_poses(mechanism, poses, 12, seed=5, starts=4)
+    np.testing.assert_array_equal(one.plan.poses, two.plan.poses)
+    start = pincal.select_poses(mechanism, poses, 12, seed=5, starts=1)
+    assert one.efficiency >= start.efficiency
+
+
+def test_too_few_poses_are_refused(mechanism: pincal.Mechanism) -> None:
+    """Fewer poses than parameters, or fewer candidates than poses, raise and say how many."""
+    poses = pincal.sample_workspace(mechanism, 30)
+    n = len(mechanism.legs[0].parameters)
+    with pytest.raises(pincal.ObservabilityError, match=f"at least {n}"):
+        pincal.select_poses(mechanism, poses, n - 1)
+    with pytest.raises(pincal.ObservabilityError, match="reaches 30 of 30"):
+        pincal.select_poses(mechanism, poses, 31)
+
+
+def test_unobservable_candidates_are_refused_by_name() -> None:
+    """3-RRR candidates at one orientation raise, naming what moves together."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(mechanism, 300)
+    poses[:, 2] = 0.0
+    poses = poses[pincal.in_workspace(mechanism, poses)]
+    with pytest.raises(pincal.ObservabilityError, match="of leg_1 move together"):
+        pincal.select_poses(mechanism, poses, 12)
+
+
+def test_unreachable_candidates_are_left_out_and_counted(mechanism: pincal.Mechanism) -> None:
+    """Candidates out of reach are never chosen, and the selection says how many there were."""
+    poses = pincal.sample_workspace(mechanism, 100)
+    far = poses[:7] + 50.0
+    selection = pincal.select_poses(mechanism, np.concatenate((far, poses)), 12)
+    assert selection.unreachable == 7
+    assert np.abs(selection.plan.poses).max() < 10
+
+
+def test_symmetric_selection_needs_the_symmetry(mechanism: pincal.Mechanism) -> None:
+    """A mechanism without the symmetry raises and names what breaks it."""
+    broken = mechanism.with_parameters({"leg_2": {"l": mechanism.legs[1].nominal[0] * 1.01}})
+    poses = pincal.sample_workspace(broken, 100)
+    with pytest.raises(pincal.SymmetryError, match="parameter 'l' of leg_"):
+        pincal.select_poses(broken, poses, 12, "symmetric")
+    assert len(pincal.select_poses(broken, poses, 12, "independent").plan.poses)
+
+
+def test_simulated_measurements_have_the_noise_asked_for(mechanism: pincal.Mechanism) -> None:
+    """Noise on pose and readings has the standard deviations given; without it, none."""
+    poses = pincal.sample_workspace(mechanism, 4000)
+    plan = pincal.Plan(poses)
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    clean = pincal.simulate(mechanism, truth, plan, pincal.Noise(0, 0, 0)).measurements
+    np.testing.assert_allclose(
+        clean.readings, pincal.inverse(mechanism, poses).readings, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        pincal.inverse(truth, clean.poses).readings, clean.readings, atol=1e-10
+    )
+    noisy = pincal.simulate(mechanism, truth, plan, pincal.Noise(1e-4, 3e-4, 2e-5), seed=2)
+    spread = (noisy.measurements.poses - clean.poses).std(axis=0)
+    np.testing.assert_allclose(spread, [1e-4, 1e-4, 3e-4][: len(spread)], rtol=0.05)
+    np.testing.assert_allclose(
+        (noisy.measurements.readings - clean.readings).std(axis=0), 2e-5, rtol=0.05
+    )
+
+
+def test_poses_the_true_mechanism_misses_are_reported() -> None:
+    """A pose at the edge of reach is missed by shorter links, and listed with its row."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = mechanism.with_parameters({"leg_1": {"L": 1.0}, "leg_2": {"L": 1.0}})
+    plan = pincal.Plan(np.array([[0.0, 1.1], [0.0, 1.76], [0.0, 5.0]]))
+    simulation = pincal.simulate(mechanism, truth, plan, pincal.Noise(0, 0, 0))
+    assert simulation.rows.tolist() == [0, 1]
+    ((row, reason),) = simulation.unreachable
+    assert row == 2
+    assert "nominal" in reason
+    short = mechanism.with_parameters({"leg_1": {"L": 0.6}, "leg_2": {"L": 0.6}})
+    lost = pincal.simulate(mechanism, short, plan, pincal.Noise(0, 0, 0)).unreachable
+    assert (0, "true mechanism: no pose found that closes all legs") in lost
+
+
+def test_disturbance_is_alike_for_all_parameters(mechanism: pincal.Mechanism) -> None:
+    """Over many draws every parameter is disturbed with the standard deviation given."""
+    draws = np.array(
+        [
+            np.concatenate(
+                [a.nominal - b.nominal for a, b in
+                 zip(pincal.disturb(mechanism, 2e-3, seed).legs, mechanism.legs, strict=True)]
+            )
+            for seed in range(400)
+        ]
+    )
+    np.testing.assert_allclose(draws.std(axis=0), 2e-3, rtol=0.15)
+    with pytest.raises(pincal.MeasurementError, match="disturbance"):
+        pincal.disturb(mechanism, -1.0)
+
+
+def test_accuracy_of_the_truth_is_exact(mechanism: pincal.Mechanism) -> None:
+    """A model that is the truth makes no error; one millimetre on A_x or OA makes about one."""
+    poses = pincal.sample_workspace(mechanism, 500)
+    exact = pincal.accuracy(mechanism, mechanism, poses)
+    assert exact.position < 1e-12
+    assert exact.orientation < 1e-12
+    assert exact.unreachable == 0
+    shifted = pincal.disturb(mechanism, 1e-3, seed=3)
+    wrong = pincal.accuracy(mechanism, shifted, poses)
+    assert 3e-4 < wrong.position < 2e-2
+    assert wrong.worst_position >= wrong.position

@@ -1,0 +1,541 @@
+"""Mechanism folders: what is saved loads equal, whole or not at all; bad input is named."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yourdfpy
+
+import pincal
+from pincal.errors import FileError, MechanismError, PincalError
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.readers import tips_by_reader
+from pincal.model import files
+
+YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
+Edit = tuple[str, str, str]  # file, text in it, replacement (everywhere)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return the bytes of all files below a folder, by relative path."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def names(folder: Path) -> list[str]:
+    """Return the names of what is in a folder."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+def unnamed(words: list[str], text: str) -> list[str]:
+    """Return the words that a text does not hold, as whole words."""
+    return [w for w in words if not re.search(rf"(?<!\w){re.escape(w)}(?!\w)", text)]
+
+
+def edit(folder: Path, *edits: Edit) -> None:
+    """Replace texts in files of a folder; each text must be there."""
+    for name, old, new in edits:
+        text = (folder / name).read_text(encoding="utf-8")
+        assert old in text, f"{old!r} is not in {name}: the test is out of date"
+        (folder / name).write_text(text.replace(old, new), encoding="utf-8")
+
+
+def mixed() -> pincal.Mechanism:
+    """Return a mechanism with prismatic, continuous and turned fixed joints, and a constant."""
+    values = {"a": 0.4, "turn": 0.3, "l": 0.7, "r": 0.2, "azimuth": 2.0, "gamma": 0.05}
+    rail = pincal.placed(values, pincal.along("rz", "turn"), *pincal.cartesian("a", -0.25))
+    joints = (
+        pincal.Joint(
+            "rail", "prismatic", rail, axis=(0.6, 0.8, 0.0), lower=0.0, upper=0.5, home=0.2
+        ),
+        pincal.Joint(
+            "bracket", "fixed", pincal.Placement(xyz=(0.1, 0.0, 0.0), rpy=(0.0, 0.0, -0.4))
+        ),
+        pincal.Joint("crank", "revolute", lower=-np.inf, upper=np.inf, home=0.5),
+        pincal.Joint("end", "fixed", pincal.placed(values, pincal.along("x", "l"))),
+    )
+    point = pincal.Joint("p", "fixed", pincal.placed(values, pincal.polar("r", "azimuth")))
+    sensor = pincal.Sensor("rail", form="reading", gain=2.0, offset="gamma", direction=-1, zero=0.1)
+    leg = pincal.Leg("leg_1", joints, sensor, tuple(values.items()), point, tip="end_link")
+    return pincal.Mechanism(
+        "mixed: 1", pincal.Platform("planar", (0.1, 0.2, 0.3)), (leg,), "å 'b' #"
+    )
+
+
+MECHANISMS: dict[str, Callable[[], pincal.Mechanism]] = {
+    "3RRR": lambda: pincal.load_mechanism("3RRR"),
+    "5R": lambda: pincal.load_mechanism("5R"),
+    "mixed": mixed,
+    **{
+        f"{kind}-seed{seed}": lambda kind=kind, seed=seed: pincal.disturb(
+            pincal.load_mechanism(kind), 10.0**-seed, seed
+        )
+        for kind in ("3RRR", "5R")
+        for seed in range(1, 6)
+    },
+}
+
+
+@pytest.fixture(params=MECHANISMS)
+def sample(request: pytest.FixtureRequest) -> pincal.Mechanism:
+    """Bundled, disturbed (by 0.1 to 1e-5) and mixed mechanisms."""
+    return MECHANISMS[request.param]()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Copy of the bundled 3RRR folder."""
+    return Path(shutil.copytree(pincal.bundled()["3RRR"], tmp_path / "copy"))
+
+
+def test_saved_mechanism_loads_equal(sample: pincal.Mechanism, tmp_path: Path) -> None:
+    """What is saved loads equal, floats bit for bit."""
+    assert pincal.load_mechanism(sample.save(tmp_path / "m")) == sample
+
+
+def test_saving_twice_gives_the_same_bytes(sample: pincal.Mechanism, tmp_path: Path) -> None:
+    """A mechanism, and the same one loaded from its folder, are written with the same bytes."""
+    first = sample.save(tmp_path / "a")
+    again = pincal.load_mechanism(first).save(tmp_path / "b")
+    assert contents(first) == contents(again)
+    assert set(contents(first)) == {YAML, PLATFORM} | {f"{n}.urdf" for n in sample.leg_names}
+
+
+def test_bundled_folder_is_what_saving_writes(kind: str, tmp_path: Path) -> None:
+    """A bundled folder holds the bytes that saving its mechanism gives."""
+    saved = pincal.load_mechanism(kind).save(tmp_path / "m")
+    assert contents(saved) == contents(pincal.bundled()[kind])
+
+
+def test_existing_folder_is_refused(folder: Path) -> None:
+    """Without force an existing folder is refused by name and stays as it was."""
+    before = contents(folder)
+    with pytest.raises(FileError, match="copy exists"):
+        pincal.load_mechanism("5R").save(folder)
+    assert contents(folder) == before
+    assert names(folder.parent) == ["copy"]
+
+
+def test_force_replaces_the_whole_folder(folder: Path) -> None:
+    """With force nothing of the old folder is left, and no scratch beside it."""
+    five = pincal.load_mechanism("5R")
+    five.save(folder, force=True)
+    assert pincal.load_mechanism(folder) == five
+    assert sorted(contents(folder)) == ["leg_1.urdf", "leg_2.urdf", YAML, PLATFORM]
+    assert names(folder.parent) == ["copy"]
+
+
+def test_force_spares_a_folder_that_is_no_mechanism(tmp_path: Path) -> None:
+    """Even with force a folder that pincal did not write is refused and stays as it was."""
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.tex").write_text("years of work")
+    with pytest.raises(FileError, match="home"):
+        pincal.load_mechanism("5R").save(tmp_path / "home", force=True)
+    assert contents(tmp_path) == {"home/thesis.tex": b"years of work"}
+
+
+def test_force_spares_a_file_in_the_folders_place(tmp_path: Path) -> None:
+    """A file is not replaced by a folder: it is refused by name and stays as it was."""
+    (tmp_path / "taken").write_text("keep")
+    with pytest.raises(FileError, match="taken"):
+        pincal.load_mechanism("5R").save(tmp_path / "taken", force=True)
+    assert contents(tmp_path) == {"taken": b"keep"}
+
+
+def test_missing_parent_is_refused(tmp_path: Path) -> None:
+    """A folder below one that does not exist is refused by name and nothing is made."""
+    with pytest.raises(FileError, match="absent"):
+        pincal.load_mechanism("5R").save(tmp_path / "absent" / "m")
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("force", [False, True])
+def test_failed_saving_leaves_nothing(
+    folder: Path, error: BaseException, force: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a failure in mid-saving there is no new folder, no scratch, and the old one stays."""
+    before = contents(folder)
+
+    def fail(*_: object) -> str:
+        raise error
+
+    monkeypatch.setattr(files, "platform_urdf", fail)  # written last
+    target = folder if force else folder.parent / "new"
+    expected = FileError if isinstance(error, OSError) else KeyboardInterrupt
+    with pytest.raises(expected) as caught:
+        pincal.load_mechanism("5R").save(target, force=force)
+    assert expected is KeyboardInterrupt or f"{target}: No space left" in str(caught.value)
+    assert names(folder.parent) == ["copy"]
+    assert contents(folder) == before
+
+
+def test_failed_exchange_keeps_the_old_folder(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If the new folder cannot take the old one's place, the old one stays as it was."""
+    before, rename = contents(folder), os.replace
+
+    def fail_into_place(source: Path, target: Path) -> None:
+        if Path(target) == folder and "5R" in (Path(source) / YAML).read_text():
+            raise OSError(5, "Input/output error")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "replace", fail_into_place)
+    with pytest.raises(FileError, match="copy"):
+        pincal.load_mechanism("5R").save(folder, force=True)
+    assert names(folder.parent) == ["copy"]
+    assert contents(folder) == before
+
+
+def test_readers_agree_on_the_tip(sample: pincal.Mechanism) -> None:
+    """Pinocchio and yourdfpy put the tip within 1e-12 m of pincal at random joint positions."""
+    rng = np.random.default_rng(0)
+    for leg in sample.legs:
+        closure = LegClosure(leg, sample.platform)
+        for joints in rng.uniform(-np.pi, np.pi, (4, len(leg.moving))):
+            own = closure.tips(joints[None])[0]
+            found = tips_by_reader(leg, joints)
+            assert set(found) == {"Pinocchio", "yourdfpy"}
+            for tip in found.values():
+                np.testing.assert_allclose(tip, own, rtol=0.0, atol=1e-12)
+
+
+def test_written_legs_load_elsewhere_with_visuals(sample: pincal.Mechanism, tmp_path: Path) -> None:
+    """The URDF files load in Pinocchio and yourdfpy, every link with a visual."""
+    saved = sample.save(tmp_path / "m")
+    for leg in sample.legs:
+        path = str(saved / f"{leg.name}.urdf")
+        model = pin.buildModelFromUrdf(path)
+        assert list(model.names)[1:] == [joint.name for joint in leg.moving]
+        shapes = pin.buildGeomFromUrdf(model, path, pin.GeometryType.VISUAL)
+        robot = yourdfpy.URDF.load(path)
+        assert robot.actuated_joint_names == [joint.name for joint in leg.moving]
+        assert len(robot.robot.links) == len(leg.joints) + 1
+        assert all(link.visuals for link in robot.robot.links)
+        assert shapes.ngeoms == sum(len(link.visuals) for link in robot.robot.links)
+
+
+def test_platform_loads_elsewhere_with_its_points(sample: pincal.Mechanism, tmp_path: Path) -> None:
+    """The platform's URDF loads in yourdfpy and has each platform point where the leg has it."""
+    robot = yourdfpy.URDF.load(str(sample.save(tmp_path / "m") / PLATFORM))
+    for leg in sample.legs:
+        origin = robot.get_transform(leg.point.name, "platform")
+        np.testing.assert_allclose(origin, leg.point.placement.origin(), atol=1e-15)
+    assert all(link.visuals for link in robot.robot.links)
+
+
+def test_legs_may_share_a_platform_point_with_parameters(tmp_path: Path) -> None:
+    """Legs on one platform point, each with its own parameters of it, load equal when disturbed."""
+    three = pincal.load_mechanism("3RRR")
+    first, second, third = three.legs
+    values = second.nominal_by_name | {n: first.nominal_by_name[n] for n in ("ob", "beta_b")}
+    shared = replace(second, point=first.point, parameters=tuple(values.items()))
+    mechanism = pincal.disturb(replace(three, legs=(first, shared, third)), 1e-3, 0)
+    assert pincal.load_mechanism(mechanism.save(tmp_path / "m")) == mechanism
+
+
+def test_leg_names_do_not_collide_with_the_platforms_file(folder: Path) -> None:
+    """A leg called 'platform' is refused, or saved so that it loads equal."""
+    edit(folder, (YAML, "- name: leg_1", "- name: platform"))
+    try:
+        mechanism = pincal.load_mechanism(folder)
+    except MechanismError as error:
+        assert "'platform'" in str(error)  # noqa: PT017
+        return
+    assert pincal.load_mechanism(mechanism.save(folder.parent / "m")) == mechanism
+
+
+AXIS = '<axis xyz="0.0 0.0 1.0"/>'
+LIMITS = 'lower="-6.283185307179586" upper="6.283185307179586"'
+LIMIT = f'<limit effort="0" velocity="0" {LIMITS}/>'
+ELBOW = '<origin xyz="1.5 0.0 0.0" rpy="0.0 0.0 0.0"/>'
+HOME = "home: {shoulder:"
+
+
+def more(text: str) -> Edit:
+    """Return the edit that adds elements to the leg's URDF."""
+    return LEG, "</robot>", f"{text}</robot>"
+
+
+def joint(name: str, parent: str, child: str) -> str:
+    """Return a fixed joint as URDF."""
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="fixed">{ends}</joint>'
+
+
+#: What is wrong: the edits that make it so, the file or place named, and the offender named.
+BAD: dict[str, tuple[list[Edit], list[str]]] = {
+    # leg's URDF
+    "urdf-not-xml": ([(LEG, "</robot>", "")], [LEG, "parse", "line"]),
+    "urdf-empty-root": ([(LEG, "robot", "machine")], [LEG, "<robot>", "<machine>"]),
+    "urdf-branch": (
+        [more('<link name="twig"/>' + joint("twig", "leg_1_elbow_link", "twig"))],
+        [LEG, "line", "leg_1_elbow_link", "branches"],
+    ),
+    "urdf-loop": ([more(joint("back", "tip", "leg_1_base"))], [LEG, "root", "serial"]),
+    "urdf-two-parents": (
+        [more('<link name="other"/>' + joint("again", "other", "tip"))],
+        [LEG, "line", "loop"],
+    ),
+    "urdf-two-roots": ([more('<link name="alone"/>')], [LEG, "2 root links", "alone"]),
+    "joint-floating": (
+        [(LEG, 'type="revolute"', 'type="floating"')],
+        [LEG, "line", "'shoulder'", "'floating'", "revolute"],
+    ),
+    "joint-planar": (
+        [(LEG, 'type="revolute"', 'type="planar"')],
+        [LEG, "line", "'shoulder'", "'planar'"],
+    ),
+    "joint-without-type": ([(LEG, ' type="revolute"', "")], [LEG, "line", "'shoulder'", "type"]),
+    "joint-without-name": ([(LEG, ' name="shoulder"', "")], [LEG, "line", "name"]),
+    "joint-without-child": (
+        [(LEG, '<child link="leg_1_elbow_link"/>', "")],
+        [LEG, "line", "'elbow'", "child"],
+    ),
+    "joint-mimic": (
+        [(LEG, AXIS, f'{AXIS}<mimic joint="elbow"/>')],
+        [LEG, "line", "'shoulder'", "mimics"],
+    ),
+    "joint-name-twice": (
+        [(LEG, 'name="elbow"', 'name="tip"'), (YAML, "elbow", "tip"), (LEG, ELBOW, "")],
+        [YAML, "leg_1", "tip", "repeat"],
+    ),
+    "axis-zero": ([(LEG, AXIS, '<axis xyz="0 0 0"/>')], [LEG, "line", "'shoulder'", "axis"]),
+    "axis-in-plane": ([(LEG, AXIS, '<axis xyz="1 0 0"/>')], [YAML, "leg_1", "'shoulder'", "plane"]),
+    "limits-reversed": (
+        [(LEG, LIMITS, 'lower="2" upper="1"')],
+        [LEG, "line", "'shoulder'", "2 to 1", "lower"],
+    ),
+    "limits-missing": ([(LEG, LIMIT, "")], [LEG, "line", "'shoulder'", "<limit>"]),
+    "limits-nan": ([(LEG, LIMITS, 'lower="nan" upper="1"')], [LEG, "line", "'nan'", "finite"]),
+    "origin-text": ([(LEG, "1.5 0.0 0.0", "1.5 zero 0.0")], [LEG, "line", "'zero'", "number"]),
+    "origin-nan": ([(LEG, "1.5 0.0 0.0", "1.5 nan 0.0")], [LEG, "line", "'nan'", "finite"]),
+    "origin-inf": ([(LEG, "1.5 0.0 0.0", "1.5 1e999 0")], [LEG, "line", "'1e999'", "finite"]),
+    "origin-short": ([(LEG, "1.5 0.0 0.0", "1.5 0.5")], [LEG, "line", "'1.5 0.5'", "three"]),
+    "origin-turned-up": (
+        [(LEG, ELBOW, ELBOW.replace('rpy="0.0', 'rpy="0.5'))],
+        [YAML, "leg_1", "'elbow'", "plane"],
+    ),
+    "nothing-moves": ([(LEG, 'type="revolute"', 'type="fixed"')], [LEG, "moves", "'tip'"]),
+    # names between the files
+    "tip-unknown": ([(YAML, "  tip: tip\n", "  tip: hand\n")], [LEG, "'hand'", "leg_1_base"]),
+    "tip-before-the-chain": (
+        [(YAML, "  tip: tip\n", "  tip: leg_1_base\n")],
+        [LEG, "moves", "'leg_1_base'"],
+    ),
+    "active-unknown": ([(YAML, "joint: shoulder", "joint: wrist")], [YAML, "leg_1", "'wrist'"]),
+    "active-fixed": ([(YAML, "joint: shoulder", "joint: tip")], [YAML, "leg_1", "'tip'", "moving"]),
+    "placement-unknown": (
+        [(YAML, "    elbow:\n", "    knee:\n")],
+        [YAML, "leg_1", "'knee'", "elbow"],
+    ),
+    "point-unknown": (
+        [(YAML, "platform_point: b_1", "platform_point: b_9")],
+        [YAML, "leg_1", "'b_9'", "b_2"],
+    ),
+    "home-lacks-joint": (
+        [(YAML, HOME, "home: {shoulder: 1.0} #")],
+        [YAML, "leg_1", "home", "elbow"],
+    ),
+    "home-of-unknown-joint": (
+        [(YAML, HOME, "home: {wrist: 0.0, shoulder:")],
+        [YAML, "leg_1", "'wrist'"],
+    ),
+    "frame-on-a-frame": (
+        [(PLATFORM, '"platform"/>\n    <child link="b_2"', '"b_1"/>\n    <child link="b_2"')],
+        ["b_2"],
+    ),
+    # mechanism.yaml
+    "yaml-not-yaml": ([(YAML, "legs:\n", "legs: [\n")], [YAML, "parse", "line"]),
+    "yaml-list": ([(YAML, "pincal: 1\n", "- 1\n"), (YAML, "name: 3RRR\n", "")], [YAML]),
+    "yaml-version": ([(YAML, "pincal: 1", "pincal: 2")], [YAML, "pincal", "'2'"]),
+    "key-unknown": ([(YAML, "description:", "remark:")], [YAML, "'remark'", "unknown"]),
+    "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensor.form"]),
+    "key-missing": ([(YAML, "  tip: tip\n", "")], [YAML, "tip", "missing"]),
+    "key-twice": ([(YAML, "    k: 1.0\n", "    k: 1.0\n    k: 1.1\n")], [YAML, "k"]),
+    "type-wrong": ([(YAML, "    l: 1.5\n", "    l: long\n")], [YAML, "parameters.l", "'long'"]),
+    "type-boolean": ([(YAML, "    k: 1.0\n", "    k: true\n")], [YAML, "parameters.k", "True"]),
+    "value-nan": ([(YAML, "    l: 1.5\n", "    l: .nan\n")], [YAML, "parameters.l", "finite"]),
+    "value-inf": ([(YAML, "    l: 1.5\n", "    l: -.inf\n")], [YAML, "parameters.l", "finite"]),
+    "value-huge": ([(YAML, "    l: 1.5\n", f"    l: 1{'0' * 400}\n")], [YAML, "parameters.l"]),
+    "home-nan": (
+        [(YAML, HOME, "home: {shoulder: .nan, elbow: 0.0} #")],
+        [YAML, "home.shoulder", "finite"],
+    ),
+    "parameter-undeclared": ([(YAML, "    L: 1.5\n", "")], [YAML, "leg_1", "'L'", "parameters"]),
+    "parameter-unused": (
+        [(YAML, "    k: 1.0\n", "    k: 1.0\n    spare: 2.0\n")],
+        [YAML, "leg_1", "'spare'"],
+    ),
+    "leg-name-twice": ([(YAML, "- name: leg_2", "- name: leg_1")], [YAML, "leg_1", "repeat"]),
+    "gain-zero": ([(YAML, "    k: 1.0\n", "    k: 0.0\n")], [YAML, "leg_1", "gain", "zero"]),
+    "direction-two": ([(YAML, "direction: 1", "direction: 2")], [YAML, "direction", "'2'"]),
+    "placement-disagrees": (
+        [(YAML, "    l: 1.5\n", "    l: 1.6\n")],
+        [YAML, "leg_1", "'elbow'", "1.5", "1.6"],
+    ),
+    "coordinate-unknown": (
+        [(YAML, "polar: [OA, beta]", "oval: [OA, beta]")],
+        [YAML, "leg_1", "'shoulder'", "'oval'", "polar"],
+    ),
+    "coordinate-short": (
+        [(YAML, "polar: [OA, beta]", "polar: [OA]")],
+        [YAML, "leg_1", "'shoulder'", "'polar'", "2"],
+    ),
+    "coordinate-long": (
+        [(YAML, "{x: l}", "{x: [l, L]}")],
+        [YAML, "leg_1", "'elbow'", "'x'", "'L'"],
+    ),
+    "platform-unknown": ([(YAML, "kind: planar", "kind: spatial")], [YAML, "'spatial'", "planar"]),
+    "platform-home-short": (
+        [(YAML, "{x: 0.0, y: 0.0, phi: 0.0}", "{x: 0.0, y: 0.0}")],
+        [YAML, "home", "phi"],
+    ),
+    "path-up": ([(YAML, "urdf: leg_1.urdf", "urdf: ../leg_1.urdf")], [YAML, "'../leg_1.urdf'"]),
+    "path-absolute": ([(YAML, "urdf: leg_1.urdf", "urdf: /etc/hosts")], [YAML, "'/etc/hosts'"]),
+    "path-with-nul": ([(YAML, "urdf: leg_1.urdf", r'urdf: "leg\0.urdf"')], [YAML, "leg"]),
+    "name-with-control": ([(YAML, "name: 3RRR", r'name: "3\x01RRR"')], [YAML, "name"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_mechanism_is_refused_by_name(case: str, folder: Path) -> None:
+    """A fault raises MechanismError; its message names the place and the offender."""
+    edits, named = BAD[case]
+    edit(folder, *edits)
+    with pytest.raises(MechanismError) as caught:
+        pincal.load_mechanism(folder)
+    message = str(caught.value)
+    assert isinstance(caught.value, PincalError)
+    assert str(folder) in message
+    assert unnamed(named, message) == [], message
+
+
+@pytest.mark.parametrize("name", [YAML, LEG, PLATFORM])
+def test_missing_file_is_named(name: str, folder: Path) -> None:
+    """A file that is missing raises FileError with its path."""
+    (folder / name).unlink()
+    with pytest.raises(FileError, match="No such file") as caught:
+        pincal.load_mechanism(folder)
+    assert str(folder / name) in str(caught.value)
+
+
+def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
+    """A name that is neither folder nor bundled raises FileError with what there is."""
+    with pytest.raises(FileError, match=r"'nowhere'.*3RRR, 5R"):
+        pincal.load_mechanism("nowhere")
+    with pytest.raises(FileError, match="absent"):
+        pincal.load_mechanism(tmp_path / "absent")
+
+
+def test_overlong_name_is_a_file_error(tmp_path: Path) -> None:
+    """A path longer than the file system takes raises FileError, for reading and writing."""
+    path = tmp_path / ("m" * 300)
+    with pytest.raises(FileError):
+        pincal.load_mechanism(path)
+    with pytest.raises(FileError):
+        pincal.load_mechanism("5R").save(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        pytest.param(b"", "empty", id="empty"),
+        pytest.param(b"\xff\xfename", "UTF-8", id="not-utf-8"),
+        pytest.param(b"[" * 100_000, "parse", id="deep"),
+        pytest.param(b"# padding\n" * 500_000, ": larger than 4 MiB", id="large"),
+    ],
+)
+def test_file_that_is_no_yaml_is_refused(data: bytes, words: str, folder: Path) -> None:
+    """A mechanism.yaml that is no such thing raises MechanismError that says what it is."""
+    (folder / YAML).write_bytes(data)
+    with pytest.raises(MechanismError) as caught:
+        pincal.load_mechanism(folder)
+    message = str(caught.value)
+    assert message.startswith(f"{folder / YAML}: ")
+    assert words in message
+    assert "_Mechanism" not in message  # a name from inside pincal tells people nothing
+    assert message.count(str(folder)) == 1
+
+
+def test_yaml_constructs_no_objects(folder: Path) -> None:
+    """A YAML tag that would run a command is refused, and the command is not run."""
+    trace = folder.parent / "executed"
+    command = f"!!python/object/apply:os.system ['touch {trace}']"
+    edit(folder, (YAML, "name: 3RRR", f"name: {command}"))
+    with pytest.raises(MechanismError, match=r"mechanism\.yaml.*os\.system"):
+        pincal.load_mechanism(folder)
+    assert not trace.exists()
+
+
+def memory_of_failure(folder: Path) -> int:
+    """Return the peak of memory taken by loading a folder that is refused, [bytes]."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(MechanismError):
+            pincal.load_mechanism(folder)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("key", ["name", "description", "home"])
+def test_yaml_aliases_do_not_explode(key: str, folder: Path) -> None:
+    """Aliases that stand for a million strings are refused without being written out."""
+    lines = ["bomb:", "- &l0 [a, a, a, a, a, a, a, a, a, a]"]
+    lines += [f"- &l{i} [{', '.join([f'*l{i - 1}'] * 10)}]" for i in range(1, 6)]
+    value = {
+        "name": "name: 3RRR",
+        "description": "description:",
+        "home": "{x: 0.0, y: 0.0, phi: 0.0}",
+    }
+    bomb = {"name": "name: *l5", "description": "description: *l5 #", "home": "*l5"}
+    text = (folder / YAML).read_text().replace(value[key], bomb[key])
+    (folder / YAML).write_text("\n".join(lines) + "\n" + text)
+    assert memory_of_failure(folder) < 2e6
+
+
+@pytest.mark.parametrize("place", ['xyz="1.5 0.0 0.0"', '<link name="tip">'])
+def test_urdf_entities_do_not_explode(place: str, folder: Path) -> None:
+    """Entities that stand for ten billion characters are refused without being written out."""
+    entities = '<!ENTITY l0 "1.5">' + "".join(
+        f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 11)
+    )
+    bomb = place.replace("1.5", "&l10;") if "xyz" in place else f"{place}&l10;"
+    edit(folder, (LEG, place, bomb), (LEG, "<robot", f"<!DOCTYPE robot [{entities}]><robot"))
+    with pytest.raises(MechanismError, match=r"leg_1\.urdf.*parse"):
+        pincal.load_mechanism(folder)
+    assert memory_of_failure(folder) < 2e6
+
+
+def test_urdf_entities_read_no_files(folder: Path) -> None:
+    """An entity that stands for another file does not bring that file in."""
+    (folder / "secret").write_text("1.5")
+    entity = f'<!DOCTYPE robot [<!ENTITY e SYSTEM "file://{folder / "secret"}">]><robot'
+    edit(folder, (LEG, "1.5 0.0 0.0", "&e; 0.0 0.0"), (LEG, "<robot", entity))
+    with pytest.raises(MechanismError, match=r"leg_1\.urdf"):
+        pincal.load_mechanism(folder)
+
+
+def test_home_that_does_not_close_is_refused(folder: Path) -> None:
+    """A home where a leg's tip misses its platform point raises MechanismError with the leg."""
+    edit(folder, (YAML, HOME, "home: {shoulder: 0.0, elbow: -1.0} #"))
+    with pytest.raises(MechanismError, match=r"leg_1.*home|home.*leg_1"):
+        pincal.load_mechanism(folder)
+
+
+def test_home_within_disturbance_still_loads(tmp_path: Path) -> None:
+    """A disturbed mechanism, whose home closes to its parameters' errors only, loads."""
+    three = pincal.load_mechanism("3RRR")
+    leg = three.legs[0].with_home(three.legs[0].home + 1e-3)
+    near = replace(three, legs=(leg, *three.legs[1:]))
+    assert pincal.load_mechanism(near.save(tmp_path / "m")) == near

@@ -1,0 +1,72 @@
+"""Forward kinematics undoes inverse kinematics, and says where it cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_forms import random_mechanism
+
+import pincal
+
+
+def test_forward_undoes_inverse(
+    mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
+) -> None:
+    """From a guess 2 cm and 0.02 rad off, poses come back within 1e-10."""
+    poses = candidates[mechanism.name][:5000]
+    readings = pincal.inverse(mechanism, poses).readings
+    guess = poses + np.random.default_rng(0).uniform(-0.02, 0.02, poses.shape)
+    solution = pincal.forward(mechanism, readings, guess)
+    assert solution.converged.all()
+    assert np.abs(solution.poses - poses).max() < 1e-10
+
+
+@pytest.mark.parametrize("mode", [1, -1])
+def test_forward_undoes_inverse_on_random_geometries(kind: str, mode: int) -> None:
+    """The same on 200 random mechanisms in both working modes, near their homes."""
+    rng = np.random.default_rng(mode + 21)
+    for _ in range(200):
+        mechanism = random_mechanism(kind, rng, mode)
+        home = np.array(mechanism.platform.home)
+        poses = home + rng.uniform(-0.1, 0.1, (10, len(home)))
+        good = pincal.in_workspace(mechanism, poses, pincal.Margins(0.2, 0.2))
+        readings = pincal.inverse(mechanism, poses[good]).readings
+        solution = pincal.forward(mechanism, readings, poses[good] + 1e-3)
+        assert solution.converged.all()
+        assert np.abs(solution.poses - poses[good]).max(initial=0.0) < 1e-10
+
+
+def test_readings_without_a_pose_are_nan_with_a_reason() -> None:
+    """Readings that no pose closes are NaN, not a wrong pose; others are not disturbed."""
+    mechanism = pincal.load_mechanism("5R")
+    readings = pincal.inverse(mechanism, np.array([mechanism.platform.home])).readings
+    lost = readings + np.array([[1.2, 1.2]])  # elbows too far apart to meet
+    solution = pincal.forward(mechanism, np.concatenate((readings, lost)))
+    assert solution.converged.tolist() == [True, False]
+    assert np.isnan(solution.poses[1]).all()
+    assert "closes" in solution.reasons[1]
+    np.testing.assert_allclose(solution.poses[0], mechanism.platform.home, atol=1e-12)
+
+
+def test_other_assembly_mode_is_not_returned() -> None:
+    """From a guess in the 5R's lower assembly mode the answer is a reason, not that pose."""
+    mechanism = pincal.load_mechanism("5R")
+    readings = pincal.inverse(mechanism, np.array([[0.0, 1.1]])).readings
+    solution = pincal.forward(mechanism, readings, np.array([[0.0, 0.05]]))
+    assert not solution.converged[0]
+    assert "mode" in solution.reasons[0]
+
+
+@pytest.mark.parametrize("readings", [np.zeros(3), np.zeros((2, 5)), np.full((1, 3), np.inf)])
+def test_wrong_readings_are_refused(readings: np.ndarray) -> None:
+    """Readings of a wrong shape or not finite raise."""
+    with pytest.raises(pincal.MechanismError, match=r"shape|finite"):
+        pincal.forward(pincal.load_mechanism("3RRR"), readings)
+
+
+def test_wrong_number_of_guesses_is_refused(mechanism: pincal.Mechanism) -> None:
+    """One guess for two readings raises."""
+    home = np.array([mechanism.platform.home])
+    readings = pincal.inverse(mechanism, home).readings
+    with pytest.raises(pincal.MechanismError, match="2 readings, but 1 guesses"):
+        pincal.forward(mechanism, np.repeat(readings, 2, axis=0), home)

@@ -1,0 +1,179 @@
+"""Dihedral elements, carried legs, generated and detected mechanisms."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pincal
+from pincal.symmetry.carry import canonical, carry
+
+ROBOTS = Path(__file__).parents[1] / "robots"
+
+
+def dihedral(n: int) -> list[pincal.Element]:
+    """Return the 2n elements of D_2n."""
+    return [*pincal.rotations(n), *(pincal.mirror(np.pi * k / n) for k in range(n))]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
+def test_group_axioms(n: int) -> None:
+    """D_2n is closed, has an identity and inverses, and composes as its matrices do."""
+    group = dihedral(n)
+    matrices = [g.matrix for g in group]
+    for g, h in product(group, group):
+        composed = g.after(h)
+        np.testing.assert_allclose(composed.matrix, g.matrix @ h.matrix, atol=1e-12)
+        assert sum(np.allclose(composed.matrix, m, atol=1e-9) for m in matrices) == 1
+    for g in group:
+        np.testing.assert_allclose(g.after(g.inverse()).matrix, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["planar", "point"])
+def test_action_on_poses_is_an_action(kind: str) -> None:
+    """Acting by g h is acting by h, then by g; the inverse undoes it."""
+    rng = np.random.default_rng(0)
+    platform = pincal.Platform(kind, home=(0.0,) * (3 if kind == "planar" else 2))
+    poses = rng.uniform(-1, 1, (20, platform.dof))
+    for g, h in product(dihedral(3), dihedral(3)):
+        twice = g.poses(platform, h.poses(platform, poses))
+        np.testing.assert_allclose(g.after(h).poses(platform, poses), twice, atol=1e-14)
+        back = g.inverse().poses(platform, g.poses(platform, poses))
+        np.testing.assert_allclose(back, poses, atol=1e-14)
+
+
+def test_the_group_found_on_the_3rrr_is_c3() -> None:
+    """Three rotations; the mirrors fail because all dyads bend to the same side."""
+    group = pincal.symmetry_group(pincal.load_mechanism("3RRR"))
+    assert [str(e) for e in group.elements] == ["identity", "rotation by 120°", "rotation by 240°"]
+    assert group.permutations == ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+    assert len(group.breaks) == 3
+    assert all("working mode" in b.quantity and b.element.reflection for b in group.breaks)
+
+
+def test_the_group_found_on_the_5r_is_the_mirror() -> None:
+    """Identity and the mirror across the base line's middle; half a turn fails."""
+    group = pincal.symmetry_group(pincal.load_mechanism("5R"))
+    assert [str(e) for e in group.elements] == ["identity", "mirror at azimuth 90°"]
+    assert group.permutations == ((0, 1), (1, 0))
+    assert {str(b.element) for b in group.breaks} == {"rotation by 180°", "mirror at azimuth 0°"}
+
+
+def test_readings_are_equivariant(
+    mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
+) -> None:
+    """F(λ q) = λ F(q) on 1000 poses to rounding (3-RRR paper, Eq. 5)."""
+    poses = candidates[mechanism.name][:1000]
+    assert pincal.symmetry_group(mechanism).equivariance(poses) < 1e-12
+
+
+@pytest.mark.parametrize("name", ["l", "L", "k", "gamma"])
+def test_a_disturbed_parameter_breaks_the_group_by_name(
+    mechanism: pincal.Mechanism, name: str
+) -> None:
+    """1e-3 more on one parameter of leg 2 leaves the identity, and the breaks name it."""
+    value = mechanism.legs[1].nominal_by_name[name] + 1e-3
+    group = pincal.symmetry_group(mechanism.with_parameters({"leg_2": {name: value}}))
+    assert [str(e) for e in group.elements] == ["identity"]
+    named = [b for b in group.breaks if b.quantity == f"parameter {name!r}"]
+    assert named
+    for b in named:
+        assert b.deviation == pytest.approx(1e-3, rel=1e-6)
+    with pytest.raises(pincal.SymmetryError, match="carries leg 1 onto leg_2"):
+        group.carriers()
+
+
+def test_a_deviation_within_tolerance_is_forgiven(mechanism: pincal.Mechanism) -> None:
+    """A tolerance of 1e-2 finds the group of a mechanism disturbed by 1e-4."""
+    disturbed = pincal.disturb(mechanism, 1e-4, seed=1)
+    assert len(pincal.symmetry_group(disturbed).elements) == 1
+    found = pincal.symmetry_group(disturbed, tolerance=1e-2).elements
+    assert len(found) == len(pincal.symmetry_group(mechanism).elements)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 8])
+def test_generated_mechanisms_are_detected_as_generated(n: int) -> None:
+    """A leg carried by n rotations gives a mechanism whose group is those rotations."""
+    leg = pincal.load_mechanism("3RRR").legs[0]
+    platform = pincal.Platform("planar", (0.0, 0.0, 0.0))
+    mechanism = pincal.generate(f"{n}RRR", leg, pincal.rotations(n), platform)
+    group = pincal.symmetry_group(mechanism)
+    assert len(group.elements) == n
+    assert not any(e.reflection for e in group.elements)
+    carried = {p[0] for p in group.permutations}
+    assert carried == set(range(n))
+
+
+def rounded(text: str) -> str:
+    """Return a text with its numbers rounded to 9 digits: libraries differ in the last ones."""
+    return re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda m: f"{float(m[0]):.9g}", text)
+
+
+def test_bundled_robots_are_generated_not_typed(
+    mechanism: pincal.Mechanism, tmp_path: Path
+) -> None:
+    """Running a robot's definition writes the files that are bundled."""
+    made = runpy.run_path(str(ROBOTS / f"{mechanism.name}.py"))["mechanism"]()
+    made.save(tmp_path / "made")
+    bundled = sorted(path.name for path in (ROBOTS / mechanism.name).iterdir())
+    assert bundled == sorted(path.name for path in (tmp_path / "made").iterdir())
+    for name in bundled:
+        text = (ROBOTS / mechanism.name / name).read_text()
+        assert rounded((tmp_path / "made" / name).read_text()) == rounded(text)
+
+
+def test_generated_parameters_are_the_papers() -> None:
+    """3-RRR: γ of Eq. 19, β at -150°, -30°, 90°; 5R: leg 2 reads k(π - ψ) + γ (Eq. 9)."""
+    legs = pincal.load_mechanism("3RRR").legs
+    np.testing.assert_allclose(
+        [leg.nominal_by_name["gamma"] for leg in legs], [np.pi / 6, 5 * np.pi / 6, -np.pi / 2]
+    )
+    for name in ("beta", "beta_b"):
+        degrees = np.degrees([leg.nominal_by_name[name] for leg in legs])
+        np.testing.assert_allclose(degrees, [-150, -30, 90])
+    first, second = pincal.load_mechanism("5R").legs
+    assert (second.nominal_by_name["A_x"], first.nominal_by_name["A_x"]) == (0.5, -0.5)
+    p = second.nominal_by_name | {"k": 1.3, "gamma": 0.2}
+    psi = np.array([0.4])
+    np.testing.assert_allclose(second.sensor.reading(psi, p), 1.3 * (np.pi - psi) + 0.2)
+
+
+def test_canonical_form_of_a_leg_is_the_same_leg(mechanism: pincal.Mechanism) -> None:
+    """A leg written with turned and reversed joints has the same readings, and one canonical form.
+
+    The leg carried by an element and back again is the leg itself.
+    """
+    for leg, element in product(mechanism.legs, dihedral(4)):
+        away = carry(leg, element, leg.name, leg.point.name)
+        back = carry(away, element.inverse(), leg.name, leg.point.name)
+        home = canonical(leg)
+        np.testing.assert_allclose(back.nominal, home.nominal, atol=1e-12)
+        np.testing.assert_allclose(back.home, home.home, atol=1e-12)
+        assert back.sensor.direction == home.sensor.direction
+
+
+def test_carried_leg_reads_the_same_at_carried_poses(mechanism: pincal.Mechanism) -> None:
+    """Any element, in the group or not: the carried leg's readings at carried poses are equal."""
+    platform = mechanism.platform
+    poses = np.array(platform.home) + np.random.default_rng(0).uniform(-0.1, 0.1, (20, platform.dof))
+    for leg, element in product(mechanism.legs, dihedral(5)):
+        carried = carry(leg, element, leg.name, leg.point.name)
+        one = replace(mechanism, legs=(leg,))
+        other = replace(mechanism, legs=(carried,))
+        before = pincal.inverse(one, poses).readings
+        after = pincal.inverse(other, element.poses(platform, poses)).readings
+        assert np.isfinite(before).all()
+        np.testing.assert_allclose(after, before, atol=1e-12)
+
+
+def test_a_leg_that_misses_home_is_refused() -> None:
+    """Generating from a leg that does not reach the home pose raises."""
+    leg = pincal.load_mechanism("3RRR").legs[0]
+    with pytest.raises(pincal.MechanismError, match="does not reach the home pose"):
+        pincal.generate("far", leg, pincal.rotations(3), pincal.Platform("planar", (9.0, 0.0, 0.0)))

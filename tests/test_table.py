@@ -1,0 +1,323 @@
+"""CSV tables: what is written reads back bit for bit, units convert, bad cells are named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+import pincal
+from pincal.errors import FileError, MeasurementError, PincalError
+from pincal.model.table import read_table, write_table
+
+Array = NDArray[np.float64]
+KINDS = {name: pincal.load_mechanism(name) for name in ("3RRR", "5R")}
+THREE = KINDS["3RRR"]
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+HEADER = "x [m],y [m],phi [rad],leg_1 [rad],leg_2 [rad],leg_3 [rad]"
+
+
+@st.composite
+def measurements(draw: st.DrawFn) -> tuple[pincal.Mechanism, pincal.Measurements]:
+    """Return a mechanism and measurements of any numbers, with or without sets and sigmas."""
+    mechanism = KINDS[draw(st.sampled_from(sorted(KINDS)))]
+    count, legs = draw(st.integers(1, 6)), len(mechanism.legs)
+
+    def numbers(columns: int, values: st.SearchStrategy[float]) -> Array:
+        rows = st.lists(values, min_size=count * columns, max_size=count * columns)
+        return np.array(draw(rows)).reshape(count, columns)
+
+    dof, positive = mechanism.platform.dof, st.floats(0.0, allow_infinity=False)
+    names = st.sampled_from((*mechanism.leg_names, "all", ""))
+    sets = tuple(draw(names) for _ in range(count)) if draw(st.booleans()) else None
+    return mechanism, pincal.Measurements(
+        poses=numbers(dof, FINITE),
+        sets=sets,
+        readings=numbers(legs, FINITE),
+        sigma_poses=numbers(dof, positive) if draw(st.booleans()) else None,
+        sigma_readings=numbers(legs, positive) if draw(st.booleans()) else None,
+    )
+
+
+def bits(values: Array | None) -> bytes | None:
+    """Return the bytes of an array, in which -0.0 and 0.0 differ."""
+    return None if values is None else np.ascontiguousarray(values).tobytes()
+
+
+def unnamed(words: list[str], text: str) -> list[str]:
+    """Return the words that a text does not hold, as whole words."""
+    return [w for w in words if not re.search(rf"(?<!\w){re.escape(w)}(?!\w)", text)]
+
+
+def names(folder: Path) -> list[str]:
+    """Return the names of what is in a folder."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def spare(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Path of a table that each example writes anew."""
+    return tmp_path_factory.mktemp("tables") / "spare.csv"
+
+
+@given(drawn=measurements())
+@settings(max_examples=100, deadline=None)
+def test_measurements_read_back_bit_for_bit(
+    spare: Path, drawn: tuple[pincal.Mechanism, pincal.Measurements]
+) -> None:
+    """Poses, readings, sets and standard deviations are the same bits after a file."""
+    mechanism, data = drawn
+    pincal.write_measurements(spare, mechanism, data, force=True)
+    back = pincal.read_measurements(spare, mechanism)
+    assert bits(back.poses) == bits(data.poses)
+    assert bits(back.readings) == bits(data.readings)
+    assert bits(back.sigma_poses) == bits(data.sigma_poses)
+    assert bits(back.sigma_readings) == bits(data.sigma_readings)
+    assert back.sets == data.sets
+
+
+@given(drawn=measurements())
+@settings(max_examples=50, deadline=None)
+def test_poses_and_readings_read_back_bit_for_bit(
+    spare: Path, drawn: tuple[pincal.Mechanism, pincal.Measurements]
+) -> None:
+    """Plans and tables of readings alone are the same bits after a file."""
+    mechanism, data = drawn
+    pincal.write_poses(spare, mechanism, data, force=True)
+    plan = pincal.read_poses(spare, mechanism)
+    assert bits(plan.poses) == bits(data.poses)
+    assert plan.sets == data.sets
+    pincal.write_readings(spare, mechanism, data.readings, force=True)
+    assert bits(pincal.read_readings(spare, mechanism)) == bits(data.readings)
+
+
+def poses_of(path: Path, text: str, encoding: str = "utf-8") -> Array:
+    """Return the 3-RRR poses of a file with the given text."""
+    path.write_bytes(text.encode(encoding))
+    return pincal.read_poses(path, THREE).poses
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [
+        ("m", 1.0),
+        ("cm", 1e-2),
+        ("mm", 1e-3),
+        ("um", 1e-6),
+        ("\u00b5m", 1e-6),
+        ("\u03bcm", 1e-6),
+        ("in", 0.0254),
+    ],
+)
+def test_length_units_convert(unit: str, factor: float, tmp_path: Path) -> None:
+    """A length in any unit is metres inside; µ may be the micro sign or the Greek letter."""
+    poses = poses_of(tmp_path / "t.csv", f"x [{unit}],y [m],phi [rad]\n12.5,-2,3\n-4,5,6\n")
+    expected = [[12.5 * factor, -2.0, 3.0], [-4.0 * factor, 5.0, 6.0]]
+    np.testing.assert_allclose(poses, expected, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("rad", 1.0), ("mrad", 1e-3), ("deg", np.pi / 180), ("°", np.pi / 180)]
+)
+def test_angle_units_convert(unit: str, factor: float, tmp_path: Path) -> None:
+    """An angle in any unit is radians inside."""
+    poses = poses_of(tmp_path / "t.csv", f"x [m],y [m],phi [{unit}]\n1,2,-90\n")
+    np.testing.assert_allclose(poses, [[1.0, 2.0, -90.0 * factor]], rtol=1e-15)
+
+
+def test_units_of_sigmas_convert(tmp_path: Path) -> None:
+    """Standard deviations are converted as the columns they belong to."""
+    sigmas = "sigma_x [mm],sigma_y [um],sigma_phi [deg]," + ",".join(
+        f"sigma_leg_{i} [mrad]" for i in (1, 2, 3)
+    )
+    path = tmp_path / "t.csv"
+    path.write_text(f"{HEADER},{sigmas}\n0,0,0,0,0,0,2,3,180,5,6,7\n")
+    data = pincal.read_measurements(path, THREE)
+    np.testing.assert_allclose(data.sigma_poses, [[2e-3, 3e-6, np.pi]], rtol=1e-15)
+    np.testing.assert_allclose(data.sigma_readings, [[5e-3, 6e-3, 7e-3]], rtol=1e-15)
+
+
+PLAIN = "x [m],y [m],phi [rad]\n1,2,3\n4,5,6\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("\ufeff" + PLAIN, id="byte-order-mark"),
+        pytest.param(PLAIN.replace("\n", "\r\n"), id="crlf"),
+        pytest.param(("\ufeff" + PLAIN).replace("\n", "\r\n"), id="excel"),
+        pytest.param(PLAIN.rstrip("\n"), id="no-last-newline"),
+        pytest.param(PLAIN.replace("4,", "\n ,,\n4,") + "\n\n", id="blank-rows"),
+        pytest.param(PLAIN.replace(" [", "["), id="no-space-before-unit"),
+        pytest.param(PLAIN.replace(",", " , ").replace("[m]", "[ m ]"), id="more-spaces"),
+        pytest.param('"x [m]","y [m]","phi [rad]"\n"1","2","3"\n4.0,5e0,+6\n', id="quoted"),
+        pytest.param(
+            "phi [rad],note,y [m],x [m]\n3,first,2,1\n6,,5,4\n", id="other-order-and-notes"
+        ),
+    ],
+)
+def test_ways_of_writing_one_table(text: str, tmp_path: Path) -> None:
+    """Byte order mark, line ends, spaces, quotes, order and further columns change nothing."""
+    assert poses_of(tmp_path / "t.csv", text).tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+
+
+def test_written_table_is_plain_text(tmp_path: Path) -> None:
+    """A table has units in its header, shortest numbers that read back, and newlines."""
+    plan = pincal.Plan(np.array([[0.1, -0.0, 1e-300], [2.0, 1 / 3, 1e22]]), ("leg_1", "all"))
+    pincal.write_poses(tmp_path / "t.csv", THREE, plan)
+    assert (tmp_path / "t.csv").read_bytes() == (
+        b"set,x [m],y [m],phi [rad]\nleg_1,0.1,-0.0,1e-300\nall,2.0,0.3333333333333333,1e+22\n"
+    )
+
+
+ROW = "1,2,3,4,5,6"
+SIGMAS = ",sigma_x [m],sigma_y [m],sigma_phi [rad]"
+
+
+def table(*rows: str, header: str = HEADER) -> bytes:
+    """Return a measurements file."""
+    return "\n".join((header, *rows, "")).encode()
+
+
+def under(old: str, new: str) -> bytes:
+    """Return a measurements file of one row with something else in its header."""
+    assert old in HEADER
+    return table(ROW, header=HEADER.replace(old, new))
+
+
+#: What is wrong: the file, and what the message must name besides it.
+BAD: dict[str, tuple[bytes, list[str]]] = {
+    "empty-file": (b"", ["empty"]),
+    "blank-file": (b"\n\n", ["header"]),
+    "header-only": (table(), ["rows"]),
+    "column-missing": (
+        table("1,2,4,5,6", header=HEADER.replace("phi [rad],", "")),
+        ["'phi'", "'phi [rad]'", "leg_1"],
+    ),
+    "reading-missing": (
+        table("1,2,3,4,5", header=HEADER.replace(",leg_3 [rad]", "")),
+        ["'leg_3'", "[rad]"],
+    ),
+    "unit-missing": (under("x [m]", "x"), ["'x'", "unit", "'x [m]'"]),
+    "unit-empty": (under("x [m]", "x []"), ["'x'", "[m]"]),
+    "unit-of-length-for-angle": (under("phi [rad]", "phi [mm]"), ["'phi'", "[mm]", "[deg]"]),
+    "unit-of-angle-for-length": (under("x [m]", "x [deg]"), ["'x'", "[deg]", "[mm]"]),
+    "unit-unknown": (under("leg_2 [rad]", "leg_2 [turns]"), ["'leg_2'", "[turns]", "[rad]"]),
+    "header-malformed": (under("x [m]", "x [m"), ["'x [m'", "unit"]),
+    "header-nameless": (under("x [m]", "[m]"), ["'[m]'", "name"]),
+    "header-twice": (under("y [m]", "x [mm]"), ["'x'", "twice"]),
+    "cell-text": (table(ROW, "1,two,3,4,5,6"), ["line 3", "'two'", "'y'"]),
+    "cell-empty": (table(ROW, ROW, "1,2,,4,5,6"), ["line 4", "''", "'phi'"]),
+    "cell-nan": (table("1,2,3,nan,5,6"), ["line 2", "'nan'", "'leg_1'"]),
+    "cell-inf": (table(ROW, "-inf,2,3,4,5,6"), ["line 3", "'-inf'", "'x'"]),
+    "cell-overflow": (table("1,1e999,3,4,5,6"), ["line 2", "'1e999'", "'y'"]),
+    "cell-after-blank-rows": (table("", ROW, "", "1,2,x,4,5,6"), ["line 5", "'x'", "'phi'"]),
+    "cell-comma-decimal": (table('"1,5",2,3,4,5,6'), ["line 2", "'1,5'", "'x'"]),
+    "cell-comma-decimal-bare": (table("1,5,2,3,4,5,6"), ["line 2", "7 cells", "6"]),
+    "cell-underscore": (table("1_0,2,3,4,5,6"), ["line 2", "'1_0'", "'x'"]),
+    "row-short": (table(ROW, "1,2,3"), ["line 3", "3 cells", "6"]),
+    "row-long": (table("1,2,3,4,5,6,"), ["line 2", "7 cells", "6"]),
+    "semicolons": (table(ROW).replace(b",", b";"), ["semicolons", "commas"]),
+    "tabs": (table(ROW).replace(b",", b"\t"), ["commas"]),
+    "quote-open": (table('"1,2,3,4,5,6'), ["CSV", "line 2"]),
+    "latin-1": (under("phi [rad]", "phi [°]").decode().encode("latin-1"), ["UTF-8"]),
+    "utf-16": (table(ROW).decode().encode("utf-16"), ["UTF-8"]),
+    "binary": (bytes(range(256)), ["UTF-8"]),
+    "set-unknown": (
+        table("leg_1," + ROW, "leg_9," + ROW, header="set," + HEADER),
+        ["line 3", "'leg_9'", "leg_2"],
+    ),
+    "sigma-negative": (
+        table(ROW + ",1,1,1", ROW + ",1,-1,1", header=HEADER + SIGMAS),
+        ["line 3", "sigma_y", "negative"],
+    ),
+    "sigma-missing": (table(ROW + ",1", header=HEADER + ",sigma_x [m]"), ["'sigma_y'"]),
+    "sigma-nan": (
+        table(ROW + ",1,1,nan", header=HEADER + SIGMAS),
+        ["line 2", "'sigma_phi'", "'nan'"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_table_is_refused_by_name(case: str, tmp_path: Path) -> None:
+    """A fault raises MeasurementError; its message names the file, the place and the offender."""
+    data, named = BAD[case]
+    path = tmp_path / "measured.csv"
+    path.write_bytes(data)
+    with pytest.raises(MeasurementError) as caught:
+        pincal.read_measurements(path, THREE)
+    message = str(caught.value)
+    assert isinstance(caught.value, PincalError)
+    assert message.startswith(str(path))
+    assert unnamed(named, message) == [], message
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    """A file that is not there raises FileError with its path."""
+    with pytest.raises(FileError, match=r"absent\.csv: No such file"):
+        pincal.read_measurements(tmp_path / "absent.csv", THREE)
+
+
+def test_directory_is_named(tmp_path: Path) -> None:
+    """A folder in place of a file raises FileError with its path."""
+    with pytest.raises(FileError, match=f"{tmp_path}: Is a directory"):
+        pincal.read_poses(tmp_path, THREE)
+
+
+def test_file_below_a_file_is_named(tmp_path: Path) -> None:
+    """A path that leads through a file raises FileError with its path."""
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(FileError, match=r"t\.csv"):
+        read_table(tmp_path / "file" / "t.csv")
+
+
+def test_existing_table_is_refused(tmp_path: Path) -> None:
+    """Without force an existing file is refused by name and stays as it was."""
+    (tmp_path / "t.csv").write_text("keep")
+    with pytest.raises(FileError, match=r"t\.csv exists"):
+        write_table(tmp_path / "t.csv", {"x [m]": [1.0]})
+    assert (tmp_path / "t.csv").read_text() == "keep"
+    write_table(tmp_path / "t.csv", {"x [m]": [1.0]}, force=True)
+    assert (tmp_path / "t.csv").read_text() == "x [m]\n1.0\n"
+    assert names(tmp_path) == ["t.csv"]
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_folder_is_not_replaced_by_a_table(force: bool, tmp_path: Path) -> None:
+    """A folder is refused as a table's path, with force as without, and keeps what it holds."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "measured.csv").write_text("a week of work")
+    with pytest.raises(FileError, match="data"):
+        write_table(tmp_path / "data", {"x [m]": [1.0]}, force=force)
+    assert (tmp_path / "data" / "measured.csv").read_text() == "a week of work"
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_failed_writing_leaves_nothing(force: bool, tmp_path: Path) -> None:
+    """After a failure in mid-writing there is no new file, no scratch, and the old one stays."""
+    (tmp_path / "old.csv").write_text("keep")
+
+    def values() -> Iterator[float]:
+        yield 1.0
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(FileError, match="No space left"):
+        write_table(
+            tmp_path / ("old.csv" if force else "new.csv"), {"x [m]": values()}, force=force
+        )
+    assert names(tmp_path) == ["old.csv"]
+    assert (tmp_path / "old.csv").read_text() == "keep"
+
+
+def test_missing_parent_is_refused(tmp_path: Path) -> None:
+    """A table below a folder that does not exist raises FileError that names the folder."""
+    with pytest.raises(FileError, match=r"absent does not exist"):
+        write_table(tmp_path / "absent" / "t.csv", {"x [m]": [1.0]})
+    assert names(tmp_path) == []
