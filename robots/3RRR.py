@@ -3,7 +3,18 @@
 from math import pi, radians, sqrt
 from pathlib import Path
 
-from pincal import Joint, Leg, Mechanism, Platform, Sensor, along, generate, placed, polar, rotations
+from pincal import (
+    Joint,
+    Leg,
+    Mechanism,
+    Platform,
+    Sensor,
+    along,
+    generate,
+    placed,
+    polar,
+    rotations,
+)
 
 PARAMETERS = {
     "l": 1.5,  # proximal link [m]

@@ -27,8 +27,7 @@ def mechanism(kind: str) -> pincal.Mechanism:
 def candidates() -> dict[str, NDArray[np.float64]]:
     """30,000 workspace poses of each bundled mechanism, default margins."""
     return {
-        name: pincal.sample_workspace(pincal.load_mechanism(name), 30_000, seed=0)
-        for name in KINDS
+        name: pincal.sample_workspace(pincal.load_mechanism(name), 30_000, seed=0) for name in KINDS
     }
 
 

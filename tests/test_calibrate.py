@@ -18,8 +18,22 @@ EXACT = pincal.Noise(0.0, 0.0, 0.0)
 BENDS = {"3RRR": [-1, -1, -1], "5R": [-1, 1]}
 #: Table 2 of the 5R paper, put in order.
 TABLE_2 = {
-    "leg_1": {"l": 0.7478, "L": 1.1006, "A_x": -0.5057, "A_y": 0.0060, "k": 1.0041, "gamma": 6.4e-4},
-    "leg_2": {"l": 0.7417, "L": 1.1014, "A_x": 0.5059, "A_y": -1.9e-4, "k": 1.0045, "gamma": 0.0046},
+    "leg_1": {
+        "l": 0.7478,
+        "L": 1.1006,
+        "A_x": -0.5057,
+        "A_y": 0.0060,
+        "k": 1.0041,
+        "gamma": 6.4e-4,
+    },
+    "leg_2": {
+        "l": 0.7417,
+        "L": 1.1014,
+        "A_x": 0.5059,
+        "A_y": -1.9e-4,
+        "k": 1.0045,
+        "gamma": 0.0046,
+    },
 }
 
 
@@ -41,7 +55,11 @@ def test_clean_data_recover_the_parameters(
         truth = pincal.disturb(mechanism, 5e-3, seed)
         data = pincal.simulate(mechanism, truth, selections[kind].plan, EXACT).measurements
         result = pincal.calibrate(
-            mechanism, data, method=method, residual=residual, poses=poses  # type: ignore[arg-type]
+            mechanism,
+            data,
+            method=method,
+            residual=residual,
+            poses=poses,  # type: ignore[arg-type]
         )
         assert result.converged
         assert error(result, truth) < 1e-9
@@ -154,9 +172,15 @@ def statistics(selections: dict[str, pincal.Selection]) -> dict[tuple[str, str],
             values = np.array([np.concatenate([g.identified for g in r.legs]) for r in results])
             std = np.array([np.concatenate([g.std for g in r.legs]) for r in results])
             hits = np.array(
-                [[p.low <= t <= p.high for p, t in
-                  zip((p for g in r.legs for p in g.parameters), true, strict=True)]
-                 for r in results]
+                [
+                    [
+                        p.low <= t <= p.high
+                        for p, t in zip(
+                            (p for g in r.legs for p in g.parameters), true, strict=True
+                        )
+                    ]
+                    for r in results
+                ]
             )
             chi2 = np.array([r.reduced_chi2 for r in results])
             found[kind, case] = (values - true, std, hits, chi2)
@@ -243,7 +267,10 @@ def test_a_pose_out_of_nominal_reach_does_not_stop_the_closure_residual(
     result = pincal.calibrate(mechanism, more)
     assert result.converged
     assert error(result, truth) < 1e-9
-    with pytest.raises(pincal.MeasurementError, match=r"leg_1 does not reach measured pose 37 .*\(--residual closure"):
+    with pytest.raises(
+        pincal.MeasurementError,
+        match=r"leg_1 does not reach measured pose 37 .*\(--residual closure",
+    ):
         pincal.calibrate(mechanism, more, residual="joint")
 
 

@@ -167,9 +167,7 @@ def test_selected_poses_are_reachable_candidates_without_repetition(
     n_legs = len(mechanism.legs)
     sizes = {"independent": n_legs, "symmetric": n_legs, "orbits": n_legs, "common": 1}
     for protocol, times in sizes.items():
-        selection = pincal.select_poses(
-            mechanism, candidates[kind][:3000], 12, protocol, starts=3
-        )
+        selection = pincal.select_poses(mechanism, candidates[kind][:3000], 12, protocol, starts=3)
         plan = selection.plan
         assert len(plan.poses) == 12 * times
         slack = pincal.Margins(0.23 - 1e-9, 0.2 - 1e-9)
@@ -187,9 +185,7 @@ def test_mapped_poses_are_symmetrically_observable(
     """|R_ii| of every leg at its mapped poses equals leg 1's to 1e-9 (3-RRR paper, Eq. 10)."""
     mechanism, plan = pincal.load_mechanism(kind), selections[kind].plan
     diagonals = [
-        r_diagonal(
-            pincal.identification_jacobian(mechanism, leg, plan.poses[plan.serves(leg)])
-        )
+        r_diagonal(pincal.identification_jacobian(mechanism, leg, plan.poses[plan.serves(leg)]))
         for leg in mechanism.leg_names
     ]
     for diagonal, design in zip(diagonals, selections[kind].legs, strict=True):
@@ -317,8 +313,12 @@ def test_disturbance_is_alike_for_all_parameters(mechanism: pincal.Mechanism) ->
     draws = np.array(
         [
             np.concatenate(
-                [a.nominal - b.nominal for a, b in
-                 zip(pincal.disturb(mechanism, 2e-3, seed).legs, mechanism.legs, strict=True)]
+                [
+                    a.nominal - b.nominal
+                    for a, b in zip(
+                        pincal.disturb(mechanism, 2e-3, seed).legs, mechanism.legs, strict=True
+                    )
+                ]
             )
             for seed in range(400)
         ]

@@ -161,7 +161,9 @@ def test_canonical_form_of_a_leg_is_the_same_leg(mechanism: pincal.Mechanism) ->
 def test_carried_leg_reads_the_same_at_carried_poses(mechanism: pincal.Mechanism) -> None:
     """Any element, in the group or not: the carried leg's readings at carried poses are equal."""
     platform = mechanism.platform
-    poses = np.array(platform.home) + np.random.default_rng(0).uniform(-0.1, 0.1, (20, platform.dof))
+    poses = np.array(platform.home) + np.random.default_rng(0).uniform(
+        -0.1, 0.1, (20, platform.dof)
+    )
     for leg, element in product(mechanism.legs, dihedral(5)):
         carried = carry(leg, element, leg.name, leg.point.name)
         one = replace(mechanism, legs=(leg,))

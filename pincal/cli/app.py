@@ -51,7 +51,7 @@ def working(text: str) -> Iterator[Callable[[str], None]]:
             yield lambda now: status.update(now)
     else:
         stderr.print(f"{text} …", markup=False)
-        yield lambda now: None
+        yield lambda _: None
 
 
 @contextmanager
@@ -62,7 +62,7 @@ def counting(text: str, total: int) -> Iterator[Callable[[int], None]]:
     """
     if not stderr.is_terminal:
         stderr.print(f"{text} …", markup=False)
-        yield lambda done: None
+        yield lambda _: None
         return
     columns = (TextColumn(text), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=stderr, transient=True) as progress:

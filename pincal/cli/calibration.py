@@ -154,13 +154,13 @@ def demo(
     workspace(mech, candidates, 30_000, seed, force=force)
     _step(f"pincal select {mech} --count 24 --candidates {candidates} --seed {seed} -o {plan}")
     select(mech, plan, 24, candidates, seed=seed, force=force)
-    _step(f"pincal simulate {mech} {plan} --disturb 0.002 --seed {seed} --truth {truth} -o {measured}")
+    _step(
+        f"pincal simulate {mech} {plan} --disturb 0.002 --seed {seed} --truth {truth} -o {measured}"
+    )
     simulate(mech, plan, measured, 0.002, seed=seed, truth=truth, force=force)
     noise = "--noise-position 1e-4 --noise-orientation 1e-4"
     _step(f"pincal calibrate {mech} {measured} {noise} -o {result}")
-    calibrate(
-        mech, measured, result, noise_position=1e-4, noise_orientation=1e-4, force=force
-    )
+    calibrate(mech, measured, result, noise_position=1e-4, noise_orientation=1e-4, force=force)
     _step("true machine driven by the nominal and by the calibrated model")
     poses = read_poses(candidates, mechanism).poses
     true_mechanism = load_mechanism(truth)

@@ -49,7 +49,9 @@ def select(
     common: Annotated[
         bool, typer.Option("--common", help="COUNT poses for the parameters of all legs together.")
     ] = False,
-    starts: Annotated[int, typer.Option(min=1, help="Starts of the search; the best is kept.")] = 20,
+    starts: Annotated[
+        int, typer.Option(min=1, help="Starts of the search; the best is kept.")
+    ] = 20,
     noise_position: NoisePosition = 1e-4,
     noise_orientation: NoiseOrientation = 1e-4,
     noise_reading: NoiseReading = 0.0,
@@ -171,6 +173,8 @@ def simulate(
 def _same_kind(truth: Mechanism, mechanism: Mechanism, path: Path) -> Mechanism:
     """Return the truth if it has the mechanism's legs and platform."""
     if (truth.leg_names, truth.platform.kind) != (mechanism.leg_names, mechanism.platform.kind):
-        raise FileError(f"{path} holds {truth.name!r}, whose legs or platform differ from those of "
-                        f"{mechanism.name!r}")
+        raise FileError(
+            f"{path} holds {truth.name!r}, whose legs or platform differ from those of "
+            f"{mechanism.name!r}"
+        )
     return truth

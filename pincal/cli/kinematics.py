@@ -9,7 +9,18 @@ import numpy as np
 import typer
 from scipy.spatial import KDTree
 
-from pincal.cli.app import Count, Force, Mech, Seed, app, counting, output_option, stderr, working, wrote
+from pincal.cli.app import (
+    Count,
+    Force,
+    Mech,
+    Seed,
+    app,
+    counting,
+    output_option,
+    stderr,
+    working,
+    wrote,
+)
 from pincal.errors import MeasurementError
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.inverse import inverse as solve_inverse
@@ -47,8 +58,8 @@ def inverse(
     plan = read_poses(poses, mechanism)
     solution = solve_inverse(mechanism, plan.poses)
     reached = solution.reached.all(axis=1)
-    lost = np.flatnonzero(~reached)
-    _refuse_lost(poses, [(int(row), solution.reason(row)) for row in lost], "pose")
+    lost = np.flatnonzero(~reached).tolist()
+    _refuse_lost(poses, [(row, solution.reason(row)) for row in lost], "pose")
     write_readings(output, mechanism, solution.readings, force=force)
     wrote(output)
 
@@ -73,8 +84,8 @@ def forward(
         samples = sample_workspace(mechanism, 3000, least=Margins(0.05, 0.02))
     tree = KDTree(solve_inverse(mechanism, samples).readings)
     solution = solve_forward(mechanism, values, samples[tree.query(values)[1]])
-    lost = np.flatnonzero(~solution.converged)
-    _refuse_lost(readings, [(int(row), solution.reasons[row]) for row in lost], "reading")
+    lost = np.flatnonzero(~solution.converged).tolist()
+    _refuse_lost(readings, [(row, solution.reasons[row]) for row in lost], "reading")
     write_poses(output, mechanism, Plan(solution.poses), force=force)
     wrote(output)
 

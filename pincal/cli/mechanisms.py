@@ -29,7 +29,8 @@ def mechanisms() -> None:
 def check(mech: Mech) -> None:
     """Say whether a mechanism is sound.
 
-    Loops closed at home, URDFs read alike by others, parameters observable, symmetry."""
+    Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
+    """
     mechanism = load_mechanism(mech)
     stdout.print(parameters_table(mechanism))
     platform = mechanism.platform

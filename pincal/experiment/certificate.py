@@ -56,7 +56,7 @@ def continuous_design(blocks: Array) -> ContinuousDesign:
         ObservabilityError: all candidates together leave a parameter undetermined.
     """
     count, r, n = blocks.shape
-    factor = np.linalg.qr(blocks.reshape(-1, n), mode="r")
+    factor = np.asarray(np.linalg.qr(blocks.reshape(-1, n), mode="r"))
     scale = np.abs(np.diagonal(factor))
     if len(factor) < n or scale.min() <= 1e-12 * np.linalg.norm(factor, axis=0).max():
         raise ObservabilityError("the candidate poses leave a parameter undetermined")

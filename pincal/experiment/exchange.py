@@ -94,7 +94,7 @@ def _improve(blocks: Array, chosen: Index) -> tuple[Index, float]:
 def _inverse(blocks: Array) -> Array:
     """Return (Σ Aᵀ A)⁻¹, shape (n, n), with a ridge: a random start may lack rank."""
     rows = blocks.reshape(-1, blocks.shape[2])
-    return np.linalg.inv(rows.T @ rows + _RIDGE * np.eye(rows.shape[1]))
+    return np.asarray(np.linalg.inv(rows.T @ rows + _RIDGE * np.eye(rows.shape[1])), np.float64)
 
 
 def _inner(left: Array, blocks: Array) -> Array:

@@ -115,6 +115,8 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     weights = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])  # lost columns from the kept
     groups = []
     for column, index in zip(weights.T, lost, strict=True):
-        members = {int(index)} | {int(i) for i, w in zip(kept, column, strict=True) if abs(w) > 1e-6}
+        members = {int(index)} | {
+            int(i) for i, w in zip(kept, column, strict=True) if abs(w) > 1e-6
+        }
         groups.append(tuple(names[i] for i in sorted(members)))
     return Identifiability(rank, n, np.inf, tuple(groups))

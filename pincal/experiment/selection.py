@@ -106,7 +106,7 @@ def select_poses(
     noise = noise or Noise()
     rng = np.random.default_rng(seed)
     search = _Search(mechanism, np.asarray(candidates, dtype=np.float64), noise, rng, starts)
-    search.tell = progress or (lambda text: None)
+    search.tell = progress or search.tell
     names = mechanism.leg_names
     if protocol == "independent":
         parts = [search.own(name, count) for name in names]
@@ -155,7 +155,7 @@ class _Search:
         self.starts = starts
         self.usable = len(candidates)
         self.unreachable = 0
-        self.tell: Callable[[str], None] = lambda text: None
+        self.tell: Callable[[str], None] = lambda _: None
 
     def rows(self, leg: str, poses: Array) -> Array:
         """Return the weighted rows of a leg at poses, shape (N, k, n)."""

@@ -21,9 +21,7 @@ from pincal.model.platform import Poses
 Array = NDArray[np.float64]
 
 
-def disturb(
-    mechanism: Mechanism, sigma: float, seed: int | np.random.Generator = 0
-) -> Mechanism:
+def disturb(mechanism: Mechanism, sigma: float, seed: int | np.random.Generator = 0) -> Mechanism:
     """Return the mechanism with normal errors on every identified parameter.
 
     Args:
@@ -38,8 +36,10 @@ def disturb(
         raise MeasurementError(f"the disturbance is {sigma}; expected 0 or more")
     rng = np.random.default_rng(seed)
     return mechanism.with_parameters(
-        {leg.name: leg.nominal + sigma * rng.standard_normal(len(leg.parameters))
-         for leg in mechanism.legs}
+        {
+            leg.name: leg.nominal + sigma * rng.standard_normal(len(leg.parameters))
+            for leg in mechanism.legs
+        }
     )
 
 

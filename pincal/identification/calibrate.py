@@ -75,8 +75,8 @@ def calibrate(
     matrices = mechanism.platform.transforms(measurements.poses).as_matrix()
     sigma_poses, sigma_readings = _sigmas(mechanism, measurements, noise)
     fits = []
-    groups = [[i] for i in range(len(mechanism.legs))]
-    for group in groups if method == "per-leg" else [sum(groups, [])]:
+    everything = list(range(len(mechanism.legs)))
+    for group in [everything] if method == "together" else [[i] for i in everything]:
         legs = [mechanism.legs[i] for i in group]
         if progress:
             progress(f"identifying {', '.join(leg.name for leg in legs)}")
@@ -92,8 +92,9 @@ def calibrate(
             )
             for leg, i in zip(legs, group, strict=True)
         ]
-        columns = np.ix_(rows, group)
-        problem = Problem(parts, used[columns], sigma_poses[rows], sigma_readings[columns])
+        problem = Problem(
+            parts, used[rows][:, group], sigma_poses[rows], sigma_readings[rows][:, group]
+        )
         fits.append(_fit(problem, legs, np.flatnonzero(rows), residual, known))
     return _assemble(mechanism, fits, method, residual, poses, noise, known)
 
@@ -116,7 +117,9 @@ def _fit(
     start = np.concatenate([leg.nominal for leg in legs])
     _check_rank(problem, problem.whitener(start), start, legs)
     weighted = kind == "closure"
-    parameters, evaluations = _minimise(problem, problem.whitener(start) if weighted else None, start)
+    parameters, evaluations = _minimise(
+        problem, problem.whitener(start) if weighted else None, start
+    )
     for _ in range(_ROUNDS):
         whitener = problem.whitener(parameters)
         weigh = whitener if weighted else None
@@ -316,9 +319,7 @@ def _assemble(
     )
 
 
-def _warnings(
-    legs: tuple[LegResult, ...], known: bool, dof: int, chi2: float
-) -> list[str]:
+def _warnings(legs: tuple[LegResult, ...], known: bool, dof: int, chi2: float) -> list[str]:
     found = []
     if not known:
         found.append(
@@ -331,12 +332,12 @@ def _warnings(
             f"{'larger' if chi2 > 1 else 'smaller'} than given, or the model lacks something; the "
             "uncertainties assume the noise as given"
         )
-    for leg in legs:
-        if leg.n_residuals < 1.5 * len(leg.parameters):
-            found.append(
-                f"{leg.name}: {leg.n_residuals} poses for {len(leg.parameters)} parameters; two or "
-                "three times as many poses as parameters are advised"
-            )
+    found += [
+        f"{leg.name}: {leg.n_residuals} poses for {len(leg.parameters)} parameters; two or "
+        "three times as many poses as parameters are advised"
+        for leg in legs
+        if leg.n_residuals < 1.5 * len(leg.parameters)
+    ]
     return found
 
 

@@ -63,8 +63,16 @@ def _suspects(
     return [
         ("if the readings are in degrees under a radian header", poses, readings * degree),
         ("if the readings are in radians under a degree header", poses, readings / degree),
-        ("if the positions are in mm under a metre header", poses * np.where(linear, 1e-3, 1), readings),
-        ("if the positions are in metres under a mm header", poses * np.where(linear, 1e3, 1), readings),
+        (
+            "if the positions are in mm under a metre header",
+            poses * np.where(linear, 1e-3, 1),
+            readings,
+        ),
+        (
+            "if the positions are in metres under a mm header",
+            poses * np.where(linear, 1e3, 1),
+            readings,
+        ),
         ("if the orientations are in degrees under a radian header", turned, readings),
         ("if all angles are in degrees under radian headers", turned, readings * degree),
     ]

@@ -87,8 +87,8 @@ class Problem:
         diagonal = covariance[:, range(m), range(m)]
         if (diagonal[self.used] <= 0.0).any():
             raise MeasurementError(
-                "a residual has no noise at all; give a standard deviation above zero for position, "
-                "orientation or reading (only their ratios matter to the estimate)"
+                "a residual has no noise at all; give a standard deviation above zero for "
+                "position, orientation or reading (only their ratios matter to the estimate)"
             )
         covariance[:, range(m), range(m)] = np.where(self.used, diagonal, 1.0)
         return covariance
@@ -103,7 +103,7 @@ class Problem:
             factor = np.linalg.cholesky(self.covariance(parameters))
         except np.linalg.LinAlgError as error:
             raise MeasurementError(
-                "the legs' residuals at a pose are dependent: with more legs than freedoms the "
-                "readings need noise of their own (--noise-reading), or use --method per-leg"
+                "the legs' residuals at a pose are dependent: with more legs than freedoms "
+                "the readings need noise of their own (--noise-reading), or use --method per-leg"
             ) from error
         return np.linalg.inv(factor)

@@ -55,9 +55,7 @@ def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
         parameter[:, :, names.index(leg.leg.sensor.gain)] += drive * by_gain[:, None]
     if isinstance(leg.leg.sensor.offset, str):
         parameter[:, :, names.index(leg.leg.sensor.offset)] += drive * by_offset
-    return Demand(
-        closure.constraint, parameter, closure.project(closure.pose), drive * by_reading
-    )
+    return Demand(closure.constraint, parameter, closure.project(closure.pose), drive * by_reading)
 
 
 def leg_demand(

@@ -40,9 +40,7 @@ class ForwardSolution:
     """Why a row has no pose; empty strings where it has one."""
 
 
-def forward(
-    mechanism: Mechanism, readings: Array, guess: Poses | None = None
-) -> ForwardSolution:
+def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -> ForwardSolution:
     """Return the poses of sensor readings, found from a guess in the assembly mode of home.
 
     Args:
@@ -102,9 +100,7 @@ def _solve(
         ]
         twist = _platform_step(closures)
         linear, angular = _split(mechanism, twist)
-        length = np.maximum(
-            np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1)
-        )
+        length = np.maximum(np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1))
         with np.errstate(divide="ignore", invalid="ignore"):
             shorten = np.minimum(1.0, _LARGEST_STEP / length)[:, None]
         moved = length
@@ -112,7 +108,7 @@ def _solve(
             change = product(closure.pose, (shorten * twist)[:, :, None])[:, :, 0]
             step = closure.passive_step(change)
             passive = [i for i in range(q.shape[1]) if i != leg.leg.active]
-            q[np.ix_(rows, passive)] += step
+            q[rows[:, None], passive] += step
             moved = np.maximum(moved, np.abs(step).max(axis=1, initial=0.0))
         finite = np.isfinite(moved)
         good = rows[finite]
@@ -155,12 +151,9 @@ def _reasons(
     open_: Mask,
 ) -> list[str]:
     """Return why each row has no pose, or an empty string where it has one."""
-    finite = np.isfinite(matrices).all(axis=(1, 2))
-    for q in joints:
-        finite &= np.isfinite(q).all(axis=1)
-    safe = [
-        np.where(finite[:, None], q, leg.leg.home) for leg, q in zip(legs, joints, strict=True)
-    ]
+    finite: Mask = np.isfinite(np.concatenate([matrices.reshape(-1, 16), *joints], axis=1))
+    finite = np.asarray(finite.all(axis=1))
+    safe = [np.where(finite[:, None], q, leg.leg.home) for leg, q in zip(legs, joints, strict=True)]
     closures = [leg.evaluate(q, matrices) for leg, q in zip(legs, safe, strict=True)]
     closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
     for leg, closure in zip(legs, closures, strict=True):

@@ -114,7 +114,9 @@ class InverseSolution:
 
     def reason(self, row: int) -> str:
         """Return why a pose has no solution, or an empty string if it has one."""
-        beyond = [name for name, ok in zip(self.leg_names, self.reached[row], strict=True) if not ok]
+        beyond = [
+            name for name, ok in zip(self.leg_names, self.reached[row], strict=True) if not ok
+        ]
         return f"out of reach of {', '.join(beyond)} in its working mode" if beyond else ""
 
 

@@ -55,9 +55,7 @@ def margins(mechanism: Mechanism, poses: Poses) -> Margins:
 def drive_margins(closures: Sequence[Closure]) -> Array:
     """Return |Nᵀ ∂c/∂θ| over the drive's lever, one column a leg, shape (N, n_legs)."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack(
-            [np.linalg.norm(c.drive, axis=(1, 2)) / c.lever for c in closures], axis=1
-        )
+        return np.stack([np.linalg.norm(c.drive, axis=(1, 2)) / c.lever for c in closures], axis=1)
 
 
 def platform_margin(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:

@@ -90,7 +90,9 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
     try:
         return _mechanism(spec, folder)
     except MechanismError as error:
-        raise MechanismError(str(error) if str(folder) in str(error) else f"{path}: {error}") from error
+        raise MechanismError(
+            str(error) if str(folder) in str(error) else f"{path}: {error}"
+        ) from error
 
 
 def _read(path: Path) -> _Mechanism:

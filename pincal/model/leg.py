@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -24,7 +24,7 @@ class Joint:
 
     name: str
     kind: JointKind
-    placement: Placement = Placement()
+    placement: Placement = field(default_factory=Placement)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Unit axis in the joint's own frame; no meaning where fixed."""
     lower: float = -2 * np.pi

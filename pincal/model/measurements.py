@@ -196,9 +196,7 @@ def _pose_columns(mechanism: Mechanism, plan: Plan) -> dict[str, Array | tuple[s
     columns: dict[str, Array | tuple[str, ...]] = {}
     if plan.sets is not None:
         columns["set"] = plan.sets
-    for name, unit, values in zip(
-        platform.coordinates, platform.units, plan.poses.T, strict=True
-    ):
+    for name, unit, values in zip(platform.coordinates, platform.units, plan.poses.T, strict=True):
         columns[f"{name} [{unit}]"] = values
     return columns
 

@@ -34,7 +34,9 @@ class Mechanism:
             raise MechanismError(f"mechanism {self.name!r}: leg names repeat: {names}")
         for leg in self.legs:
             for joint in leg.joints:
-                _check_planar(leg.name, joint.name, joint.kind, joint.placement.origin(), joint.axis)
+                _check_planar(
+                    leg.name, joint.name, joint.kind, joint.placement.origin(), joint.axis
+                )
 
     @cached_property
     def leg_names(self) -> tuple[str, ...]:

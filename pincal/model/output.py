@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -44,8 +43,8 @@ def writing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     try:
         yield scratch / path.name
         if path.is_dir() and not path.is_symlink():
-            os.replace(path, scratch / "replaced")
-        os.replace(scratch / path.name, path)
+            path.replace(scratch / "replaced")
+        (scratch / path.name).replace(path)
     except OSError as error:
         if isinstance(error, FileError):
             raise

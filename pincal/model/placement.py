@@ -196,7 +196,7 @@ class Placement:
         if corrections:
             return rest
         expected = self.displacement(parameters)[:3, 3]
-        scale = float(np.abs([self.xyz, expected]).max())
+        scale = float(np.abs(np.stack((self.xyz, expected))).max())
         if float(np.abs(rest[:3, 3]).max()) > _TOLERANCE * scale:
             raise MechanismError(
                 f"{where}: the URDF origin is at {_numbers(self.xyz)} m, but its coordinates and "
@@ -206,9 +206,7 @@ class Placement:
         rest[:3, 3] = 0.0
         return rest
 
-    def moved(
-        self, old: Mapping[str, float], new: Mapping[str, float], where: str
-    ) -> Placement:
+    def moved(self, old: Mapping[str, float], new: Mapping[str, float], where: str) -> Placement:
         """Return the placement at new parameter values; its constant part stays.
 
         Raises:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.errors import MechanismError
 
 Array = NDArray[np.float64]
-Poses = Array | RigidTransform  # coordinates (N, dof), or transforms of length N
+Poses: TypeAlias = Array | RigidTransform  # coordinates (N, dof), or transforms of length N
 
 #: For each kind: coordinate names, their units, and the rows of a twist (linear
 #: first, as in Pinocchio) that the platform can move in.

@@ -140,7 +140,9 @@ def _header(path: Path, header: Sequence[str]) -> dict[str, str | None]:
     if len(header) > _MOST_COLUMNS:
         raise MeasurementError(f"{path}: {len(header)} columns; more than {_MOST_COLUMNS}")
     if len(header) == 1 and ";" in header[0]:
-        raise MeasurementError(f"{path}: cells are separated by semicolons; separate them by commas")
+        raise MeasurementError(
+            f"{path}: cells are separated by semicolons; separate them by commas"
+        )
     units: dict[str, str | None] = {}
     for cell in header:
         match = _HEADER.match(cell)

@@ -59,7 +59,9 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     link, chain = str(roots.pop()), []
     while link != tip:
         if link not in by_parent:
-            raise MechanismError(f"{path}: the chain from the root ends at {link!r}, not at {tip!r}")
+            raise MechanismError(
+                f"{path}: the chain from the root ends at {link!r}, not at {tip!r}"
+            )
         element = by_parent[link]
         chain.append(_joint(element, path))
         link = _link(element, "child", path)
@@ -192,7 +194,9 @@ def leg_urdf(leg: Leg) -> str:
             _visual(link, "box", size=(2 * size, 2 * size, 2 * size), rgba=colour)
         else:
             _visual(link, "sphere", radius=size, rgba=_BLUE)
-        parent = f"{leg.name}_base" if index == 0 else f"{leg.name}_{leg.joints[index - 1].name}_link"
+        parent = (
+            f"{leg.name}_base" if index == 0 else f"{leg.name}_{leg.joints[index - 1].name}_link"
+        )
         _joint_element(robot, joint, parent, str(link.get("name")))
     return _text(robot)
 
@@ -237,7 +241,7 @@ def _joint_element(robot: etree._Element, joint: Joint, parent: str, child: str)
     etree.SubElement(element, "axis", xyz=_triple_text(joint.axis))
     if not continuous:
         limits = {"lower": _f(joint.lower), "upper": _f(joint.upper)}
-        etree.SubElement(element, "limit", effort="0", velocity="0", **limits)
+        etree.SubElement(element, "limit", {"effort": "0", "velocity": "0", **limits})
 
 
 def _rod(link: etree._Element, end: Triple, size: float) -> None:
@@ -269,7 +273,7 @@ def _visual(
     if xyz or rpy:
         etree.SubElement(visual, "origin", xyz=xyz or "0 0 0", rpy=rpy or "0 0 0")
     texts = {key: " ".join(f"{v:.9g}" for v in np.atleast_1d(value)) for key, value in size.items()}
-    etree.SubElement(etree.SubElement(visual, "geometry"), shape, **texts)
+    etree.SubElement(etree.SubElement(visual, "geometry"), shape, texts)
     colours = {_ORANGE: "orange", _BLUE: "blue", _GREY: "grey"}
     material = etree.SubElement(visual, "material", name=colours[rgba])
     etree.SubElement(material, "color", rgba=rgba)

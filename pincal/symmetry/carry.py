@@ -89,9 +89,7 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
         offset = sensor.offset
         if sensor.form == "joint":
             offset = _changed(offset, parameters, lambda value: -value)
-        sensor = replace(
-            sensor, direction=-sensor.direction, zero=0.0 - sensor.zero, offset=offset
-        )
+        sensor = replace(sensor, direction=-sensor.direction, zero=0.0 - sensor.zero, offset=offset)
     return _with(leg, index, flipped, sensor, parameters)
 
 
@@ -132,9 +130,7 @@ def _with(leg: Leg, index: int, joint: Joint, sensor: Sensor, parameters: dict[s
     return replace(leg, joints=joints, sensor=sensor, parameters=tuple(parameters.items()))
 
 
-def _changed(
-    value: Value, parameters: dict[str, float], change: Callable[[float], float]
-) -> Value:
+def _changed(value: Value, parameters: dict[str, float], change: Callable[[float], float]) -> Value:
     """Return a constant changed, or a parameter's name after changing its nominal value."""
     if not isinstance(value, str):
         return change(value)
@@ -179,9 +175,7 @@ def _move_point(
     return tuple(result)
 
 
-def _mirror_coordinate(
-    c: Coordinate, old: dict[str, float], new: dict[str, float]
-) -> Coordinate:
+def _mirror_coordinate(c: Coordinate, old: dict[str, float], new: dict[str, float]) -> Coordinate:
     """Return a coordinate inside the leg after the local mirror."""
     *kept, last = c.values
     if _SIGNS.get(c.kind, -1) > 0:  # polar and spherical: the azimuth turns over

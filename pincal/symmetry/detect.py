@@ -141,7 +141,9 @@ def _permutation(
         except SymmetryError:
             return (), Break(element, leg.name, "parametrisation of the base point")
         distances = [
-            np.linalg.norm(np.subtract(carried.joints[0].placement.xyz, other.joints[0].placement.xyz))
+            np.linalg.norm(
+                np.subtract(carried.joints[0].placement.xyz, other.joints[0].placement.xyz)
+            )
             + np.linalg.norm(np.subtract(carried.point.placement.xyz, other.point.placement.xyz))
             for other in legs
         ]

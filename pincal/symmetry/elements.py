@@ -74,5 +74,3 @@ def rotations(n: int) -> tuple[Element, ...]:
 def mirror(azimuth: float) -> Element:
     """Return the reflection through the plane that holds z at an azimuth, [rad]."""
     return Element(wrapped(2 * azimuth), reflection=True)
-
-

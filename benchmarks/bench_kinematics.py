@@ -1,0 +1,158 @@
+"""Ratios, measured in one run: what pincal adds to Pinocchio, and what batches save.
+
+``python -m pytest benchmarks -s`` prints a table; with ``--benchmark-json FILE`` it is kept.
+Each ratio is of medians of runs taken in turn, so that a drifting machine drifts for both.
+Bounds are not asserted: a benchmark is not a test.
+"""
+
+from __future__ import annotations
+
+import sys
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+import pincal
+from pincal.kinematics.chain import leg_chain
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from closed_forms import angles, jacobian
+
+Array = NDArray[np.float64]
+POSES = 30_000
+
+
+@pytest.fixture(scope="module")
+def mechanism() -> pincal.Mechanism:
+    return pincal.load_mechanism("3RRR")
+
+
+@pytest.fixture(scope="module")
+def poses(mechanism: pincal.Mechanism) -> Array:
+    return pincal.sample_workspace(mechanism, POSES, seed=0)
+
+
+def in_turn(*functions: Callable[[], object], runs: int = 9) -> list[float]:
+    """Return the median times of functions run in turn, [s], after a warm-up of each."""
+    times: list[list[float]] = [[] for _ in functions]
+    for run in range(runs + 1):
+        for function, own in zip(functions, times, strict=True):
+            begin = perf_counter()
+            function()
+            if run:
+                own.append(perf_counter() - begin)
+    return [float(np.median(own)) for own in times]
+
+
+def report(name: str, ratio: float, bound: str) -> None:
+    """Print a ratio beside what was asked for."""
+    print(f"\n{name}: {ratio:.2f} (wanted: {bound})")
+
+
+def identification_jacobians(
+    mechanism: pincal.Mechanism, poses: pincal.model.platform.Poses
+) -> None:
+    """Compute the identification Jacobians of all legs, inverse kinematics included."""
+    for leg in mechanism.leg_names:
+        pincal.identification_jacobian(mechanism, leg, poses)
+
+
+def pinocchio_columns(mechanism: pincal.Mechanism, count: int) -> Callable[[], None]:
+    """Return a call of Pinocchio alone for the joint columns of all legs: no copy, no NumPy."""
+    work = []
+    for leg in mechanism.legs:
+        tree = leg_chain(leg, spatial=False).forest
+        model, data = tree._model, tree._data
+        q = np.random.default_rng(0).uniform(-1, 1, model.nq)
+        work.append((model, data, q, -(-count // tree.copies)))
+
+    def run() -> None:
+        evaluate = pin.computeJointJacobians
+        for model, data, q, blocks in work:
+            for _ in range(blocks):
+                evaluate(model, data, q)
+
+    return run
+
+
+def closed_form_jacobians(mechanism: pincal.Mechanism, poses: Array) -> None:
+    """Compute the same Jacobians by central differences of the vectorised closed form."""
+    for index, leg in enumerate(mechanism.legs):
+        p = leg.nominal_by_name
+        turn = angles("3RRR", p, poses, -1)[0]
+        jacobian("3RRR", index, p, poses, -1, turn)
+
+
+def test_against_pinocchio_alone(
+    benchmark: pytest.FixtureRequest, mechanism: pincal.Mechanism, poses: Array
+) -> None:
+    transforms = mechanism.platform.transforms(poses)
+    own, alone = in_turn(
+        lambda: identification_jacobians(mechanism, transforms), pinocchio_columns(mechanism, POSES)
+    )
+    report("(a) Jacobians of three legs over Pinocchio's joint columns alone", own / alone, "<= 5")
+    benchmark.extra_info["ratio"] = own / alone
+    benchmark(identification_jacobians, mechanism, transforms)
+
+
+def test_against_vectorised_closed_form(
+    benchmark: pytest.FixtureRequest, mechanism: pincal.Mechanism, poses: Array
+) -> None:
+    own, closed = in_turn(
+        lambda: identification_jacobians(mechanism, poses),
+        lambda: closed_form_jacobians(mechanism, poses),
+    )
+    report("(b) the same over the closed form with central differences", own / closed, "<= 2")
+    benchmark.extra_info["ratio"] = own / closed
+    benchmark(closed_form_jacobians, mechanism, poses)
+
+
+def test_against_one_pose_at_a_time(
+    benchmark: pytest.FixtureRequest, mechanism: pincal.Mechanism, poses: Array
+) -> None:
+    few = 300
+
+    def singly() -> None:
+        for pose in poses[:few]:
+            identification_jacobians(mechanism, pose[None])
+
+    together, alone = in_turn(lambda: identification_jacobians(mechanism, poses), singly, runs=5)
+    ratio = (alone / few) / (together / POSES)
+    report("(c) one pose at a time over batches, time per pose", ratio, ">= 10")
+    benchmark.extra_info["ratio"] = ratio
+    benchmark.pedantic(singly, rounds=1)
+
+
+def test_symmetric_against_independent_selection(
+    benchmark: pytest.FixtureRequest, mechanism: pincal.Mechanism, poses: Array
+) -> None:
+    symmetric, independent = in_turn(
+        lambda: pincal.select_poses(mechanism, poses, 24, "symmetric"),
+        lambda: pincal.select_poses(mechanism, poses, 24, "independent"),
+    )
+    report("symmetric over independent selection, 24 of 30,000", symmetric / independent, "<= 0.37")
+    benchmark.extra_info["ratio"] = symmetric / independent
+    benchmark.pedantic(lambda: pincal.select_poses(mechanism, poses, 24), rounds=3)
+
+
+@pytest.mark.parametrize("count", [100_000, 1_000_000])
+def test_memory_beyond_the_result(
+    benchmark: pytest.FixtureRequest, mechanism: pincal.Mechanism, poses: Array, count: int
+) -> None:
+    many = np.resize(poses, (count, 3))
+    transforms = mechanism.platform.transforms(many)
+    del many
+    tracemalloc.start()
+    C = pincal.identification_jacobian(mechanism, "leg_1", transforms)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    extra = (peak - C.nbytes) / 2**20
+    report(f"memory beyond the result at {count} poses, MiB", extra, "flat")
+    benchmark.extra_info["extra_mib"] = extra
+    benchmark.pedantic(pincal.identification_jacobian, (mechanism, "leg_1", transforms), rounds=1)
