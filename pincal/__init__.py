@@ -12,6 +12,13 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
+from pincal.experiment.observability import (
+    Identifiability,
+    Indices,
+    identifiability,
+    indices,
+    r_diagonal,
+)
 from pincal.experiment.selection import Selection, select_poses
 from pincal.experiment.simulation import Accuracy, Simulation, accuracy, disturb, simulate
 from pincal.identification.calibrate import calibrate
@@ -49,6 +56,8 @@ __all__ = [
     "Element",
     "FileError",
     "ForwardSolution",
+    "Identifiability",
+    "Indices",
     "InverseSolution",
     "Joint",
     "Leg",
@@ -77,14 +86,17 @@ __all__ = [
     "disturb",
     "forward",
     "generate",
+    "identifiability",
     "identification_jacobian",
     "in_workspace",
+    "indices",
     "inverse",
     "load_mechanism",
     "margins",
     "mirror",
     "placed",
     "polar",
+    "r_diagonal",
     "read_measurements",
     "read_poses",
     "read_readings",

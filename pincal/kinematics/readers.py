@@ -1,4 +1,4 @@
-"""Where other readers of URDF put a leg's tip: a check of the files that pincal writes."""
+"""What readers of URDF make of the files that pincal writes: Pinocchio and yourdfpy."""
 
 from __future__ import annotations
 
@@ -24,20 +24,37 @@ def tips_by_reader(leg: Leg, joints: Array | None = None) -> dict[str, Array]:
     import yourdfpy  # slow to import, and needed here only
 
     joints = leg.home if joints is None else np.asarray(joints, dtype=np.float64)
-    text = leg_urdf(leg)
-    model = pin.buildModelFromXML(text)
-    data = model.createData()
-    by_name = dict(zip((j.name for j in leg.moving), joints.tolist(), strict=True))
-    q = np.zeros(model.nq)
-    for name, value in by_name.items():
-        joint = model.joints[model.getJointId(name)]
-        angle = [np.cos(value), np.sin(value)] if joint.nq == 2 else [value]
-        q[joint.idx_q : joint.idx_q + joint.nq] = angle
-    pin.framesForwardKinematics(model, data, q)
-    frame = model.getFrameId(leg.tip, pin.FrameType.BODY)
-    robot = yourdfpy.URDF.load(BytesIO(text.encode()), load_meshes=False)
-    robot.update_cfg(by_name)
+    points = skeleton(leg, joints)
+    robot = yourdfpy.URDF.load(BytesIO(leg_urdf(leg).encode()), load_meshes=False)
+    robot.update_cfg({j.name: float(v) for j, v in zip(leg.moving, joints, strict=True)})
     return {
-        "Pinocchio": np.array(data.oMf[frame].translation),
+        "Pinocchio": points[-1],
         "yourdfpy": np.array(robot.get_transform(leg.tip)[:3, 3]),
     }
+
+
+def skeleton(leg: Leg, joints: Array) -> Array:
+    """Return the positions of a leg's moving joints and its tip, shape (n_joints + 1, 3), [m].
+
+    Args:
+        leg: The leg, exported as URDF and read by Pinocchio.
+        joints: Positions of the moving joints, shape (n_joints,), [rad] or [m].
+    """
+    model, data, q = _configured(leg, joints)
+    pin.framesForwardKinematics(model, data, q)
+    frame = model.getFrameId(leg.tip, pin.FrameType.BODY)
+    points = [data.oMi[model.getJointId(joint.name)].translation for joint in leg.moving]
+    return np.array([*points, data.oMf[frame].translation])
+
+
+def _configured(leg: Leg, joints: Array) -> tuple[pin.Model, pin.Data, Array]:
+    """Return Pinocchio's model of a leg's URDF, its data, and the configuration of joints."""
+    model = pin.buildModelFromXML(leg_urdf(leg))
+    q = np.zeros(model.nq)
+    for joint, value in zip(leg.moving, joints, strict=True):
+        entry = model.joints[model.getJointId(joint.name)]
+        # a continuous joint's configuration is (cos, sin)
+        q[entry.idx_q : entry.idx_q + entry.nq] = (
+            [np.cos(value), np.sin(value)] if entry.nq == 2 else [value]
+        )
+    return model, model.createData(), q

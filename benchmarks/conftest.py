@@ -1,0 +1,50 @@
+"""Collects the ratios of a benchmark run and writes docs/benchmarks.md if asked to."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs" / "benchmarks.md"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add ``--docs``."""
+    parser.addoption("--docs", action="store_true", help="write docs/benchmarks.md")
+
+
+@pytest.fixture(scope="session")
+def ratios(request: pytest.FixtureRequest) -> Iterator[Callable[[str, float, str], None]]:
+    """Take a ratio's name, value and wanted bound; print them, and write them at the end."""
+    rows: list[tuple[str, float, str]] = []
+
+    def add(name: str, value: float, wanted: str) -> None:
+        rows.append((name, value, wanted))
+        print(f"\n{name}: {value:.3g} (wanted: {wanted})")
+
+    yield add
+    if request.config.getoption("--docs"):
+        DOCS.write_text(_page(rows), encoding="utf-8")
+
+
+def _page(rows: list[tuple[str, float, str]]) -> str:
+    packages = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy"))
+    lines = [
+        "# Benchmarks",
+        "",
+        "Written by `python -m pytest benchmarks/bench_kinematics.py --docs`; ratios of medians,",
+        "measured in one run, on the bundled 3-RRR.",
+        f"Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
+        f"{platform.machine()}.",
+        "",
+        "| what | measured | wanted |",
+        "|---|---:|---|",
+        *(f"| {name} | {value:.3g} | {wanted} |" for name, value, wanted in rows),
+        "",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,130 @@
+"""Plots of mechanisms, selected poses, observability and results, for paper and screen.
+
+Every function draws into matplotlib axes and returns them. Legs differ in colour and in
+marker or hatch, so that plots read in black and white and in colour-blindness.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from pincal.experiment.selection import Selection
+from pincal.identification.result import CalibrationResult
+from pincal.kinematics.inverse import inverse
+from pincal.kinematics.readers import skeleton
+from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+#: Okabe and Ito's colours, distinct in every common colour-blindness.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "^", "s", "D", "v", "P", "X")
+HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
+
+
+def draw_mechanism(axes: Axes, mechanism: Mechanism, pose: Array | None = None) -> Axes:
+    """Draw a planar mechanism at a pose, shape (dof,), seen from above; home if not given.
+
+    Raises:
+        MechanismError: the pose has a wrong shape.
+    """
+    platform = mechanism.platform
+    poses = np.array([platform.home]) if pose is None else np.asarray(pose, float)[None]
+    solution = inverse(mechanism, poses)
+    corners = []
+    for index, leg in enumerate(mechanism.legs):
+        if not solution.reached[0, index]:
+            continue
+        points = skeleton(leg, solution.joints[leg.name][0])
+        colour = COLOURS[index % len(COLOURS)]
+        axes.plot(points[:, 0], points[:, 1], "-", color=colour, lw=2.5, zorder=2)
+        axes.plot(*points[0, :2], "s", color=colour, ms=9, zorder=3)
+        axes.plot(*points[1:, :2].T, "o", color="white", mec=colour, ms=6, zorder=3)
+        axes.annotate(leg.name, points[0, :2], xytext=(6, -14), textcoords="offset points", size=8)
+        corners.append(points[-1, :2])
+    if len({tuple(c.round(9)) for c in corners}) > 2:
+        axes.fill(*np.array(corners).T, color="0.5", alpha=0.4, zorder=1)
+    axes.margins(0.18)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    return axes
+
+
+def draw_poses(
+    axes: Axes, mechanism: Mechanism, plan: Plan, candidates: Array | None = None
+) -> Axes:
+    """Draw poses of a plan by set, over candidates; a stroke shows the orientation."""
+    if candidates is not None:
+        axes.plot(*candidates[:, :2].T, ",", color="0.8", zorder=0)
+    names = (*mechanism.leg_names, EVERY_LEG)
+    sets = plan.sets or (EVERY_LEG,) * len(plan.poses)
+    size = 0.05 * float(np.ptp(plan.poses[:, :2], axis=0).max())
+    for index, name in enumerate(names):
+        own = plan.poses[[s == name for s in sets]]
+        if not len(own):
+            continue
+        colour, marker = COLOURS[index % len(COLOURS)], MARKERS[index % len(MARKERS)]
+        label = f"set {name}" if name != EVERY_LEG else "every leg"
+        axes.plot(*own[:, :2].T, marker, color=colour, ms=4, label=label, zorder=2)
+        if "phi" in mechanism.platform.coordinates:
+            end = own[:, :2] + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
+            strokes = np.stack((own[:, :2], end), axis=2)
+            for x, y in strokes:
+                axes.plot(x, y, "-", color=colour, lw=0.8, zorder=2)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.legend(fontsize=8, framealpha=0.9, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return axes
+
+
+def draw_observability(axes: Axes, mechanism: Mechanism, selection: Selection) -> Axes:
+    """Draw |R_ii| of each parameter and leg (3-RRR paper, Fig. 9)."""
+    width = 0.8 / len(selection.legs)
+    for index, leg in enumerate(selection.legs):
+        names = mechanism.leg(leg.leg).parameter_names
+        place = np.arange(len(names)) + (index - (len(selection.legs) - 1) / 2) * width
+        axes.bar(
+            place,
+            leg.r_diagonal,
+            width,
+            label=leg.leg,
+            color=COLOURS[index % len(COLOURS)],
+            hatch=HATCHES[index % len(HATCHES)],
+            edgecolor="white",
+        )
+    names = mechanism.legs[0].parameter_names
+    axes.set_xticks(range(len(names)), names)
+    axes.set_ylabel("observability |R_ii| [rad/unit]")
+    axes.legend(fontsize=8)
+    return axes
+
+
+def draw_changes(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw the change of each parameter from nominal with its 95 % interval, in 1e-3 of SI."""
+    for index, leg in enumerate(result.legs):
+        shift = (index - (len(result.legs) - 1) / 2) * 0.2
+        change = 1e3 * np.array([p.identified - p.nominal for p in leg.parameters])
+        half = 1e3 * np.array([(p.high - p.low) / 2 for p in leg.parameters])
+        axes.errorbar(
+            np.arange(len(change)) + shift,
+            change,
+            half,
+            fmt=MARKERS[index % len(MARKERS)],
+            color=COLOURS[index % len(COLOURS)],
+            label=leg.name,
+            ms=4,
+            capsize=3,
+            lw=1,
+        )
+    parameters = result.legs[0].parameters
+    unit = {"m": "mm", "rad": "mrad", "1": "1e-3"}
+    axes.axhline(0.0, color="0.5", lw=0.8)
+    axes.set_xticks(range(len(parameters)), [f"{p.name}\n[{unit[p.unit]}]" for p in parameters])
+    axes.set_ylabel("identified − nominal, ± 95 %")
+    axes.legend(fontsize=8)
+    return axes

@@ -1,0 +1,33 @@
+"""Every example runs as it stands, in an empty folder, and draws what it says."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_example_runs(path: Path, tmp_path: Path) -> None:
+    """It ends without error or warning and leaves a picture; it is under 60 lines."""
+    run = subprocess.run(
+        [sys.executable, "-W", "error", str(path)], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    assert list(tmp_path.glob("*.png"))
+    assert len(path.read_text().splitlines()) < 60
+
+
+def test_readme_example_prints_what_the_readme_says(tmp_path: Path) -> None:
+    """The Python block of the README gives the output printed below it."""
+    blocks = (Path(__file__).parents[1] / "README.md").read_text().split("```")
+    code = next(b.removeprefix("python\n") for b in blocks if b.startswith("python\n"))
+    expected = blocks[blocks.index("python\n" + code) + 2].strip()
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert run.stdout.strip() == expected
