@@ -54,13 +54,16 @@ def test_what_cannot_be_told_apart_is_named() -> None:
     assert "a" not in [name for group in found.groups for name in group]
 
 
-def test_constant_orientation_leaves_named_parameters(mechanism: pincal.Mechanism) -> None:
+def at_one_orientation(poses: np.ndarray) -> np.ndarray:
+    """Return 3-RRR poses turned to phi = 0, those that stay in the workspace."""
+    poses = np.column_stack((poses[:, :2], np.zeros(len(poses))))
+    return poses[pincal.in_workspace(pincal.load_mechanism("3RRR"), poses)]
+
+
+def test_constant_orientation_leaves_named_parameters(candidates: dict[str, np.ndarray]) -> None:
     """3-RRR poses all at phi = 0 cannot tell base point from platform point."""
-    if mechanism.name != "3RRR":
-        pytest.skip("a point platform has no orientation")
-    poses = pincal.sample_workspace(mechanism, 200)
-    poses[:, 2] = 0.0
-    poses = poses[pincal.in_workspace(mechanism, poses)]
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = at_one_orientation(candidates["3RRR"][:200])
     C = pincal.identification_jacobian(mechanism, "leg_1", poses)
     found = identifiability(C, mechanism.legs[0].parameter_names)
     assert found.rank == 6
@@ -235,9 +238,11 @@ def test_selection_is_determined_by_its_seed(
     assert one.efficiency >= start.efficiency
 
 
-def test_too_few_poses_are_refused(mechanism: pincal.Mechanism) -> None:
+def test_too_few_poses_are_refused(
+    mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
+) -> None:
     """Fewer poses than parameters, or fewer candidates than poses, raise and say how many."""
-    poses = pincal.sample_workspace(mechanism, 30)
+    poses = candidates[mechanism.name][:30]
     n = len(mechanism.legs[0].parameters)
     with pytest.raises(pincal.ObservabilityError, match=f"at least {n}"):
         pincal.select_poses(mechanism, poses, n - 1)
@@ -245,37 +250,41 @@ def test_too_few_poses_are_refused(mechanism: pincal.Mechanism) -> None:
         pincal.select_poses(mechanism, poses, 31)
 
 
-def test_unobservable_candidates_are_refused_by_name() -> None:
+def test_unobservable_candidates_are_refused_by_name(candidates: dict[str, np.ndarray]) -> None:
     """3-RRR candidates at one orientation raise, naming what moves together."""
     mechanism = pincal.load_mechanism("3RRR")
-    poses = pincal.sample_workspace(mechanism, 300)
-    poses[:, 2] = 0.0
-    poses = poses[pincal.in_workspace(mechanism, poses)]
+    poses = at_one_orientation(candidates["3RRR"][:300])
     with pytest.raises(pincal.ObservabilityError, match="of leg_1 move together"):
         pincal.select_poses(mechanism, poses, 12)
 
 
-def test_unreachable_candidates_are_left_out_and_counted(mechanism: pincal.Mechanism) -> None:
+def test_unreachable_candidates_are_left_out_and_counted(
+    mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
+) -> None:
     """Candidates out of reach are never chosen, and the selection says how many there were."""
-    poses = pincal.sample_workspace(mechanism, 100)
+    poses = candidates[mechanism.name][:100]
     far = poses[:7] + 50.0
     selection = pincal.select_poses(mechanism, np.concatenate((far, poses)), 12)
     assert selection.unreachable == 7
     assert np.abs(selection.plan.poses).max() < 10
 
 
-def test_symmetric_selection_needs_the_symmetry(mechanism: pincal.Mechanism) -> None:
+def test_symmetric_selection_needs_the_symmetry(
+    mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
+) -> None:
     """A mechanism without the symmetry raises and names what breaks it."""
     broken = mechanism.with_parameters({"leg_2": {"l": mechanism.legs[1].nominal[0] * 1.01}})
-    poses = pincal.sample_workspace(broken, 100)
+    poses = candidates[mechanism.name][:100]
     with pytest.raises(pincal.SymmetryError, match="parameter 'l' of leg_"):
         pincal.select_poses(broken, poses, 12, "symmetric")
     assert len(pincal.select_poses(broken, poses, 12, "independent").plan.poses)
 
 
-def test_simulated_measurements_have_the_noise_asked_for(mechanism: pincal.Mechanism) -> None:
+def test_simulated_measurements_have_the_noise_asked_for(
+    mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
+) -> None:
     """Noise on pose and readings has the standard deviations given; without it, none."""
-    poses = pincal.sample_workspace(mechanism, 4000)
+    poses = candidates[mechanism.name][:4000]
     plan = pincal.Plan(poses)
     truth = pincal.disturb(mechanism, 1e-3, seed=1)
     clean = pincal.simulate(mechanism, truth, plan, pincal.Noise(0, 0, 0)).measurements
@@ -328,9 +337,11 @@ def test_disturbance_is_alike_for_all_parameters(mechanism: pincal.Mechanism) ->
         pincal.disturb(mechanism, -1.0)
 
 
-def test_accuracy_of_the_truth_is_exact(mechanism: pincal.Mechanism) -> None:
+def test_accuracy_of_the_truth_is_exact(
+    mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
+) -> None:
     """A model that is the truth makes no error; one millimetre on A_x or OA makes about one."""
-    poses = pincal.sample_workspace(mechanism, 500)
+    poses = candidates[mechanism.name][:500]
     exact = pincal.accuracy(mechanism, mechanism, poses)
     assert exact.position < 1e-12
     assert exact.orientation < 1e-12

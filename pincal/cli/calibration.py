@@ -12,7 +12,7 @@ import typer
 from pincal.cli.app import Force, Mech, Seed, app, output_option, stderr, stdout, working, wrote
 from pincal.cli.experiment import select, simulate
 from pincal.cli.kinematics import workspace
-from pincal.errors import MeasurementError
+from pincal.errors import FileError, MeasurementError
 from pincal.experiment.simulation import accuracy
 from pincal.identification.calibrate import calibrate as identify
 from pincal.model.files import load_mechanism
@@ -77,7 +77,7 @@ def calibrate(
     the calibrated mechanism, a folder that every command takes as MECH.
     """
     mechanism = load_mechanism(mech)
-    refuse_existing(output, force=force)
+    refuse_existing(output, force=force, folder=True)
     noise = _noise(mechanism, noise_position, noise_orientation, noise_reading)
     data = read_measurements(measurements, mechanism)
     with working("identifying parameters") as tell:
@@ -145,8 +145,11 @@ def demo(
     if output is None:
         folder = Path(tempfile.mkdtemp(prefix="pincal-demo-"))
     else:
-        folder = refuse_existing(output, force=force)
-        folder.mkdir(exist_ok=True)
+        folder = Path(output)
+        if not folder.is_dir():
+            refuse_existing(folder, force=False).mkdir()
+        elif any(folder.iterdir()) and not force:
+            raise FileError(f"{folder} is not empty; choose another, or say --force to write there")
     candidates, plan = folder / "candidates.csv", folder / "plan.csv"
     truth, measured, result = folder / "truth", folder / "measurements.csv", folder / "result"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -13,10 +14,10 @@ from pincal.errors import FileError, MeasurementError, SymmetryError
 from pincal.experiment.selection import Protocol, select_poses
 from pincal.experiment.simulation import disturb as disturbed
 from pincal.experiment.simulation import simulate as simulated
-from pincal.model.files import load_mechanism
+from pincal.model.files import load_mechanism, write_mechanism
 from pincal.model.measurements import Noise, read_poses, write_measurements, write_poses
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing
+from pincal.model.output import refuse_existing, writing
 from pincal.show.tables import selection_table
 from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.sampling import sample_workspace
@@ -150,7 +151,11 @@ def simulate(
         true_mechanism = _same_kind(load_mechanism(truth), mechanism, truth)
     else:
         if truth is not None:
-            refuse_existing(truth, force=force)
+            refuse_existing(truth, force=force, folder=True)
+            if truth.absolute() == output.absolute():
+                raise FileError(
+                    f"{truth} is named for both the true mechanism and the measurements"
+                )
         sigma = 0.002 if disturb is None else disturb
         true_mechanism = disturbed(mechanism, sigma, np.random.default_rng(parts[0]))
     with working("simulating measurements"):
@@ -159,10 +164,13 @@ def simulate(
     if not len(simulation.measurements):
         reason = simulation.unreachable[0][1]
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
+    with ExitStack() as both:  # written together, or neither
+        if truth is not None and not given:
+            folder = both.enter_context(writing(truth, force=force, folder=True))
+            write_mechanism(true_mechanism, folder)
+        write_measurements(output, mechanism, simulation.measurements, force=force)
     if truth is not None and not given:
-        true_mechanism.save(truth, force=force)
         wrote(truth)
-    write_measurements(output, mechanism, simulation.measurements, force=force)
     for row, reason in simulation.unreachable:
         stderr.print(f"row {row + 1} of the plan is not measured: {reason}", markup=False)
     lost = len(simulation.unreachable)

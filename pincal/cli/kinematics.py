@@ -83,7 +83,9 @@ def forward(
     with working("sampling the workspace for start poses"):
         samples = sample_workspace(mechanism, 3000, least=Margins(0.05, 0.02))
     tree = KDTree(solve_inverse(mechanism, samples).readings)
-    solution = solve_forward(mechanism, values, samples[tree.query(values)[1]])
+    solution = solve_forward(
+        mechanism, values, samples[np.minimum(tree.query(values)[1], len(samples) - 1)]
+    )
     lost = np.flatnonzero(~solution.converged).tolist()
     _refuse_lost(readings, [(row, solution.reasons[row]) for row in lost], "reading")
     write_poses(output, mechanism, Plan(solution.poses), force=force)

@@ -41,11 +41,14 @@ def check(mech: Mech) -> None:
         tips = tips_by_reader(leg)
         own = closure.tips(leg.home[None])[0]
         off = max(float(np.abs(tip - own).max()) for tip in tips.values())
-        stdout.print(
-            f"{leg.name}: closes at home within {gap:.2g} m; its URDF is read alike by "
-            f"{' and '.join(tips)} within {off:.2g} m",
-            markup=False,
-        )
+        close = f"closes at home within {gap:.2g} m"
+        if gap > 1e-2 * closure.size:
+            close = (
+                f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
+            )
+        stdout.print(f"{leg.name}: {close}", markup=False)
+        readers = " and ".join(tips)
+        stdout.print(f"{leg.name}: URDF read alike by {readers} within {off:.2g} m", markup=False)
     with working("sampling the workspace"):
         poses = sample_workspace(mechanism, 500)
     for leg in mechanism.legs:

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import ObservabilityError
+from pincal.errors import MeasurementError, ObservabilityError
 from pincal.experiment.certificate import continuous_design
 from pincal.experiment.exchange import exchange
 from pincal.experiment.observability import Indices, identifiability, indices, r_diagonal
@@ -65,11 +65,19 @@ class Selection:
 
 
 def noise_weighted(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
-    """Return parameter rows over the standard deviation of their residual, shape (N, k, n)."""
+    """Return parameter rows over the standard deviation of their residual, shape (N, k, n).
+
+    Raises:
+        MeasurementError: a residual has no noise.
+    """
     variance = (demand.pose * noise.of_poses(mechanism)) ** 2
     total = variance.sum(axis=2) + (demand.reading * noise.reading) ** 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(demand.parameter / np.sqrt(total)[:, :, None])
+    if (total == 0.0).any():
+        raise MeasurementError(
+            "a residual has no noise at all; give a standard deviation above zero for position, "
+            "orientation or reading (only their ratios matter to the choice)"
+        )
+    return np.asarray(demand.parameter / np.sqrt(total)[:, :, None])
 
 
 def select_poses(

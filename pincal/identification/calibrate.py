@@ -1,40 +1,33 @@
 """Calibration: parameters of all legs from measured poses and readings.
 
 Per leg (the papers' divide and conquer) or all legs together, on whitened closure
-residuals or on the papers' joint residuals. A first search at the nominal weights is
-followed by Gauss-Newton steps that renew the weights (feasible generalised least
-squares) until no step is left, so at the optimum Jᵀ W r = 0 with W at the optimum.
+residuals or on the papers' joint residuals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.special import gammainc, ndtri, stdtrit
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.experiment.observability import identifiability
+from pincal.identification.fit import Fit, fit
 from pincal.identification.plausibility import check_plausible
 from pincal.identification.problem import Problem
 from pincal.identification.residuals import LegResidual, Residual
 from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult
-from pincal.model.leg import Leg
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Method = Literal["per-leg", "together"]
-_PRECISION = 1e-8  # of cost and step in the first search
-_STANDS = 1e-8  # of a standard error: no step is left, with the weights renewed
-_ROUNDS = 30
-_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 _CONFIDENCE = 0.95
+_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 
 
 def calibrate(
@@ -64,242 +57,102 @@ def calibrate(
 
     Raises:
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
-        MeasurementError: measurements that cannot be this mechanism's; noise that leaves a
-            residual without any; the joint residual out of reach.
+        MeasurementError: measurements that cannot be this mechanism's; noise that is given
+            twice, or leaves a residual without any; the joint residual out of reach.
     """
     _check_shapes(mechanism, measurements)
-    known = noise is not None or measurements.sigma_poses is not None
-    noise = noise or Noise()
+    sigmas, source = _sigmas(mechanism, measurements, noise)
+    known = source != "assumed"
     used = _used(mechanism, measurements, poses, known)
     check_plausible(mechanism, measurements)
-    matrices = mechanism.platform.transforms(measurements.poses).as_matrix()
-    sigma_poses, sigma_readings = _sigmas(mechanism, measurements, noise)
-    fits = []
+    shake = sigmas[0] * np.random.default_rng(0).standard_normal(sigmas[0].shape)
+    shaken = replace(measurements, poses=measurements.poses + shake)
     everything = list(range(len(mechanism.legs)))
+    fits = []
     for group in [everything] if method == "together" else [[i] for i in everything]:
-        legs = [mechanism.legs[i] for i in group]
         if progress:
-            progress(f"identifying {', '.join(leg.name for leg in legs)}")
-        rows = used[:, group].any(axis=1)
-        parts = [
-            LegResidual(
-                leg,
-                mechanism.platform,
-                matrices[rows],
-                measurements.readings[rows, i],
-                residual,
-                np.flatnonzero(rows),
-            )
-            for leg, i in zip(legs, group, strict=True)
-        ]
-        problem = Problem(
-            parts, used[rows][:, group], sigma_poses[rows], sigma_readings[rows][:, group]
+            progress(f"identifying {', '.join(mechanism.leg_names[i] for i in group)}")
+        problem, again = (
+            _problem(mechanism, data, sigmas, group, used, residual)
+            for data in (measurements, shaken)
         )
-        fits.append(_fit(problem, legs, np.flatnonzero(rows), residual, known))
-    return _assemble(mechanism, fits, method, residual, poses, noise, known)
+        fits.append(fit(problem, again, weighted=residual == "closure", known=known))
+    given = noise if source == "given" else None if source == "rows" else Noise()
+    return _assemble(mechanism, fits, used, method, residual, poses, given, source)
 
 
-@dataclass(frozen=True)
-class _Fit:
-    legs: list[LegResult]
-    covariance: Array
-    chi2: float
-    degrees_of_freedom: int
-    iterations: int
-    converged: bool
-    message: str
+def _problem(
+    mechanism: Mechanism,
+    data: Measurements,
+    sigmas: tuple[Array, Array],
+    group: list[int],
+    used: Mask,
+    kind: Residual,
+) -> Problem:
+    """Return the problem of some legs at the poses that serve one of them."""
+    rows = np.flatnonzero(used[:, group].any(axis=1))
+    matrices = mechanism.platform.transforms(data.poses[rows]).as_matrix()
+    residuals = [
+        LegResidual(
+            mechanism.legs[i], mechanism.platform, matrices, data.readings[rows, i], kind, rows
+        )
+        for i in group
+    ]
+    return Problem(residuals, used[rows][:, group], sigmas[0][rows], sigmas[1][rows][:, group])
 
 
-def _fit(
-    problem: Problem, legs: list[Leg], rows: NDArray[np.intp], kind: Residual, known: bool
-) -> _Fit:
-    """Return the least-squares fit of a problem, from the nominal parameters."""
-    start = np.concatenate([leg.nominal for leg in legs])
-    _check_rank(problem, problem.whitener(start), start, legs)
-    weighted = kind == "closure"
-    parameters, evaluations = _minimise(
-        problem, problem.whitener(start) if weighted else None, start
-    )
-    for _ in range(_ROUNDS):
-        whitener = problem.whitener(parameters)
-        weigh = whitener if weighted else None
-        covariance, ranks = _covariance(problem, whitener, parameters, legs, weighted=weighted)
-        step = _gauss_newton_step(problem, weigh, parameters)
-        decrement = float(np.abs(step / np.sqrt(np.diagonal(covariance))).max())
-        if decrement <= _STANDS:
-            break
-        parameters = parameters + step
-        evaluations += 1
-    converged = decrement <= _STANDS
-    message = (
-        f"converged after {evaluations} evaluations"
-        if converged
-        else f"not converged after {evaluations} evaluations: the next step would be "
-        f"{decrement:.2g} standard errors"
-    )
-    white = _weighed(problem.values(parameters)[:, :, None], whitener, problem.used)[:, 0]
-    dof = len(white) - problem.n_params
-    chi2 = float(white @ white)
-    if not known and dof > 0:
-        covariance = covariance * chi2 / dof
-    quantile = float(ndtri((1 + _CONFIDENCE) / 2) if known else stdtrit(dof, (1 + _CONFIDENCE) / 2))
-    results = _leg_results(problem, legs, rows, parameters, start, covariance, quantile, ranks)
-    return _Fit(results, covariance, chi2, dof, evaluations, converged, message)
-
-
-def _minimise(problem: Problem, weigh: Array | None, start: Array) -> tuple[Array, int]:
-    """Return the parameters of least squares at fixed weights, and the number of evaluations.
-
-    Levenberg-Marquardt (MINPACK) stops where the cost no longer falls, half the digits short.
-    """
-    solution = least_squares(
-        lambda p: _weighed(problem.values(p)[:, :, None], weigh, problem.used)[:, 0],
-        start,
-        jac=lambda p: _weighed(problem.jacobian(p), weigh, problem.used),
-        method="lm",
-        x_scale="jac",
-        **dict.fromkeys(("ftol", "xtol", "gtol"), _PRECISION),
-    )
-    return solution.x, int(solution.nfev)
-
-
-def _gauss_newton_step(problem: Problem, weigh: Array | None, parameters: Array) -> Array:
-    r = _weighed(problem.values(parameters)[:, :, None], weigh, problem.used)[:, 0]
-    J = _weighed(problem.jacobian(parameters), weigh, problem.used)
-    scale = np.linalg.norm(J, axis=0)
-    return np.asarray(-np.linalg.lstsq(J / scale, r, rcond=None)[0] / scale)
-
-
-def _weighed(values: Array, weigh: Array | None, used: Mask) -> Array:
-    """Return values of shape (N, m, k) times weights (N, m, m), the rows in use: (n_rows, k)."""
-    return (values if weigh is None else weigh @ values)[used]
-
-
-def _covariance(
-    problem: Problem, whitener: Array, parameters: Array, legs: list[Leg], *, weighted: bool
-) -> tuple[Array, list[tuple[int, float]]]:
-    """Return the covariance of the estimate, and rank and condition of each leg.
-
-    Whitened least squares: (Jᵀ V⁻¹ J)⁻¹. Unweighted: (JᵀJ)⁻¹ Jᵀ V J (JᵀJ)⁻¹, with V the
-    modelled covariance of the residuals.
-    """
-    ranks = _check_rank(problem, whitener, parameters, legs)
-    J = problem.jacobian(parameters)
-    if weighted:
-        return _inverse_gram(_weighed(J, whitener, problem.used)), ranks
-    bread = _inverse_gram(J[problem.used])
-    spread = problem.covariance(parameters)
-    meat = np.einsum("nip,nij,njq->pq", J, spread, J)
-    return bread @ meat @ bread, ranks
-
-
-def _inverse_gram(J: Array) -> Array:
-    """Return (JᵀJ)⁻¹ by QR of the scaled columns."""
-    scale = np.linalg.norm(J, axis=0)
-    R = np.linalg.qr(J / scale, mode="r")
-    inverse = np.linalg.inv(R)
-    return (inverse @ inverse.T) / np.outer(scale, scale)
-
-
-def _check_rank(
-    problem: Problem, whitener: Array, parameters: Array, legs: list[Leg]
-) -> list[tuple[int, float]]:
-    """Return rank and condition of each leg's whitened Jacobian.
+def _sigmas(
+    mechanism: Mechanism, data: Measurements, noise: Noise | None
+) -> tuple[tuple[Array, Array], str]:
+    """Return standard deviations of poses (N, dof) and readings (N, n_legs), and where from.
 
     Raises:
-        ObservabilityError: a parameter is not determined.
+        MeasurementError: given twice, or rows that give them for readings only.
     """
-    J = problem.jacobian(parameters)
-    found = []
-    for index, (leg, columns) in enumerate(zip(legs, problem.columns, strict=True)):
-        weights = whitener[:, index, index, None]
-        own = (weights * J[:, index, columns])[problem.used[:, index]]
-        if not np.isfinite(own).all():
+    if data.sigma_poses is None and data.sigma_readings is not None:
+        raise MeasurementError(
+            "the measurements give standard deviations of readings but none of poses; add columns "
+            + ", ".join(f"'sigma_{name}'" for name in mechanism.platform.coordinates)
+        )
+    if data.sigma_poses is not None:
+        if noise is not None:
             raise MeasurementError(
-                f"{leg.name}: a residual or its derivative is not finite at some measured pose; "
-                "the leg may be folded or stretched there"
+                "the measurements have columns of standard deviations, and the noise is given as "
+                "well; leave out one of them"
             )
-        one = identifiability(own, leg.parameter_names)
-        if not one.complete:
-            raise ObservabilityError(
-                f"the measured poses leave parameters undetermined: {one.in_words(leg.name)} "
-                f"(rank {one.rank} of {one.n_params}). Measure poses that tell them apart, or make "
-                "one of them a constant in mechanism.yaml"
-            )
-        found.append((one.rank, one.condition))
-    return found
-
-
-def _leg_results(
-    problem: Problem,
-    legs: list[Leg],
-    rows: NDArray[np.intp],
-    parameters: Array,
-    start: Array,
-    covariance: Array,
-    quantile: float,
-    ranks: list[tuple[int, float]],
-) -> list[LegResult]:
-    before, after = problem.values(start), problem.values(parameters)
-    m = len(legs)
-    sigma = np.sqrt(problem.covariance(parameters)[:, range(m), range(m)])
-    std = np.sqrt(np.diagonal(covariance))
-    results = []
-    for index, (leg, columns, (rank, condition)) in enumerate(
-        zip(legs, problem.columns, ranks, strict=True)
-    ):
-        own = problem.used[:, index]
-        values = zip(
-            leg.parameter_names, leg.nominal, parameters[columns], std[columns], strict=True
-        )
-        results.append(
-            LegResult(
-                name=leg.name,
-                parameters=tuple(
-                    IdentifiedParameter(
-                        name,
-                        leg.units[name],
-                        float(nominal),
-                        float(value),
-                        float(error),
-                        float(value - quantile * error),
-                        float(value + quantile * error),
-                    )
-                    for name, nominal, value, error in values
-                ),
-                rank=rank,
-                condition=condition,
-                rms_before=float(np.sqrt((before[own, index] ** 2).mean())),
-                rms_after=float(np.sqrt((after[own, index] ** 2).mean())),
-                n_residuals=int(own.sum()),
-                sigma=sigma[own, index],
-                rows=rows[own],
-                residuals=after[own, index],
-            )
-        )
-    return results
+        exact = np.zeros(data.readings.shape)
+        readings = exact if data.sigma_readings is None else data.sigma_readings
+        return (data.sigma_poses, readings), "rows"
+    one = noise or Noise()
+    poses = np.tile(one.of_poses(mechanism), (len(data), 1))
+    readings = np.full(data.readings.shape, one.reading)
+    return (poses, readings), "assumed" if noise is None else "given"
 
 
 def _assemble(
     mechanism: Mechanism,
-    fits: list[_Fit],
+    fits: list[Fit],
+    used: Mask,
     method: str,
     residual: str,
     poses: str,
-    noise: Noise,
-    known: bool,
+    noise: Noise | None,
+    source: str,
 ) -> CalibrationResult:
-    legs = tuple(leg for fit in fits for leg in fit.legs)
-    sizes = [len(fit.covariance) for fit in fits]
+    """Return the result of all legs from one fit of all, or one fit each."""
+    legs = tuple(
+        leg for one in fits for leg in _leg_results(mechanism, one, used, source != "assumed")
+    )
+    sizes = [len(one.covariance) for one in fits]
     covariance = np.zeros((sum(sizes), sum(sizes)))
     begin = 0
-    for fit, size in zip(fits, sizes, strict=True):
-        covariance[begin : begin + size, begin : begin + size] = fit.covariance
+    for one, size in zip(fits, sizes, strict=True):
+        covariance[begin : begin + size, begin : begin + size] = one.covariance
         begin += size
-    dof = sum(fit.degrees_of_freedom for fit in fits)
-    chi2 = sum(fit.chi2 for fit in fits) / dof if dof else np.nan
-    failed = [fit.message for fit in fits if not fit.converged]
-    iterations = sum(fit.iterations for fit in fits)
+    dof = sum(one.degrees_of_freedom for one in fits)
+    chi2 = sum(one.chi2 for one in fits) / dof if dof else np.nan
+    failed = [one.message for one in fits if not one.converged]
+    iterations = sum(one.evaluations for one in fits)
     return CalibrationResult(
         nominal=mechanism,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
@@ -308,20 +161,68 @@ def _assemble(
         residual=residual,
         poses=poses,
         noise=noise,
-        noise_known=known,
+        noise_source=source,
         covariance=covariance,
         degrees_of_freedom=dof,
         reduced_chi2=float(chi2),
         iterations=iterations,
         converged=not failed,
         message="; ".join(failed) or f"converged after {iterations} evaluations",
-        warnings=tuple(_warnings(legs, known, dof, float(chi2))),
+        warnings=tuple(_warnings(legs, source, dof, float(chi2))),
     )
 
 
-def _warnings(legs: tuple[LegResult, ...], known: bool, dof: int, chi2: float) -> list[str]:
+def _leg_results(mechanism: Mechanism, one: Fit, used: Mask, known: bool) -> list[LegResult]:
+    """Return the results of the legs of a fit."""
+    problem, m = one.problem, len(one.problem.legs)
+    half = (1 + _CONFIDENCE) / 2
+    quantile = float(ndtri(half) if known else stdtrit(one.degrees_of_freedom, half))
+    before, after = problem.values(one.start), problem.values(one.parameters)
+    sigma = np.sqrt(problem.covariance(one.parameters)[:, range(m), range(m)])
+    std = np.sqrt(np.diagonal(one.covariance))
+    results = []
+    for index, (leg, columns) in enumerate(zip(problem.legs, problem.columns, strict=True)):
+        own = problem.used[:, index]
+        parameters = tuple(
+            IdentifiedParameter(
+                name=name,
+                unit=leg.units[name],
+                nominal=float(nominal),
+                identified=float(value),
+                std=float(error),
+                low=float(value - quantile * error),
+                high=float(value + quantile * error),
+            )
+            for name, nominal, value, error in zip(
+                leg.parameter_names,
+                leg.nominal,
+                one.parameters[columns],
+                std[columns],
+                strict=True,
+            )
+        )
+        rank, condition = one.ranks[index]
+        results.append(
+            LegResult(
+                name=leg.name,
+                parameters=parameters,
+                rank=rank,
+                condition=condition,
+                rms_before=float(np.sqrt((before[own, index] ** 2).mean())),
+                rms_after=float(np.sqrt((after[own, index] ** 2).mean())),
+                n_residuals=int(own.sum()),
+                sigma=sigma[own, index],
+                rows=np.flatnonzero(used[:, mechanism.leg_names.index(leg.name)]),
+                residuals=after[own, index],
+            )
+        )
+    return results
+
+
+def _warnings(legs: tuple[LegResult, ...], source: str, dof: int, chi2: float) -> list[str]:
+    """Return what the reader of a result should know first."""
     found = []
-    if not known:
+    if source == "assumed":
         found.append(
             "the noise was not given: equal standard deviations of position [m] and orientation "
             "[rad] were assumed and their scale estimated from the residuals"
@@ -333,8 +234,8 @@ def _warnings(legs: tuple[LegResult, ...], known: bool, dof: int, chi2: float) -
             "uncertainties assume the noise as given"
         )
     found += [
-        f"{leg.name}: {leg.n_residuals} poses for {len(leg.parameters)} parameters; two or "
-        "three times as many poses as parameters are advised"
+        f"{leg.name}: {leg.n_residuals} poses for {len(leg.parameters)} parameters; two or three "
+        "times as many poses as parameters are advised"
         for leg in legs
         if leg.n_residuals < 1.5 * len(leg.parameters)
     ]
@@ -362,16 +263,6 @@ def _used(mechanism: Mechanism, data: Measurements, poses: str, known: bool) -> 
                 + ("" if poses == "all" else ". --poses all uses every pose for every leg")
             )
     return used
-
-
-def _sigmas(mechanism: Mechanism, data: Measurements, noise: Noise) -> tuple[Array, Array]:
-    """Return standard deviations of coordinates (N, dof) and readings (N, n_legs)."""
-    poses, readings = data.sigma_poses, data.sigma_readings
-    if poses is None:
-        poses = np.tile(noise.of_poses(mechanism), (len(data), 1))
-    if readings is None:
-        readings = np.full(data.readings.shape, noise.reading)
-    return poses, readings
 
 
 def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:

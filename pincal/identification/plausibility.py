@@ -18,7 +18,7 @@ from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _DOUBTFUL = 0.02  # median gap over the leg's size from which another unit is tried
-_REFUSED = 0.1  # from which nothing is identified
+_REFUSED = 0.05  # from which nothing is identified
 _EXPLAINED = 0.01  # in another unit: it explains the measurements
 _BETTER = 0.1  # of the gap as given
 _ROWS = 500  # enough to judge by

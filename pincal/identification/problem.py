@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.identification.residuals import LegResidual
 from pincal.kinematics.derivatives import Demand
+from pincal.model.leg import Leg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -47,6 +48,11 @@ class Problem:
         self.columns = [slice(int(e - n), int(e)) for e, n in zip(ends, sizes, strict=True)]
         self.n_params = int(ends[-1])
         self._cache: tuple[Array, list[Demand]] | None = None
+
+    @property
+    def legs(self) -> list[Leg]:
+        """Legs whose parameters are identified, in order."""
+        return [residual.leg for residual in self.residuals]
 
     def demands(self, parameters: Array) -> list[Demand]:
         """Return residual and derivatives of each leg; the last call's are kept."""

@@ -72,9 +72,10 @@ class CalibrationResult:
     method: str
     residual: str
     poses: str
-    noise: Noise
-    noise_known: bool
-    """Whether the noise was given; if not, its scale was estimated from the residuals."""
+    noise: Noise | None
+    """Standard deviations used for all rows; None if rows have their own."""
+    noise_source: str
+    """``"given"``, ``"rows"`` of the measurements, or ``"assumed"`` with its scale estimated."""
     covariance: Array
     """Covariance of all parameters, legs in order, shape (n, n)."""
     degrees_of_freedom: int

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,16 @@ MECHANISM = "mechanism"
 def save_result(result: CalibrationResult, folder: str | Path, *, force: bool = False) -> Path:
     """Write a result folder, whole or not at all, and return it.
 
+    A fit that did not converge has no calibrated mechanism, so none is written.
+
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
     """
-    with output.writing(folder, force=force) as scratch:
-        scratch.mkdir()
+    with output.writing(folder, force=force, folder=True) as scratch:
         text = json.dumps(as_json(result), indent=2, ensure_ascii=False, allow_nan=False)
         (scratch / "result.json").write_text(text + "\n", encoding="utf-8")
-        result.identified.save(scratch / MECHANISM)
+        if result.converged:
+            result.identified.save(scratch / MECHANISM)
         unit = "m" if result.residual == "closure" else "rad"
         write_table(
             scratch / "residuals.csv",
@@ -48,7 +51,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "pincal_result": FORMAT,
         "pincal": version("pincal"),
         "mechanism": result.nominal.name,
-        "calibrated_mechanism": MECHANISM,
+        "calibrated_mechanism": MECHANISM if result.converged else None,
         "method": result.method,
         "residual": result.residual,
         "poses": result.poses,
@@ -58,10 +61,8 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "reduced_chi2": _number(result.reduced_chi2),
         "degrees_of_freedom": result.degrees_of_freedom,
         "noise": {
-            "known": result.noise_known,
-            "position": result.noise.position,
-            "orientation": result.noise.orientation,
-            "reading": result.noise.reading,
+            "source": result.noise_source,
+            **({} if result.noise is None else asdict(result.noise)),
         },
         "warnings": list(result.warnings),
         "legs": [_leg(leg) for leg in result.legs],

@@ -127,7 +127,13 @@ class LegClosure:
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
-        return self._chain.forest.columns(self._chain.configurations(self.parameters, joints))[0]
+        return self.joint_columns(joints)[0]
+
+    def joint_columns(self, joints: Array) -> tuple[Array, Array]:
+        """Return tips, shape (N, 3), and their twists by each joint, shape (6, N, n_joints)."""
+        chain = self._chain
+        tips, columns = chain.forest.columns(chain.configurations(self.parameters, joints))
+        return tips, columns @ chain.from_joints
 
     def evaluate(self, joints: Array, matrices: Array) -> Closure:
         """Return closure and derivatives at joint positions (N, n_joints) and poses (N, 4, 4)."""

@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 CHUNK = 8192
 _NEWTON_STEPS = 15
 _ATTEMPTS = 6
+_LARGEST_LAST_STEP = 1e-4  # [rad] and [m], where the gap is already small
 _SMALL = 1e-11  # of the leg's size: the step after that reaches rounding error
 
 
@@ -41,8 +42,10 @@ def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
     """Return one leg closed at poses ``T_base_platform``, shape (N, 4, 4)."""
     joints, possible = start(leg, matrices)
     closure = leg.evaluate(joints, matrices)
-    joints = joints + _newton_step(leg, closure)
     closed = possible & _small(leg, closure)
+    step = _newton_step(leg, closure)
+    trusted = (np.abs(step) <= _LARGEST_LAST_STEP).all(axis=1)  # not at a singularity
+    joints = np.where((closed & ~trusted)[:, None], joints, joints + step)
     if not (closed | ~possible).all():
         joints, closed = _search(leg, matrices, joints, closed, possible)
         closure = leg.evaluate(np.where(closed[:, None], joints, leg.leg.home), matrices)
@@ -59,7 +62,8 @@ def _search(
         rows = np.flatnonzero(possible & ~closed)
         if attempt:
             again, may = start(leg, matrices[rows], attempt)
-            rows, joints[rows] = rows[may], again
+            joints[rows] = again
+            rows = rows[may]
         found = rows
         for _ in range(_NEWTON_STEPS):
             part = leg.evaluate(joints[rows], matrices[rows])
@@ -79,9 +83,10 @@ def _search(
 
 def _newton_step(leg: LegClosure, closure: Closure) -> Array:
     """Return the Newton step of all joints, shape (N, n_joints)."""
-    active = closure.active_step()
-    passive = closure.passive_step((closure.active * active[:, None, :])[:, :, 0])
-    return np.insert(passive, [leg.leg.active], active, axis=1)
+    with np.errstate(all="ignore"):
+        active = closure.active_step()
+        passive = closure.passive_step((closure.active * active[:, None, :])[:, :, 0])
+        return np.insert(passive, [leg.leg.active], active, axis=1)
 
 
 def _small(leg: LegClosure, closure: Closure) -> Mask:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.inverse import close_chunks
+from pincal.kinematics.inverse import close, close_chunks
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -83,9 +83,9 @@ def _radius(mechanism: Mechanism) -> float:
 
 @lru_cache(maxsize=64)
 def _home_sign(mechanism: Mechanism) -> float:
+    """Return the determinant's sign at home; NaN, so that no pose counts, if a leg misses home."""
     matrices = mechanism.platform.home_pose.as_matrix()
-    closures = [
-        LegClosure(leg, mechanism.platform).evaluate(leg.home[None], matrices)
-        for leg in mechanism.legs
-    ]
-    return float(np.sign(_determinant(mechanism, closures)[0])) or 1.0
+    closed = [close(LegClosure(leg, mechanism.platform), matrices) for leg in mechanism.legs]
+    if not all(leg.reached[0] for leg in closed):
+        return float("nan")
+    return float(np.sign(_determinant(mechanism, [leg.closure for leg in closed])[0])) or 1.0

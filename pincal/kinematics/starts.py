@@ -54,10 +54,10 @@ def is_planar_dyad(leg: Leg) -> bool:
 def _dyad(closure: LegClosure, targets: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the two angles of planar dyads by the cosine law, in the mode of home."""
     leg = closure.leg
-    zero, quarter = np.zeros(2), np.pi / 2
-    probes = np.array([zero, [np.pi, 0.0], [0.0, quarter]])
-    tips = closure.tips(probes)[:, :2] @ np.array([1.0, 1j])
-    sign, sign_elbow = (joint.axis[2] for joint in leg.moving)
+    probes = np.array([[0.0, 0.0], [np.pi, 0.0], [0.0, np.pi / 2]])
+    points, columns = closure.joint_columns(probes)
+    tips = points[:, :2] @ np.array([1.0, 1j])
+    sign, sign_elbow = np.sign(columns[5, 0])  # of the axes along the base's z
     shoulder = (tips[0] + tips[1]) / 2
     elbow = (tips[2] - 1j * sign_elbow * tips[0]) / (1 - 1j * sign_elbow)
     upper, fore = elbow - shoulder, tips[0] - elbow
@@ -66,7 +66,7 @@ def _dyad(closure: LegClosure, targets: Array) -> tuple[Array, NDArray[np.bool_]
     mode = np.sign(np.sin(sign_elbow * leg.home[1] + bend_zero))
 
     reach = targets[:, 0] + 1j * targets[:, 1] - shoulder
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         cos = (np.abs(reach) ** 2 - a**2 - b**2) / (2 * a * b)
     sin = mode * np.sqrt(np.clip((1 - cos) * (1 + cos), 0.0, None))
     bend = np.arctan2(sin, np.clip(cos, -1.0, 1.0))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pincal.errors import FileError, MechanismError
 from pincal.model.leg import Joint, Leg
@@ -14,51 +13,9 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.output import writing
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
+from pincal.model.schema import FORMAT, LegSpec, MechanismSpec, read_spec
 from pincal.model.sensor import Sensor
 from pincal.model.urdf import leg_urdf, platform_urdf, read_chain, read_points
-
-FORMAT = 1
-_LARGEST = 4 * 1024 * 1024  # bytes
-Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
-Value = Name | FiniteFloat
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class _Sensor(_Strict):
-    joint: Name
-    form: Literal["joint", "reading"]
-    gain: Value = 1.0
-    offset: Value = 0.0
-    direction: Literal[1, -1] = 1
-    zero: FiniteFloat = 0.0
-
-
-class _Leg(_Strict):
-    name: Name
-    urdf: str
-    tip: str
-    platform_point: str
-    home: dict[str, FiniteFloat]
-    sensor: _Sensor
-    parameters: dict[Name, FiniteFloat]
-    placements: dict[str, list[dict[str, Value | list[Value]]]]
-
-
-class _Platform(_Strict):
-    kind: str
-    urdf: str
-    home: dict[str, FiniteFloat]
-
-
-class _Mechanism(_Strict):
-    pincal: Literal[1]
-    name: str
-    description: str = ""
-    platform: _Platform
-    legs: list[_Leg] = Field(min_length=1)
 
 
 def bundled() -> dict[str, Path]:
@@ -78,15 +35,15 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         MechanismError: a file that does not say what it should; the message names the place.
     """
     folder = Path(name_or_path)
-    if not folder.is_dir() and str(name_or_path) in bundled():
+    if not _is_folder(folder) and str(name_or_path) in bundled():
         folder = bundled()[str(name_or_path)]
-    if not folder.is_dir():
+    if not _is_folder(folder):
         raise FileError(
-            f"no mechanism {str(name_or_path)!r}: it is neither a folder nor one of the bundled "
+            f"no mechanism {str(name_or_path)[:200]!r}: neither a folder nor one of the bundled "
             f"ones ({', '.join(bundled()) or 'none found'})"
         )
     path = folder / "mechanism.yaml"
-    spec = _read(path)
+    spec = read_spec(path)
     try:
         return _mechanism(spec, folder)
     except MechanismError as error:
@@ -95,38 +52,14 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         ) from error
 
 
-def _read(path: Path) -> _Mechanism:
+def _is_folder(path: Path) -> bool:
     try:
-        if path.stat().st_size > _LARGEST:
-            raise MechanismError(f"{path}: larger than {_LARGEST // 2**20} MiB; not a mechanism")
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise MechanismError(f"{path}: not UTF-8 text: {error}") from error
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise MechanismError(f"{path}: the YAML does not parse: {error}") from error
-    try:
-        return _Mechanism.model_validate(data)
-    except ValidationError as error:
-        raise MechanismError(f"{path}: {_explain(error)}") from error
+        return path.is_dir()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
 
 
-def _explain(error: ValidationError) -> str:
-    """Return one sentence on the first fault of a YAML file."""
-    first = error.errors(include_url=False, include_context=False)[0]
-    place = ".".join(str(part) for part in first["loc"]) or "the file"
-    if first["type"] == "extra_forbidden":
-        text = f"unknown key {place!r}; remove it, or correct its spelling"
-    elif first["type"] == "missing":
-        text = f"key {place!r} is missing"
-    else:
-        text = f"{place}: {first['msg']}; got {str(first['input'])[:80]!r}"
-    others = error.error_count() - 1
-    return text + (f" (and {others} more)" if others else "")
-
-
-def _mechanism(spec: _Mechanism, folder: Path) -> Mechanism:
+def _mechanism(spec: MechanismSpec, folder: Path) -> Mechanism:
     home = spec.platform.home
     platform = Platform(spec.platform.kind, tuple(home.values()))
     if tuple(home) != platform.coordinates:
@@ -138,7 +71,7 @@ def _mechanism(spec: _Mechanism, folder: Path) -> Mechanism:
     return Mechanism(spec.name, platform, legs, spec.description)
 
 
-def _leg(spec: _Leg, folder: Path, points: dict[str, Joint]) -> Leg:
+def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
     path = _inside(folder, spec.urdf)
     chain = read_chain(path, spec.tip)
     if spec.platform_point not in points:
@@ -194,8 +127,11 @@ def _coordinate(item: dict[str, Any], leg: str, joint: str) -> Coordinate:
 
 def _inside(folder: Path, name: str) -> Path:
     """Return a file of the mechanism's folder; paths that lead out of it are refused."""
-    path = (folder / name).resolve()
-    if not path.is_relative_to(folder.resolve()):
+    try:
+        inside = (folder / name).resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError) as error:
+        raise MechanismError(f"{name[:200]!r} cannot be a file's name: {error}") from error
+    if not inside:
         raise MechanismError(f"{name!r} leads out of the mechanism's folder; keep its files inside")
     return folder / name
 
@@ -206,14 +142,18 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
     """
-    with writing(folder, force=force) as scratch:
-        scratch.mkdir()
-        (scratch / "mechanism.yaml").write_text(_dump(mechanism), encoding="utf-8")
-        for leg in mechanism.legs:
-            (scratch / f"{leg.name}.urdf").write_text(leg_urdf(leg), encoding="utf-8")
-        platform = platform_urdf(mechanism.name, mechanism.legs)
-        (scratch / "platform.urdf").write_text(platform, encoding="utf-8")
+    with writing(folder, force=force, folder=True) as scratch:
+        write_mechanism(mechanism, scratch)
     return Path(folder)
+
+
+def write_mechanism(mechanism: Mechanism, folder: Path) -> None:
+    """Write a mechanism's files into a folder that exists."""
+    (folder / "mechanism.yaml").write_text(_dump(mechanism), encoding="utf-8")
+    for leg in mechanism.legs:
+        (folder / f"{leg.name}.urdf").write_text(leg_urdf(leg), encoding="utf-8")
+    platform = platform_urdf(mechanism.name, mechanism.legs)
+    (folder / "platform.urdf").write_text(platform, encoding="utf-8")
 
 
 def _dump(mechanism: Mechanism) -> str:

@@ -54,6 +54,14 @@ class Leg:
     """Name of the tip link."""
 
     def __post_init__(self) -> None:
+        for joint in self.moving:
+            finite = np.isfinite([joint.lower, joint.upper])
+            unbounded = joint.kind == "revolute" and not finite.any()
+            if not (joint.lower < joint.upper and (finite.all() or unbounded)):
+                raise MechanismError(
+                    f"{self.name}: joint {joint.name!r} has limits {joint.lower:g} to "
+                    f"{joint.upper:g}; expected finite ones, lower below upper"
+                )
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
             raise MechanismError(f"{self.name}: joint names repeat: {names}")

@@ -184,9 +184,10 @@ def _sigmas(table: Table, units: dict[str, str]) -> Array | None:
     columns = [table.numbers(f"sigma_{name}", unit) for name, unit in units.items()]
     sigmas = np.column_stack(columns)
     if (sigmas < 0.0).any():
-        row = int(np.argmax((sigmas < 0.0).any(axis=1)))
+        row, column = (int(i) for i in np.argwhere(sigmas < 0.0)[0])
         raise MeasurementError(
-            f"{table.path}, line {table.lines[row]}: a standard deviation is negative"
+            f"{table.path}, line {table.lines[row]}: 'sigma_{list(units)[column]}' is negative; a "
+            "standard deviation is 0 or more"
         )
     return sigmas
 

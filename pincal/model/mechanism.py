@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.leg import Leg
+from pincal.model.placement import Placement
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
@@ -32,6 +33,20 @@ class Mechanism:
             raise MechanismError(f"mechanism {self.name!r} has no legs")
         if len(set(names)) != len(names):
             raise MechanismError(f"mechanism {self.name!r}: leg names repeat: {names}")
+        if not (self.name and self.name.isprintable() and len(self.name) <= 100):
+            raise MechanismError(f"{self.name[:100]!r} is no name for a mechanism")
+        if "platform" in names:
+            raise MechanismError("'platform' names the platform's file; name the leg otherwise")
+        points: dict[str, tuple[str, Placement]] = {}
+        for leg in self.legs:
+            other, placement = points.setdefault(leg.point.name, (leg.name, leg.point.placement))
+            if other != leg.name and (
+                placement != leg.point.placement or placement.parameter_units
+            ):
+                raise MechanismError(
+                    f"{other} and {leg.name} share the platform point {leg.point.name!r}, so it "
+                    "must be the same for both and have no parameters; give each leg its own point"
+                )
         for leg in self.legs:
             for joint in leg.joints:
                 _check_planar(

@@ -25,7 +25,8 @@ UNITS: dict[str, tuple[str, float]] = {
     "cm": ("m", 1e-2),
     "mm": ("m", 1e-3),
     "um": ("m", 1e-6),
-    "µm": ("m", 1e-6),
+    "µm": ("m", 1e-6),  # micro sign
+    "μm": ("m", 1e-6),  # Greek letter
     "in": ("m", 0.0254),
     "rad": ("rad", 1.0),
     "mrad": ("rad", 1e-3),
@@ -78,10 +79,7 @@ class Table:
             raise MeasurementError(
                 f"{self.path}: column {column!r} has unit [{unit}]; expected {some}"
             )
-        try:
-            values = np.array(self.text[column], dtype=np.float64)
-        except ValueError:
-            values = np.array([_number_or_nan(cell) for cell in self.text[column]])
+        values = np.array([_number_or_nan(cell) for cell in self.text[column]])
         if not np.isfinite(values).all():
             row = int(np.argmin(np.isfinite(values)))
             raise MeasurementError(
@@ -93,7 +91,7 @@ class Table:
 
 def _number_or_nan(cell: str) -> float:
     try:
-        return float(cell)
+        return np.nan if "_" in cell else float(cell)
     except ValueError:
         return np.nan
 
@@ -109,7 +107,7 @@ def read_table(path: str | Path) -> Table:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file, strict=True)
-            header = next(reader, None)
+            header = next((row for row in reader if any(cell.strip() for cell in row)), None)
             if not header:
                 raise MeasurementError(f"{path}: empty; expected a header line and rows")
             units = _header(path, header)
@@ -129,7 +127,7 @@ def read_table(path: str | Path) -> Table:
     except UnicodeDecodeError as error:
         raise MeasurementError(f"{path}: not UTF-8 text ({error.reason})") from error
     except csv.Error as error:
-        raise MeasurementError(f"{path}: not a CSV file: {error}") from error
+        raise MeasurementError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
     if not rows:
         raise MeasurementError(f"{path}: a header but no rows")
     columns = zip(*rows, strict=True)
@@ -139,10 +137,11 @@ def read_table(path: str | Path) -> Table:
 def _header(path: Path, header: Sequence[str]) -> dict[str, str | None]:
     if len(header) > _MOST_COLUMNS:
         raise MeasurementError(f"{path}: {len(header)} columns; more than {_MOST_COLUMNS}")
-    if len(header) == 1 and ";" in header[0]:
-        raise MeasurementError(
-            f"{path}: cells are separated by semicolons; separate them by commas"
-        )
+    for name, separator in (("semicolons", ";"), ("tabs", "\t")):
+        if len(header) == 1 and separator in header[0]:
+            raise MeasurementError(
+                f"{path}: cells are separated by {name}; separate them by commas"
+            )
     units: dict[str, str | None] = {}
     for cell in header:
         match = _HEADER.match(cell)

@@ -54,7 +54,8 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     roots = links - children
     if len(roots) != 1:
         raise MechanismError(
-            f"{path}: {len(roots)} root links; a leg must be one serial chain with one root"
+            f"{path}: {len(roots)} root links ({', '.join(sorted(map(str, roots))) or 'loop'}); a "
+            "leg must be one serial chain with one root"
         )
     link, chain = str(roots.pop()), []
     while link != tip:
@@ -78,9 +79,16 @@ def read_points(path: Path) -> dict[str, Joint]:
         MechanismError: not well-formed.
     """
     points: dict[str, Joint] = {}
-    for element in _read_xml(path).findall("joint"):
+    elements = _read_xml(path).findall("joint")
+    children = {_link(element, "child", path) for element in elements}
+    for element in elements:
         joint = _joint(element, path)
         if joint.kind == "fixed":
+            if _link(element, "parent", path) in children:
+                raise MechanismError(
+                    f"{path}, line {element.sourceline}: joint {joint.name!r} sits on another "
+                    "frame; fix each platform point to the platform's root link"
+                )
             points[joint.name] = points[_link(element, "child", path)] = joint
     return points
 

@@ -45,7 +45,8 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         rest = p.rest(old, where)
         if on_base:
             coordinates = _move_point(p.coordinates, element, old, new, where)
-            rest[:3, :3] = element.matrix @ rest[:3, :3] @ local
+            if joint is not leg.point:  # the frame of a point has no meaning
+                rest[:3, :3] = element.matrix @ rest[:3, :3] @ local
             rest[:3, 3] = element.matrix @ rest[:3, 3]
         else:
             coordinates = p.coordinates

@@ -24,7 +24,7 @@ from pincal.workspace.component import HomeComponent
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _BATCH = 16_384
-_PILOT = 2_000  # accepted poses from which the box is tightened and connected
+_PILOT = 1_500  # accepted poses from which the box is tightened and connected
 _WIDEN = 0.1  # of the box around the accepted poses, on each side
 _MOST = 400  # batches without enough poses before giving up
 
@@ -137,7 +137,7 @@ def _explore(
         low, high = _around(kept[connected(kept)], _WIDEN, *reach)
         poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
         kept = np.concatenate((kept, poses[counts(poses)]))
-        connected = HomeComponent(kept[-4 * _PILOT :], home, counts)
+        connected = HomeComponent(kept[-2 * _PILOT :], home, counts)
     return *_around(kept[connected(kept)], _WIDEN / 4, *reach), connected
 
 

@@ -1,0 +1,147 @@
+"""What ``mechanism.yaml`` may say, read strictly: keys, types, and where a fault is."""
+
+from __future__ import annotations
+
+import reprlib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+)
+
+from pincal.errors import FileError, MechanismError
+
+FORMAT = 1
+_LARGEST = 4 * 1024 * 1024  # bytes
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=64)]
+
+
+def _no_bool(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError("a number, not true or false, is expected")
+    return value
+
+
+Number = Annotated[FiniteFloat, BeforeValidator(_no_bool)]
+Value = Name | Number
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class SensorSpec(_Strict):
+    """Sensor of a leg."""
+
+    joint: Name
+    form: Literal["joint", "reading"]
+    gain: Value = 1.0
+    offset: Value = 0.0
+    direction: Literal[1, -1] = 1
+    zero: Number = 0.0
+
+
+class LegSpec(_Strict):
+    """One leg."""
+
+    name: Name
+    urdf: str
+    tip: str
+    platform_point: str
+    home: dict[str, Number]
+    sensor: SensorSpec
+    parameters: dict[Name, Number]
+    placements: dict[str, list[dict[str, Value | list[Value]]]]
+
+
+class PlatformSpec(_Strict):
+    """The platform."""
+
+    kind: str
+    urdf: str
+    home: dict[str, Number]
+
+
+class MechanismSpec(_Strict):
+    """The whole file."""
+
+    pincal: Literal[1]
+    name: str
+    description: str = ""
+    platform: PlatformSpec
+    legs: list[LegSpec] = Field(min_length=1)
+
+
+class _Loader(yaml.SafeLoader):
+    """Loads plain data; refuses repeated keys and aliases, which hide or multiply content."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not used here", mark)
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys: set[str] = set()
+        for key, _ in node.value:
+            if str(key.value) in keys:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key.value!r} appears twice", key.start_mark
+                )
+            keys.add(str(key.value))
+        return super().construct_mapping(node, deep)
+
+
+def read_spec(path: Path) -> MechanismSpec:
+    """Return what a ``mechanism.yaml`` says.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: it does not parse, or says something else than it should.
+    """
+    try:
+        size = path.stat().st_size
+        text = path.read_bytes() if size <= _LARGEST else b""
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    if size > _LARGEST:
+        raise MechanismError(f"{path}: larger than {_LARGEST // 2**20} MiB; not a mechanism")
+    try:
+        data = yaml.load(text.decode("utf-8"), _Loader)
+    except UnicodeDecodeError as error:
+        raise MechanismError(f"{path}: not UTF-8 text: {error}") from error
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise MechanismError(f"{path}: the YAML does not parse: {error}") from error
+    if not isinstance(data, dict):
+        raise MechanismError(
+            f"{path}: {'empty' if data is None else f'a {type(data).__name__}'}; expected the keys "
+            f"{', '.join(MechanismSpec.model_fields)}"
+        )
+    try:
+        return MechanismSpec.model_validate(data)
+    except ValidationError as error:
+        raise MechanismError(f"{path}: {_explain(error, data)}") from error
+
+
+def _explain(error: ValidationError, data: dict[str, Any]) -> str:
+    """Return one sentence on the first fault of a YAML file."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    parts = [str(part) for part in first["loc"]]
+    if len(parts) > 1 and parts[0] == "legs" and isinstance(data["legs"][int(parts[1])], dict):
+        parts[1] = str(data["legs"][int(parts[1])].get("name", parts[1]))[:64]
+    place = ".".join(parts)
+    if first["type"] == "extra_forbidden":
+        text = f"unknown key {place!r}; remove it, or correct its spelling"
+    elif first["type"] == "missing":
+        text = f"key {place!r} is missing"
+    else:
+        text = f"{place}: {first['msg']}; got {reprlib.repr(first['input'])}"
+    others = error.error_count() - 1
+    return text + (f" (and {others} more)" if others else "")
