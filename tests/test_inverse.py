@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from closed_forms import angles, bends, jacobian, near, poses_near_home, random_mechanism, reading
@@ -117,3 +119,17 @@ def test_wrong_poses_are_refused(poses: np.ndarray) -> None:
     """Poses of a wrong shape or not finite raise, saying what was expected."""
     with pytest.raises(pincal.MechanismError, match=r"shape|finite"):
         pincal.inverse(pincal.load_mechanism("3RRR"), poses)
+
+
+def test_memory_does_not_grow_with_the_number_of_poses(mechanism: pincal.Mechanism) -> None:
+    """Beyond the result, 80,000 poses need no more memory than 20,000: work runs in chunks."""
+    home = np.array([mechanism.platform.home])
+    beyond = []
+    for count in (20_000, 80_000):
+        transforms = mechanism.platform.transforms(np.repeat(home, count, axis=0))
+        tracemalloc.start()
+        C = pincal.identification_jacobian(mechanism, "leg_1", transforms)
+        beyond.append(tracemalloc.get_traced_memory()[1] - C.nbytes)
+        tracemalloc.stop()
+        del C
+    assert beyond[1] < 1.1 * beyond[0]

@@ -7,7 +7,8 @@ residual (predicted less measured reading), whose rows are those of e over âˆ’âˆ
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,10 +59,10 @@ def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
     return Demand(closure.constraint, parameter, closure.project(closure.pose), drive * by_reading)
 
 
-def leg_demand(
+def demand_chunks(
     mechanism: Mechanism, leg: str, poses: Poses, parameters: Array | None = None
-) -> Demand:
-    """Return what a leg demands at poses that it reaches: value zero, NaN where out of reach.
+) -> Iterator[tuple[slice, Demand]]:
+    """Yield what a leg demands at poses, in chunks of bounded memory; NaN where out of reach.
 
     Args:
         mechanism: The mechanism.
@@ -74,21 +75,27 @@ def leg_demand(
     """
     transforms = mechanism.platform.transforms(poses)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
-    count, n, dof = len(transforms), len(closure.leg.parameters), mechanism.platform.dof
-    value, reading = np.empty((count, 1)), np.empty((count, 1))
-    parameter, pose = np.empty((count, 1, n)), np.empty((count, 1, dof))
-    for begin in range(0, count, CHUNK):
-        rows = slice(begin, min(begin + CHUNK, count))
-        matrices = transforms[rows].as_matrix()
-        closed = close(closure, matrices)
+    for begin in range(0, len(transforms), CHUNK):
+        rows = slice(begin, min(begin + CHUNK, len(transforms)))
+        closed = close(closure, transforms[rows].as_matrix())
         psi = closure.leg.sensor.reading(closed.joints[:, closure.leg.active], closure.by_name)
         part = demand(closure, closed.closure, psi)
-        lost = ~closed.reached
-        value[rows], reading[rows] = part.value, part.reading
-        parameter[rows], pose[rows] = part.parameter, part.pose
-        for array in (value, reading, parameter, pose):
-            array[rows][lost] = np.nan
-    return Demand(value, parameter, pose, reading)
+        for array in (part.value, part.parameter, part.pose, part.reading):
+            array[~closed.reached] = np.nan
+        yield rows, part
+
+
+def leg_demand(
+    mechanism: Mechanism, leg: str, poses: Poses, parameters: Array | None = None
+) -> Demand:
+    """Return what a leg demands at poses that it reaches: value zero, NaN where out of reach.
+
+    Arguments and errors are those of ``demand_chunks``.
+    """
+    parts = [part for _, part in demand_chunks(mechanism, leg, poses, parameters)]
+    return Demand(
+        *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Demand))
+    )
 
 
 def identification_jacobian(
@@ -111,6 +118,9 @@ def identification_jacobian(
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
-    rows = leg_demand(mechanism, leg, poses, parameters)
+    transforms = mechanism.platform.transforms(poses)
+    C = np.empty((len(transforms), len(mechanism.leg(leg).parameters)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return (rows.parameter / -rows.reading[:, :, None])[:, 0]
+        for rows, part in demand_chunks(mechanism, leg, transforms, parameters):
+            np.divide(part.parameter[:, 0], -part.reading, out=C[rows])
+    return C
