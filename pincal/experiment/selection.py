@@ -113,8 +113,9 @@ def select_poses(
     """
     noise = noise or Noise()
     rng = np.random.default_rng(seed)
-    search = _Search(mechanism, np.asarray(candidates, dtype=np.float64), noise, rng, starts)
-    search.tell = progress or search.tell
+    tell = progress or (lambda _: None)
+    poses = np.asarray(candidates, dtype=np.float64)
+    search = _Search(mechanism, poses, noise, rng, starts, tell)
     names = mechanism.leg_names
     if protocol == "independent":
         parts = [search.own(name, count) for name in names]
@@ -155,6 +156,7 @@ class _Search:
         noise: Noise,
         rng: np.random.Generator,
         starts: int,
+        tell: Callable[[str], None],
     ) -> None:
         self.mechanism = mechanism
         self.candidates = candidates
@@ -163,7 +165,7 @@ class _Search:
         self.starts = starts
         self.usable = len(candidates)
         self.unreachable = 0
-        self.tell: Callable[[str], None] = lambda _: None
+        self.tell = tell
 
     def rows(self, leg: str, poses: Array) -> Array:
         """Return the weighted rows of a leg at poses, shape (N, k, n)."""

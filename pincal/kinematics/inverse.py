@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.starts import home_mode, mode_sign, start
+from pincal.kinematics.starts import home_mode, mode_sign, start, wrapped
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -78,6 +78,9 @@ def _search(
         closed[found] = _small(leg, part) & in_mode
         if (closed | ~possible).all():
             break
+    turning = [i for i, joint in enumerate(leg.leg.moving) if joint.kind == "revolute"]
+    home = leg.leg.home[turning]  # Newton's method may have gone round
+    joints[:, turning] = home + wrapped(joints[:, turning] - home)
     return joints, closed
 
 

@@ -72,12 +72,13 @@ def _dyad(closure: LegClosure, targets: Array) -> tuple[Array, NDArray[np.bool_]
     bend = np.arctan2(sin, np.clip(cos, -1.0, 1.0))
     angle = np.angle(reach) - np.angle(a + b * np.exp(1j * bend)) - np.angle(upper)
     angles = np.stack((sign * angle, sign_elbow * (bend - bend_zero)), axis=1)
-    return leg.home + _wrapped(angles - leg.home), np.abs(cos) <= 1.0
+    return leg.home + wrapped(angles - leg.home), np.abs(cos) <= 1.0
 
 
-def _wrapped(angles: Array) -> Array:
+def wrapped(angles: Array) -> Array:
     """Return angles in [-pi, pi)."""
-    return (angles + np.pi) % (2 * np.pi) - np.pi
+    with np.errstate(invalid="ignore"):
+        return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
 @lru_cache(maxsize=64)
