@@ -75,7 +75,7 @@ def test_sampled_starts_find_what_the_closed_form_finds(
         closure = LegClosure(leg, mechanism.platform)
         closed = close(closure, poses)
         with monkeypatch.context() as patch:
-            patch.setattr(starts, "is_planar_dyad", lambda _: False)
+            patch.setattr(starts, "closed_form", lambda _: None)
             sampled = close(closure, poses)
         elbow = np.abs(np.sin(np.nan_to_num(closed.joints[:, 1])))
         clear = elbow > 0.02  # at the edge of reach Newton may stop a hair outside

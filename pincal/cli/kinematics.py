@@ -38,7 +38,12 @@ from pincal.workspace.sampling import Margins, sample_workspace
 MarginType1 = Annotated[
     float, typer.Option(help="Least distance from type-1 singularities; a dyad's elbow sine.")
 ]
-MarginType2 = Annotated[float, typer.Option(help="Least distance from type-2 singularities.")]
+MarginType2 = Annotated[
+    float | None,
+    typer.Option(
+        help="Least distance from type-2 singularities [default: 0.2, at most half of home's]."
+    ),
+]
 _SHOWN = 5
 
 
@@ -110,7 +115,7 @@ def workspace(
     count: Count = 30_000,
     seed: Seed = 0,
     margin_type1: MarginType1 = 0.23,
-    margin_type2: MarginType2 = 0.2,
+    margin_type2: MarginType2 = None,
     force: Force = False,
 ) -> None:
     """Write poses spread over the workspace.

@@ -87,7 +87,7 @@ def simulate(
     reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.legs)))
     rows = driven[solution.converged]
     measurements = Measurements(
-        poses=solution.poses[solution.converged] + pose_noise[rows],
+        poses=platform.moved(solution.poses[solution.converged], pose_noise[rows]),
         readings=commanded.readings[rows] + reading_noise[rows],
         sets=None if plan.sets is None else tuple(plan.sets[row] for row in rows),
     )
@@ -124,10 +124,11 @@ def accuracy(model: Mechanism, truth: Mechanism, poses: Poses) -> Accuracy:
     commanded = inverse(model, wanted)
     driven = np.flatnonzero(commanded.reached.all(axis=1))
     solution = forward(truth, commanded.readings[driven], wanted[driven])
-    errors = (solution.poses - wanted[driven])[solution.converged]
+    errors = platform.twists_between(
+        wanted[driven][solution.converged], solution.poses[solution.converged]
+    )
     linear = [unit == "m" for unit in platform.units]
-    angular = [unit == "rad" for unit in platform.units]
-    turns = (errors[:, angular] + np.pi) % (2 * np.pi) - np.pi
+    turns = errors[:, [unit == "rad" for unit in platform.units]]
     distances = np.linalg.norm(errors[:, linear], axis=1)
     return Accuracy(
         position=float(np.sqrt((distances**2).mean())) if len(errors) else np.nan,

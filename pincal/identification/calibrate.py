@@ -66,7 +66,7 @@ def calibrate(
     used = _used(mechanism, measurements, poses, known)
     check_plausible(mechanism, measurements)
     shake = sigmas[0] * np.random.default_rng(0).standard_normal(sigmas[0].shape)
-    shaken = replace(measurements, poses=measurements.poses + shake)
+    shaken = replace(measurements, poses=mechanism.platform.moved(measurements.poses, shake))
     everything = list(range(len(mechanism.legs)))
     fits = []
     for group in [everything] if method == "together" else [[i] for i in everything]:

@@ -112,6 +112,13 @@ class LegClosure:
         slides = [abs(j.home) for j in self.leg.moving if j.kind == "prismatic"]
         return float(sum(arms) + sum(slides))
 
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance of the platform's origin from the leg's base, [m]."""
+        arms = [np.linalg.norm(j.placement.xyz) for j in (*self.leg.joints[1:], self.leg.point)]
+        slides = [max(abs(j.lower), abs(j.upper)) for j in self.leg.moving if j.kind == "prismatic"]
+        return float(sum(arms) + sum(slides))
+
     @property
     def by_name(self) -> dict[str, float]:
         """Parameter values by name."""

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.kinematics.closed_forms import wrapped
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.starts import home_mode, mode_sign, start, wrapped
+from pincal.kinematics.starts import home_mode, mode_sign, start
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 

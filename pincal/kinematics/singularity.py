@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Margins:
+class SingularityMargins:
     """Distances of N poses from singularities; NaN where a leg does not reach."""
 
     type1: Array
@@ -34,7 +34,7 @@ class Margins:
     """Stiffness of the platform, shape (N,), signed relative to home."""
 
 
-def margins(mechanism: Mechanism, poses: Poses) -> Margins:
+def margins(mechanism: Mechanism, poses: Poses) -> SingularityMargins:
     """Return the distances of poses from both types of singularity.
 
     Raises:
@@ -49,7 +49,7 @@ def margins(mechanism: Mechanism, poses: Poses) -> Margins:
         type1[rows] = np.where(reached, drive_margins(closures), np.nan)
         signed = platform_margin(mechanism, closures)
         type2[rows] = np.where(reached.all(axis=1), signed, np.nan)
-    return Margins(type1, type2)
+    return SingularityMargins(type1, type2)
 
 
 def drive_margins(closures: Sequence[Closure]) -> Array:
@@ -60,7 +60,7 @@ def drive_margins(closures: Sequence[Closure]) -> Array:
 
 def platform_margin(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
     """Return the determinant of the legs' unit constraint lines, signed as at home, shape (N,)."""
-    return _determinant(mechanism, closures) * _home_sign(mechanism)
+    return _determinant(mechanism, closures) * (np.sign(home_determinant(mechanism)) or 1.0)
 
 
 def _determinant(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
@@ -82,10 +82,10 @@ def _radius(mechanism: Mechanism) -> float:
 
 
 @lru_cache(maxsize=64)
-def _home_sign(mechanism: Mechanism) -> float:
-    """Return the determinant's sign at home; NaN, so that no pose counts, if a leg misses home."""
+def home_determinant(mechanism: Mechanism) -> float:
+    """Return the determinant at home, with its sign; NaN if a leg misses the home pose."""
     matrices = mechanism.platform.home_pose.as_matrix()
     closed = [close(LegClosure(leg, mechanism.platform), matrices) for leg in mechanism.legs]
     if not all(leg.reached[0] for leg in closed):
         return float("nan")
-    return float(np.sign(_determinant(mechanism, [leg.closure for leg in closed])[0])) or 1.0
+    return float(_determinant(mechanism, [leg.closure for leg in closed])[0])

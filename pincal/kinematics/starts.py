@@ -1,8 +1,8 @@
 """Start values for inverse kinematics that lie in the leg's working mode.
 
-A planar dyad has a closed form. Any other leg is sampled once: of many joint
-positions in its mode, the one whose tip is nearest is a start from which Newton's
-method stays in the mode. The working mode is the sign of det ∂c/∂(θ, p) at home.
+Some legs have a closed form. Any other leg is sampled once: of many joint positions in its
+mode, the one whose tip is nearest is a start from which Newton's method stays in the
+mode. The working mode is the sign of det ∂c/∂(θ, p) at home.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import Closure, LegClosure
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
@@ -35,50 +36,14 @@ def start(
         attempt: Counts from 0; each gives another sampled start. A closed form has one.
     """
     targets = closure.targets(matrices)
-    if is_planar_dyad(closure.leg):
-        joints, possible = _dyad(closure, targets)
+    form = closed_form(closure)
+    if form:
+        joints, possible = form(closure, targets)
         return joints, possible & (attempt == 0)
     tree, joints = _samples(closure.leg, closure.platform)
     rows = list(closure.platform.closure_rows)
     nearest = np.asarray(tree.query(targets[:, rows], [attempt + 1])[1])[:, 0]
     return joints[nearest], np.ones(len(targets), dtype=bool)
-
-
-def is_planar_dyad(leg: Leg) -> bool:
-    """Return whether a leg has two revolute joints with parallel axes across the plane."""
-    return len(leg.moving) == 2 and all(
-        joint.kind == "revolute" and abs(joint.axis[2]) == 1.0 for joint in leg.moving
-    )
-
-
-def _dyad(closure: LegClosure, targets: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the two angles of planar dyads by the cosine law, in the mode of home."""
-    leg = closure.leg
-    probes = np.array([[0.0, 0.0], [np.pi, 0.0], [0.0, np.pi / 2]])
-    points, columns = closure.joint_columns(probes)
-    tips = points[:, :2] @ np.array([1.0, 1j])
-    sign, sign_elbow = np.sign(columns[5, 0])  # of the axes along the base's z
-    shoulder = (tips[0] + tips[1]) / 2
-    elbow = (tips[2] - 1j * sign_elbow * tips[0]) / (1 - 1j * sign_elbow)
-    upper, fore = elbow - shoulder, tips[0] - elbow
-    a, b = abs(upper), abs(fore)
-    bend_zero = float(np.angle(fore) - np.angle(upper))
-    mode = np.sign(np.sin(sign_elbow * leg.home[1] + bend_zero))
-
-    reach = targets[:, 0] + 1j * targets[:, 1] - shoulder
-    with np.errstate(all="ignore"):
-        cos = (np.abs(reach) ** 2 - a**2 - b**2) / (2 * a * b)
-    sin = mode * np.sqrt(np.clip((1 - cos) * (1 + cos), 0.0, None))
-    bend = np.arctan2(sin, np.clip(cos, -1.0, 1.0))
-    angle = np.angle(reach) - np.angle(a + b * np.exp(1j * bend)) - np.angle(upper)
-    angles = np.stack((sign * angle, sign_elbow * (bend - bend_zero)), axis=1)
-    return leg.home + wrapped(angles - leg.home), np.abs(cos) <= 1.0
-
-
-def wrapped(angles: Array) -> Array:
-    """Return angles in [-pi, pi)."""
-    with np.errstate(invalid="ignore"):
-        return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
 @lru_cache(maxsize=64)

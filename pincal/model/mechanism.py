@@ -47,7 +47,8 @@ class Mechanism:
                     f"{other} and {leg.name} share the platform point {leg.point.name!r}, so it "
                     "must be the same for both and have no parameters; give each leg its own point"
                 )
-        for leg in self.legs:
+        planar = len(self.platform.closure_rows) == 2
+        for leg in self.legs if planar else ():
             for joint in leg.joints:
                 _check_planar(
                     leg.name, joint.name, joint.kind, joint.placement.origin(), joint.axis

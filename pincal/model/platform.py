@@ -14,17 +14,43 @@ from pincal.errors import MechanismError
 Array = NDArray[np.float64]
 Poses: TypeAlias = Array | RigidTransform  # coordinates (N, dof), or transforms of length N
 
-#: For each kind: coordinate names, their units, and the rows of a twist (linear
-#: first, as in Pinocchio) that the platform can move in.
-_KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[int, ...]]] = {
-    "point": (("x", "y"), ("m", "m"), (0, 1)),
-    "planar": (("x", "y", "phi"), ("m", "m", "rad"), (0, 1, 5)),
+
+@dataclass(frozen=True)
+class _Kind:
+    coordinates: tuple[str, ...]
+    units: tuple[str, ...]
+    twist_rows: tuple[int, ...]
+    closure_rows: tuple[int, ...]
+    bounds: tuple[tuple[float, float], ...]
+    """Of each coordinate; lengths are bounded by the reach of the legs."""
+
+
+_ANY, _TURN, _TILT = (-np.inf, np.inf), (-np.pi, np.pi), (0.0, np.pi)
+_KINDS = {
+    "point": _Kind(("x", "y"), ("m", "m"), (0, 1), (0, 1), (_ANY, _ANY)),
+    "planar": _Kind(("x", "y", "phi"), ("m", "m", "rad"), (0, 1, 5), (0, 1), (_ANY, _ANY, _TURN)),
+    "translational": _Kind(
+        ("x", "y", "z"), ("m", "m", "m"), (0, 1, 2), (0, 1, 2), (_ANY, _ANY, _ANY)
+    ),
+    "spatial": _Kind(
+        ("x", "y", "z", "azimuth", "tilt", "torsion"),
+        ("m", "m", "m", "rad", "rad", "rad"),
+        (0, 1, 2, 3, 4, 5),
+        (0, 1, 2),
+        (_ANY, _ANY, _ANY, _TURN, _TILT, _TURN),
+    ),
 }
 
 
 @dataclass(frozen=True)
 class Platform:
-    """Platform of a mechanism: ``point`` (x, y) or ``planar`` (x, y, phi).
+    """Platform of a mechanism, with its coordinates.
+
+    - ``point``: x, y of a point in the plane;
+    - ``planar``: x, y, phi;
+    - ``translational``: x, y, z;
+    - ``spatial``: x, y, z and tilt and torsion, R = Rz(azimuth) Ry(tilt) Rz(torsion − azimuth)
+      (6-UPS paper, Section 2.2); the azimuth has no meaning at tilt 0 and is 0 there.
 
     Poses are ``T_base_platform``, a SciPy ``RigidTransform`` of length N, or the
     coordinates, shape (N, dof), in [m] and [rad].
@@ -48,27 +74,32 @@ class Platform:
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates."""
-        return _KINDS[self.kind][0]
+        return _KINDS[self.kind].coordinates
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units of the coordinates."""
-        return _KINDS[self.kind][1]
+        """Units of the coordinates, and of the twist rows in the same order."""
+        return _KINDS[self.kind].units
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Least and largest value of each coordinate, infinite for lengths."""
+        return _KINDS[self.kind].bounds
 
     @property
     def twist_rows(self) -> tuple[int, ...]:
-        """Rows of a twist (linear first) that the platform can move in, one per coordinate."""
-        return _KINDS[self.kind][2]
+        """Rows of a twist (linear first) that the platform can move in, one per freedom."""
+        return _KINDS[self.kind].twist_rows
+
+    @property
+    def closure_rows(self) -> tuple[int, ...]:
+        """Rows of the loop closure that are kept: two in a plane, three in space."""
+        return _KINDS[self.kind].closure_rows
 
     @property
     def dof(self) -> int:
         """Number of freedoms."""
         return len(self.coordinates)
-
-    @property
-    def closure_rows(self) -> tuple[int, ...]:
-        """Rows of the loop closure that are kept: two in a plane, three in space."""
-        return (0, 1)
 
     def transforms(self, poses: Poses) -> RigidTransform:
         """Return poses ``T_base_platform`` of length N; rigid transforms pass unchanged.
@@ -90,29 +121,78 @@ class Platform:
         if not np.isfinite(coordinates).all():
             row = int(np.argmin(np.isfinite(coordinates).all(axis=1)))
             raise MechanismError(f"pose {row + 1} has a coordinate that is not a finite number")
+        lengths = [i for i, unit in enumerate(self.units) if unit == "m"]
         position = np.zeros((len(coordinates), 3))
-        position[:, :2] = coordinates[:, :2]
+        position[:, : len(lengths)] = coordinates[:, lengths]
+        return RigidTransform.from_components(position, self._rotation(coordinates))
+
+    def _rotation(self, coordinates: Array) -> Rotation:
+        if self.kind == "spatial":
+            azimuth, tilt, torsion = coordinates[:, 3:].T
+            angles = np.stack((azimuth, tilt, torsion - azimuth), axis=1)
+            return Rotation.from_euler("ZYZ", angles)
         quaternion = np.zeros((len(coordinates), 4))
         quaternion[:, 3] = 1.0
         if self.kind == "planar":
             quaternion[:, 2] = np.sin(coordinates[:, 2] / 2)
             quaternion[:, 3] = np.cos(coordinates[:, 2] / 2)
-        return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
+        return Rotation.from_quat(quaternion)
 
     def coordinates_of(self, poses: Poses) -> Array:
-        """Return the coordinates of poses, shape (N, dof), [m] and [rad]; phi in (-pi, pi]."""
+        """Return the coordinates of poses, shape (N, dof), [m] and [rad], angles in (-pi, pi]."""
         if not isinstance(poses, RigidTransform):
             return np.asarray(poses, dtype=np.float64)
         return self.from_matrices(poses.as_matrix())
 
     def from_matrices(self, matrices: Array) -> Array:
         """Return the coordinates of homogeneous matrices, shape (N, 4, 4) to (N, dof)."""
-        columns = [matrices[:, 0, 3], matrices[:, 1, 3]]
+        lengths = self.units.count("m")
+        columns = list(matrices[:, :lengths, 3].T)
+        R = matrices[:, :3, :3]
         if self.kind == "planar":
-            columns.append(np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]))
-        return np.column_stack(columns)
+            columns.append(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+        elif self.kind == "spatial":
+            columns += _tilt_and_torsion(R)
+        return np.stack(columns, axis=1)
+
+    def moved(self, poses: Array, twists: Array) -> Array:
+        """Return poses moved by small twists at the platform's origin, axes of the base.
+
+        Args:
+            poses: Coordinates, shape (N, dof).
+            twists: In the platform's freedoms, shape (N, dof), [m] and [rad].
+        """
+        if self.kind != "spatial":
+            return poses + twists
+        matrices = self.transforms(poses).as_matrix().copy()
+        matrices[:, :3, 3] += twists[:, :3]
+        matrices[:, :3, :3] = Rotation.from_rotvec(twists[:, 3:]).as_matrix() @ matrices[:, :3, :3]
+        return self.from_matrices(matrices)
+
+    def twists_between(self, first: Array, second: Array) -> Array:
+        """Return the twists that take first poses to second ones, shape (N, dof): see ``moved``."""
+        if self.kind != "spatial":
+            turn = [unit == "rad" for unit in self.units]
+            twists = second - first
+            twists[:, turn] = (twists[:, turn] + np.pi) % (2 * np.pi) - np.pi
+            return twists
+        a, b = self.transforms(first), self.transforms(second)
+        turns = (b.rotation * a.rotation.inv()).as_rotvec()
+        return np.concatenate((b.translation - a.translation, turns), axis=1)
 
     @property
     def home_pose(self) -> RigidTransform:
         """Home pose, length 1."""
         return self.transforms(np.array([self.home]))
+
+
+def _tilt_and_torsion(R: Array) -> list[Array]:
+    """Return azimuth, tilt and torsion of rotation matrices, shape (N, 3, 3)."""
+    tilt = np.arctan2(np.hypot(R[:, 0, 2], R[:, 1, 2]), R[:, 2, 2])
+    azimuth = np.arctan2(R[:, 1, 2], R[:, 0, 2])
+    spin = np.arctan2(R[:, 2, 1], -R[:, 2, 0])
+    upright = tilt < 1e-12
+    azimuth = np.where(upright, 0.0, azimuth)
+    spin = np.where(upright, np.arctan2(R[:, 1, 0], R[:, 0, 0]), spin)
+    torsion = -((-(azimuth + spin) + np.pi) % (2 * np.pi) - np.pi)
+    return [azimuth, tilt, torsion]

@@ -16,6 +16,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from pincal.model.platform import Platform
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -23,28 +25,38 @@ Mask = NDArray[np.bool_]
 class HomeComponent:
     """Tells which poses are connected to home, from poses that count and a test for more."""
 
-    def __init__(self, poses: Array, home: Array, counts: Callable[[Array], Mask]) -> None:
+    def __init__(self, platform: Platform, poses: Array, counts: Callable[[Array], Mask]) -> None:
         """Join sampled poses.
 
         Args:
+            platform: The platform, whose home pose counts.
             poses: Sampled poses that count, coordinates of shape (M, dof).
-            home: Home pose, shape (dof,).
             counts: Test for poses, shape (N, dof) to (N,).
         """
-        poses = np.concatenate((home[None], poses))
-        self._scale = np.ptp(poses, axis=0)
+        self._platform = platform
+        self._home = np.array([platform.home])
+        poses = np.concatenate((self._home, poses))
+        points = self._points(poses)
+        self._scale = np.ptp(points, axis=0)
         self._scale[self._scale == 0.0] = 1.0
-        self._tree = KDTree(poses / self._scale)
+        self._tree = KDTree(points / self._scale)
         neighbours = min(len(poses), 4 * poses.shape[1] + 1)
-        near = np.asarray(self._tree.query(poses / self._scale, neighbours)[1])
+        near = np.asarray(self._tree.query(points / self._scale, neighbours)[1])
         near = near.reshape(len(poses), -1)
         pairs = np.stack((np.repeat(np.arange(len(poses)), near.shape[1]), near.ravel()))
-        pairs = pairs[:, pairs[0] < pairs[1]]
-        pairs = pairs[:, counts((poses[pairs[0]] + poses[pairs[1]]) / 2)]
-        graph = coo_array((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), [len(poses)] * 2)
+        first, second = pairs[:, pairs[0] < pairs[1]]
+        halfway = platform.twists_between(poses[first], poses[second]) / 2
+        joined = counts(platform.moved(poses[first], halfway))
+        first, second = first[joined], second[joined]
+        graph = coo_array((np.ones(len(first)), (first, second)), [len(poses)] * 2)
         _, labels = connected_components(graph, directed=False)
         self._connected = labels == labels[0]
 
     def __call__(self, poses: Array) -> Mask:
         """Return which poses, shape (N, dof), belong to the part connected to home."""
-        return np.asarray(self._connected[self._tree.query(poses / self._scale)[1]])
+        nearest = self._tree.query(self._points(poses) / self._scale)[1]
+        return np.asarray(self._connected[nearest])
+
+    def _points(self, poses: Array) -> Array:
+        """Return poses as twists from home, in which near poses are near, shape (N, dof)."""
+        return self._platform.twists_between(np.repeat(self._home, len(poses), axis=0), poses)

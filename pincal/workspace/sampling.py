@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pincal.errors import WorkspaceError
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import close_chunks
-from pincal.kinematics.singularity import drive_margins, platform_margin
+from pincal.kinematics.singularity import drive_margins, home_determinant, platform_margin
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.workspace.component import HomeComponent
@@ -35,13 +35,20 @@ class Margins:
 
     type1: float = 0.23
     """Drive of each leg; at a planar dyad the sine of the elbow angle."""
-    type2: float = 0.2
-    """Determinant of the legs' unit constraint lines, signed as at home."""
+    type2: float | None = None
+    """Determinant of the legs' unit constraint lines, signed as at home. If not given, 0.2,
+    but no more than half of the home pose's: hexapods are far below planar mechanisms."""
 
     def __post_init__(self) -> None:
         for name, value in (("type-1", self.type1), ("type-2", self.type2)):
-            if not 0.0 <= value < 1.0:
+            if value is not None and not 0.0 <= value < 1.0:
                 raise WorkspaceError(f"the {name} margin is {value:g}; expected 0 to 1")
+
+    def least_type2(self, mechanism: Mechanism) -> float:
+        """Return the type-2 margin for a mechanism."""
+        if self.type2 is not None:
+            return self.type2
+        return min(0.2, 0.5 * abs(home_determinant(mechanism)))
 
 
 def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = None) -> Mask:
@@ -51,6 +58,7 @@ def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = Non
         MechanismError: poses of a wrong shape, or not finite.
     """
     least = least or Margins()
+    least_type2 = least.least_type2(mechanism)
     transforms = mechanism.platform.transforms(poses)
     inside = np.empty(len(transforms), dtype=bool)
     for rows, _, closed in close_chunks(mechanism, transforms):
@@ -63,7 +71,7 @@ def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = Non
         closures = [one.closure for one in closed]
         with np.errstate(invalid="ignore"):
             ok &= (drive_margins(closures) >= least.type1).all(axis=1)
-            ok &= platform_margin(mechanism, closures) >= least.type2
+            ok &= platform_margin(mechanism, closures) >= least_type2
         inside[rows] = ok
     return inside
 
@@ -132,12 +140,12 @@ def _explore(
             break
         if len(kept) > 8:  # few hits: look closer to where they are
             low, high = _around(kept, 0.5, *reach)
-    connected = HomeComponent(kept, home, counts)
+    connected = HomeComponent(mechanism.platform, kept, counts)
     for _ in range(2):  # tighten to the part around home, and widen where the box cut
         low, high = _around(kept[connected(kept)], _WIDEN, *reach)
         poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
         kept = np.concatenate((kept, poses[counts(poses)]))
-        connected = HomeComponent(kept[-2 * _PILOT :], home, counts)
+        connected = HomeComponent(mechanism.platform, kept[-2 * _PILOT :], counts)
     return *_around(kept[connected(kept)], _WIDEN / 4, *reach), connected
 
 
@@ -153,11 +161,11 @@ def _reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     for leg in mechanism.legs:
         base = np.array(leg.joints[0].placement.xyz)
-        reach = LegClosure(leg, mechanism.platform).size
+        reach = LegClosure(leg, mechanism.platform).reach
         low, high = np.maximum(low, base - reach), np.minimum(high, base + reach)
-    rows = mechanism.platform.twist_rows
-    corners_low = [low[row] if row < 3 else -np.pi for row in rows]
-    corners_high = [high[row] if row < 3 else np.pi for row in rows]
-    if any(a >= b for a, b in zip(corners_low, corners_high, strict=True)):
+    least, most = np.array(mechanism.platform.bounds).T
+    lengths = mechanism.platform.units.count("m")
+    least[:lengths], most[:lengths] = low[:lengths], high[:lengths]
+    if (least >= most).any():
         raise WorkspaceError(f"no pose of {mechanism.name!r} is within reach of all its legs")
-    return np.array(corners_low), np.array(corners_high)
+    return least, most

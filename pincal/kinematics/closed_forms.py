@@ -1,0 +1,104 @@
+"""Closed-form inverse kinematics of legs that have one: planar dyads and universal-prismatic legs.
+
+They give the start from which Newton's method on the closure needs one step, and say at
+once what is out of reach. Axes and points are read off the calibration chain at zero
+joint positions, so that the forms hold for any parameter values and URDF frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.forest import cross
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+#: Joint positions (N, n_joints) that take the tip to targets (N, 3), and which are in reach.
+ClosedForm = Callable[[LegClosure, Array], tuple[Array, Mask]]
+_EXACT = 1e-12  # of the leg's size
+
+
+def closed_form(closure: LegClosure) -> ClosedForm | None:
+    """Return the closed form of a leg, or None if it has none."""
+    kinds = [joint.kind for joint in closure.leg.moving]
+    spatial = len(closure.platform.closure_rows) == 3
+    if not spatial and kinds == ["revolute", "revolute"]:
+        return planar_dyad
+    if spatial and kinds == ["revolute", "revolute", "prismatic"] and _is_universal(closure):
+        return universal_prismatic
+    return None
+
+
+def planar_dyad(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
+    """Return the two angles of a planar dyad by the cosine law, bent to the side of home.
+
+    A target out of reach gets the angles of the leg stretched or folded towards it.
+    """
+    leg = closure.leg
+    probes = np.array([[0.0, 0.0], [np.pi, 0.0], [0.0, np.pi / 2]])
+    points, columns = closure.joint_columns(probes)
+    tips = points[:, :2] @ np.array([1.0, 1j])
+    sign, sign_elbow = np.sign(columns[5, 0])  # of the axes along the base's z
+    shoulder = (tips[0] + tips[1]) / 2
+    elbow = (tips[2] - 1j * sign_elbow * tips[0]) / (1 - 1j * sign_elbow)
+    upper, fore = elbow - shoulder, tips[0] - elbow
+    a, b = abs(upper), abs(fore)
+    bend_zero = float(np.angle(fore) - np.angle(upper))
+    mode = np.sign(np.sin(sign_elbow * leg.home[1] + bend_zero))
+
+    reach = targets[:, 0] + 1j * targets[:, 1] - shoulder
+    with np.errstate(all="ignore"):
+        cos = (np.abs(reach) ** 2 - a**2 - b**2) / (2 * a * b)
+    sin = mode * np.sqrt(np.clip((1 - cos) * (1 + cos), 0.0, None))
+    bend = np.arctan2(sin, np.clip(cos, -1.0, 1.0))
+    angle = np.angle(reach) - np.angle(a + b * np.exp(1j * bend)) - np.angle(upper)
+    angles = np.stack((sign * angle, sign_elbow * (bend - bend_zero)), axis=1)
+    return leg.home + wrapped(angles - leg.home), np.abs(cos) <= 1.0
+
+
+def universal_prismatic(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
+    """Return the angles of a universal joint and the length of the slide through its centre.
+
+    With axes e₁ ⟂ e₂ and e₃ = e₁ × e₂ at zero, the slide's direction is
+    u = e₁ sin(q₂ + δ) + (e₃ cos q₁ − e₂ sin q₁) cos(q₂ + δ). Of the two solutions the one
+    on the side of home is taken. Every target but the centre is in reach.
+    """
+    leg = closure.leg
+    centre, (e1, e2, e3), slide = _universal(closure)
+    delta = np.arctan2(slide @ e1, slide @ e3)
+    side = np.sign(np.cos(leg.home[1] + delta)) or 1.0
+    forth = np.sign(leg.home[2]) or 1.0
+    arm = targets - centre
+    length = np.linalg.norm(arm, axis=1)
+    with np.errstate(all="ignore"):
+        u = forth * arm / length[:, None]
+    along, across, up = u @ e1, u @ e2, u @ e3
+    q2 = np.arctan2(along, side * np.hypot(across, up)) - delta
+    q1 = np.arctan2(-side * across, side * up)
+    turns = leg.home[:2] + wrapped(np.stack((q1, q2), axis=1) - leg.home[:2])
+    return np.column_stack((turns, forth * length)), length > 0.0
+
+
+def _universal(closure: LegClosure) -> tuple[Array, tuple[Array, Array, Array], Array]:
+    """Return the centre, the frame and the slide's direction of a leg at zero joints."""
+    tips, columns = closure.joint_columns(np.zeros((1, 3)))
+    e1, e2 = columns[3:, 0, 0], columns[3:, 0, 1]
+    return tips[0], (e1, e2, cross(e1[None], e2[None])[0]), columns[:3, 0, 2]
+
+
+def _is_universal(closure: LegClosure) -> bool:
+    """Return whether two crossing perpendicular axes carry a slide that starts at the crossing."""
+    _, columns = closure.joint_columns(np.zeros((1, 3)))
+    speed = np.abs(columns[:3, 0, :2]).max()  # of the tip about the axes: none at the crossing
+    _, (e1, e2, _), slide = _universal(closure)
+    return bool(speed <= _EXACT * closure.size and max(abs(e1 @ e2), abs(e2 @ slide)) <= _EXACT)
+
+
+def wrapped(angles: Array) -> Array:
+    """Return angles in [-pi, pi)."""
+    with np.errstate(invalid="ignore"):
+        return (angles + np.pi) % (2 * np.pi) - np.pi

@@ -1,0 +1,237 @@
+"""The 6-UPS hexapod: spatial poses, closed forms, the paper's figures, and the main job."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import pincal
+from pincal.experiment.observability import r_diagonal
+from pincal.kinematics import starts
+
+EXACT = pincal.Noise(0.0, 0.0, 0.0)
+#: Poses of Eqs. 35, 37 and 40: x, y, z [m], azimuth, tilt, torsion [rad].
+POSES = np.array(
+    [
+        [0.5, 0.6, 1.9, 0.2, 0.3, 0.4],
+        [-0.7696, 0.1330, 1.9, 2.2944, 0.3, 0.4],
+        [0.2696, -0.7330, 1.9, 4.3888, 0.3, 0.4],
+        [0.5, -0.6, 1.9, -0.2, 0.3, -0.4],
+    ]
+)
+#: Leg lengths of Eqs. 36, 38 and 40 [m].
+LENGTHS = np.array(
+    [
+        [2.0096, 2.0358, 2.0740, 2.1695, 2.1457, 1.9637],
+        [2.1457, 1.9637, 2.0096, 2.0358, 2.0740, 2.1695],
+        [2.0740, 2.1695, 2.1457, 1.9637, 2.0096, 2.0358],
+        [1.9637, 2.1457, 2.1695, 2.0740, 2.0358, 2.0096],
+    ]
+)
+
+
+@pytest.fixture(scope="module")
+def hexapod() -> pincal.Mechanism:
+    return pincal.load_mechanism("6UPS")
+
+
+@pytest.fixture(scope="module")
+def poses(hexapod: pincal.Mechanism) -> np.ndarray:
+    return pincal.sample_workspace(hexapod, 4000, seed=0)
+
+
+@pytest.fixture(scope="module")
+def selection(hexapod: pincal.Mechanism, poses: np.ndarray) -> pincal.Selection:
+    return pincal.select_poses(hexapod, poses, 24)
+
+
+def lengths(mechanism: pincal.Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return ‖r + R b − A‖ of each leg from its parameters, shape (N, n_legs)."""
+    azimuth, tilt, torsion = poses[:, 3:].T[:, :, None]
+    R = (
+        Rotation.from_euler("z", azimuth)
+        * Rotation.from_euler("y", tilt)
+        * Rotation.from_euler("z", torsion - azimuth)
+    ).as_matrix()
+
+    def point(radius: float, polar: float, azimuth: float) -> np.ndarray:
+        across = np.sin(polar)
+        return radius * np.array(
+            [across * np.cos(azimuth), across * np.sin(azimuth), np.cos(polar)]
+        )
+
+    columns = []
+    for leg in mechanism.legs:
+        p = leg.nominal_by_name
+        A = point(p["OA"], p["alpha"], p["beta"])
+        b = point(p["ob"], p["alpha_b"], p["beta_b"])
+        columns.append(np.linalg.norm(poses[:, :3] + R @ b - A, axis=1))
+    return np.stack(columns, axis=1)
+
+
+def test_figures_of_the_paper(hexapod: pincal.Mechanism) -> None:
+    """Orientation of Eq. 35 and leg lengths of Eqs. 36 to 41, to the printed digits."""
+    R = hexapod.platform.transforms(POSES[:1]).as_matrix()[0, :3, :3]
+    printed = [
+        [0.87816, -0.380722, 0.289629],
+        [0.380722, 0.922824, 0.0587108],
+        [-0.289629, 0.0587108, 0.955336],
+    ]
+    np.testing.assert_allclose(R, printed, atol=6e-7)
+    np.testing.assert_allclose(pincal.inverse(hexapod, POSES).readings, LENGTHS, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["spatial", "translational"])
+def test_coordinates_convert_to_and_fro(kind: str) -> None:
+    """Transforms and back give the coordinates, and moving by a twist is undone by its opposite."""
+    rng = np.random.default_rng(0)
+    dof = {"spatial": 6, "translational": 3}[kind]
+    platform = pincal.Platform(kind, (0.0,) * dof)
+    coordinates = rng.uniform([-1, -1, -1, -3, 0.1, -3][:dof], [1, 1, 1, 3, 3, 3][:dof], (200, dof))
+    back = platform.coordinates_of(platform.transforms(coordinates))
+    np.testing.assert_allclose(back, coordinates, atol=1e-13)
+    twists = 0.1 * rng.standard_normal((200, dof))
+    moved = platform.moved(coordinates, twists)
+    np.testing.assert_allclose(platform.twists_between(coordinates, moved), twists, atol=1e-13)
+
+
+def test_upright_platform_has_no_azimuth() -> None:
+    """At tilt 0 the azimuth is 0 and the torsion is the whole turn."""
+    platform = pincal.Platform("spatial", (0.0,) * 6)
+    given = np.array([[0, 0, 0, 1.1, 0.0, 0.4], [0, 0, 0, 0.0, 0.0, -3.0]])
+    found = platform.coordinates_of(platform.transforms(given))
+    np.testing.assert_allclose(found, [[0, 0, 0, 0, 0, 0.4], [0, 0, 0, 0, 0, -3.0]], atol=1e-13)
+
+
+def random_hexapod(hexapod: pincal.Mechanism, rng: np.random.Generator) -> pincal.Mechanism:
+    """Return a hexapod with other numbers in every leg."""
+    values = {}
+    for leg in hexapod.legs:
+        p = {name: v + rng.uniform(-0.1, 0.1) for name, v in leg.nominal_by_name.items()}
+        values[leg.name] = p
+    return hexapod.with_parameters(values)
+
+
+def test_inverse_kinematics_equals_the_distance(
+    hexapod: pincal.Mechanism, poses: np.ndarray
+) -> None:
+    """Leg lengths are ‖r + R b − A‖ to 1e-12 on 50 random geometries, gains and offsets too."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        mechanism = random_hexapod(hexapod, rng)
+        solution = pincal.inverse(mechanism, poses[:100])
+        assert solution.reached.all()
+        for index, leg in enumerate(mechanism.legs):
+            p = leg.nominal_by_name
+            length = p["k"] * solution.readings[:, index] + p["gamma"]
+            np.testing.assert_allclose(length, solution.joints[leg.name][:, 2], atol=1e-12)
+        joints = np.stack([solution.joints[leg.name][:, 2] for leg in mechanism.legs], axis=1)
+        assert np.abs(joints - lengths(mechanism, poses[:100])).max() < 1e-12
+
+
+def test_identification_jacobian_equals_central_differences(
+    hexapod: pincal.Mechanism, poses: np.ndarray
+) -> None:
+    """Within 1e-7 of central differences of the distance, relative, on 20 random geometries."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        mechanism = random_hexapod(hexapod, rng)
+        for index, leg in enumerate(mechanism.legs):
+            C = pincal.identification_jacobian(mechanism, leg.name, poses[:50])
+            columns = []
+            for name in leg.parameter_names:
+                ends = []
+                for h in (1e-6, -1e-6):
+                    moved = leg.with_parameters({name: leg.nominal_by_name[name] + h})
+                    p = moved.nominal_by_name
+                    one = replace(mechanism, legs=(moved,))
+                    ends.append((lengths(one, poses[:50])[:, 0] - p["gamma"]) / p["k"])
+                columns.append((ends[0] - ends[1]) / 2e-6)
+            reference = np.stack(columns, axis=1)
+            assert np.abs(C - reference).max() < 1e-7 * np.abs(reference).max(), index
+
+
+def test_sampled_starts_find_the_same_joints(
+    hexapod: pincal.Mechanism, poses: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the closed form, Newton's method from sampled tips gives the same leg lengths."""
+    expected = pincal.inverse(hexapod, poses[:200])
+    monkeypatch.setattr(starts, "closed_form", lambda _: None)
+    found = pincal.inverse(hexapod, poses[:200])
+    assert found.reached.all()
+    np.testing.assert_allclose(found.readings, expected.readings, atol=1e-12)
+
+
+def test_forward_undoes_inverse(hexapod: pincal.Mechanism, poses: np.ndarray) -> None:
+    """From a guess 2 cm and 0.02 rad off, poses come back within 1e-10."""
+    rng = np.random.default_rng(3)
+    guess = hexapod.platform.moved(poses, rng.uniform(-0.02, 0.02, poses.shape))
+    solution = pincal.forward(hexapod, pincal.inverse(hexapod, poses).readings, guess)
+    assert solution.converged.all()
+    assert np.abs(hexapod.platform.twists_between(poses, solution.poses)).max() < 1e-10
+
+
+def test_the_group_of_the_hexapod_is_d6(hexapod: pincal.Mechanism, poses: np.ndarray) -> None:
+    """Three rotations and three mirrors, every leg reached from leg 1, readings equivariant."""
+    group = pincal.symmetry_group(hexapod)
+    assert sorted(str(e) for e in group.elements) == sorted(
+        ["identity", "rotation by 120°", "rotation by 240°"]
+        + [f"mirror at azimuth {a}°" for a in (0, 60, 120)]
+    )
+    assert len(group.carriers()) == 6
+    assert group.equivariance(poses[:500]) < 1e-12
+    longer = hexapod.with_parameters({"leg_2": {"gamma": 1e-3}})
+    assert len(pincal.symmetry_group(longer).elements) == 1  # no mirror leaves a leg in place
+
+
+def test_mapped_poses_are_symmetrically_observable(
+    hexapod: pincal.Mechanism, selection: pincal.Selection
+) -> None:
+    """|R_ii| of all six legs at mapped poses are equal to 1e-9; the choice is near the bound."""
+    plan = selection.plan
+    assert len(plan.poses) == 144
+    assert selection.efficiency >= 0.955
+    diagonals = [
+        r_diagonal(pincal.identification_jacobian(hexapod, leg, plan.poses[plan.serves(leg)]))
+        for leg in hexapod.leg_names
+    ]
+    for diagonal in diagonals:
+        np.testing.assert_allclose(diagonal, diagonals[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["per-leg", "together"])
+@pytest.mark.parametrize("residual", ["closure", "joint"])
+def test_clean_data_recover_all_48_parameters(
+    hexapod: pincal.Mechanism, selection: pincal.Selection, method: str, residual: str
+) -> None:
+    """6 legs of 8 parameters disturbed by 5e-3 come back to 1e-9."""
+    truth = pincal.disturb(hexapod, 5e-3, seed=1)
+    data = pincal.simulate(hexapod, truth, selection.plan, EXACT).measurements
+    result = pincal.calibrate(hexapod, data, method=method, residual=residual)  # type: ignore[arg-type]
+    assert result.converged
+    for found, true in zip(result.legs, truth.legs, strict=True):
+        assert np.abs(found.identified - true.nominal).max() < 1e-9
+        assert found.rank == 8
+
+
+@pytest.mark.slow
+def test_standard_errors_equal_the_spread(
+    hexapod: pincal.Mechanism, selection: pincal.Selection
+) -> None:
+    """Over 100 noisy fits the mean standard error is within 10 % of the spread."""
+    noise, truth = pincal.Noise(1e-4, 1e-4, 2e-5), pincal.disturb(hexapod, 2e-3, seed=2)
+    true = np.concatenate([leg.nominal for leg in truth.legs])
+    errors, std, hits = [], [], []
+    for seed in range(100):
+        data = pincal.simulate(hexapod, truth, selection.plan, noise, seed).measurements
+        result = pincal.calibrate(hexapod, data, noise=noise)
+        parameters = [p for leg in result.legs for p in leg.parameters]
+        errors.append(np.array([p.identified for p in parameters]) - true)
+        std.append([p.std for p in parameters])
+        hits.append([p.low <= t <= p.high for p, t in zip(parameters, true, strict=True)])
+    ratio = np.mean(std, axis=0) / np.std(errors, axis=0)
+    assert abs(ratio.mean() - 1) < 0.10
+    assert 0.93 <= np.mean(hits) <= 0.97
