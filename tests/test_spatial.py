@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.experiment.observability import r_diagonal
 from pincal.kinematics import starts
+from pincal.model.orientation import WAYS, columns_of, rotation_of
 
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
 #: Poses of Eqs. 35, 37 and 40: x, y, z [m], azimuth, tilt, torsion [rad].
@@ -104,6 +106,44 @@ def test_upright_platform_has_no_azimuth() -> None:
     given = np.array([[0, 0, 0, 1.1, 0.0, 0.4], [0, 0, 0, 0.0, 0.0, -3.0]])
     found = platform.coordinates_of(platform.transforms(given))
     np.testing.assert_allclose(found, [[0, 0, 0, 0, 0, 0.4], [0, 0, 0, 0, 0, -3.0]], atol=1e-13)
+
+
+@pytest.mark.parametrize("way", list(WAYS))
+def test_orientations_are_read_in_every_way(
+    hexapod: pincal.Mechanism, poses: np.ndarray, way: str, tmp_path: Path
+) -> None:
+    """Poses written as tilt and torsion, rotation vector, quaternion or Z-Y-X angles read alike."""
+    path = tmp_path / "poses.csv"
+    pincal.write_poses(path, hexapod, pincal.Plan(poses), orientation=way)
+    header = path.read_text().splitlines()[0]
+    assert all(name in header for name in WAYS[way][0])
+    read = pincal.read_poses(path, hexapod).poses
+    assert np.abs(hexapod.platform.twists_between(poses, read)).max() < 1e-12
+    rotation = hexapod.platform.transforms(poses).rotation
+    again = rotation_of(way, columns_of(way, rotation))
+    assert (rotation * again.inv()).magnitude().max() < 1e-12
+
+
+def test_ways_of_orientation_are_what_they_say() -> None:
+    """A quarter turn about z, and Z-Y-X angles against elementary rotations."""
+    quarter = Rotation.from_euler("z", [[90]], degrees=True)
+    assert columns_of("rotation-vector", quarter)[0] == pytest.approx([0, 0, np.pi / 2])
+    assert columns_of("quaternion", quarter)[0] == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5])
+    assert columns_of("zyx", quarter)[0] == pytest.approx([np.pi / 2, 0, 0])
+    yaw, pitch, roll = 0.3, -0.4, 0.5
+    z, y, x = (Rotation.from_euler(a, v) for a, v in (("z", yaw), ("y", pitch), ("x", roll)))
+    R = rotation_of("zyx", np.array([[yaw, pitch, roll]])).as_matrix()[0]
+    np.testing.assert_allclose(R, (z * y * x).as_matrix(), atol=1e-15)
+    gimbal = rotation_of("zyx", np.array([[0.3, np.pi / 2, 0.0]]))
+    assert columns_of("zyx", gimbal)[0] == pytest.approx([0.3, np.pi / 2, 0.0])
+
+
+def test_quaternion_of_wrong_length_is_refused(hexapod: pincal.Mechanism, tmp_path: Path) -> None:
+    """A quaternion that is no rotation raises with file and row."""
+    path = tmp_path / "poses.csv"
+    path.write_text("x [m],y [m],z [m],qw [1],qx [1],qy [1],qz [1]\n0,0,1.8,1,1,0,0\n")
+    with pytest.raises(pincal.MeasurementError, match=r"poses\.csv: row 1: the quaternion"):
+        pincal.read_poses(path, hexapod)
 
 
 def random_hexapod(hexapod: pincal.Mechanism, rng: np.random.Generator) -> pincal.Mechanism:

@@ -115,17 +115,17 @@ def rounded(text: str) -> str:
     return re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda m: f"{float(m[0]):.9g}", text)
 
 
-def test_bundled_robots_are_generated_not_typed(
-    mechanism: pincal.Mechanism, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("name", sorted(pincal.bundled()))
+def test_bundled_robots_are_generated_not_typed(name: str, tmp_path: Path) -> None:
     """Running a robot's definition writes the files that are bundled."""
-    made = runpy.run_path(str(ROBOTS / f"{mechanism.name}.py"))["mechanism"]()
+    made = runpy.run_path(str(ROBOTS / f"{name}.py"))["mechanism"]()
     made.save(tmp_path / "made")
-    bundled = sorted(path.name for path in (ROBOTS / mechanism.name).iterdir())
+    folder = ROBOTS / name
+    bundled = sorted(path.name for path in folder.iterdir())
     assert bundled == sorted(path.name for path in (tmp_path / "made").iterdir())
-    for name in bundled:
-        text = (ROBOTS / mechanism.name / name).read_text()
-        assert rounded((tmp_path / "made" / name).read_text()) == rounded(text)
+    for file in bundled:
+        text = (folder / file).read_text()
+        assert rounded((tmp_path / "made" / file).read_text()) == rounded(text)
 
 
 def test_generated_parameters_are_the_papers() -> None:

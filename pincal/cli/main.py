@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 
-from pincal.cli import calibration, experiment, kinematics, mechanisms
+from pincal.cli import calibration, experiment, kinematics, mechanisms, symmetry
 from pincal.cli.app import app, stderr
 from pincal.errors import PincalError
 
-_GROUPS = (mechanisms, kinematics, experiment, calibration)  # as people come to need them
+_GROUPS = (mechanisms, symmetry, kinematics, experiment, calibration)  # as people come to need them
 app.registered_commands.sort(
     key=lambda command: [group.__name__ for group in _GROUPS].index(
         command.callback.__module__ if command.callback else ""

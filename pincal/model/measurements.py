@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
 from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import WAYS, columns_of, rotation_of
 from pincal.model.table import Table, read_table, write_table
 
 Array = NDArray[np.float64]
@@ -102,7 +104,7 @@ def read_measurements(path: str | Path, mechanism: Mechanism) -> Measurements:
     """
     table = read_table(path)
     platform = mechanism.platform
-    sigma_poses = _sigmas(table, dict(zip(platform.coordinates, platform.units, strict=True)))
+    sigma_poses = _sigmas(table, dict(zip(platform.freedoms, platform.units, strict=True)))
     units = {leg.name: leg.reading_unit for leg in mechanism.legs}
     return Measurements(
         poses=_poses(table, mechanism),
@@ -113,13 +115,27 @@ def read_measurements(path: str | Path, mechanism: Mechanism) -> Measurements:
     )
 
 
-def write_poses(path: str | Path, mechanism: Mechanism, plan: Plan, *, force: bool = False) -> None:
+def write_poses(
+    path: str | Path,
+    mechanism: Mechanism,
+    plan: Plan,
+    *,
+    orientation: str = "tilt-torsion",
+    force: bool = False,
+) -> None:
     """Write poses, and their sets if they have them, to a CSV file.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        plan: The poses.
+        orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+        force: Whether to replace the file if it exists.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    write_table(path, _pose_columns(mechanism, plan), force=force)
+    write_table(path, _pose_columns(mechanism, plan, orientation), force=force)
 
 
 def write_readings(
@@ -144,7 +160,7 @@ def write_measurements(
     columns = _pose_columns(mechanism, data) | _reading_columns(mechanism, data.readings)
     platform = mechanism.platform
     if data.sigma_poses is not None:
-        names = zip(platform.coordinates, platform.units, data.sigma_poses.T, strict=True)
+        names = zip(platform.freedoms, platform.units, data.sigma_poses.T, strict=True)
         columns |= {f"sigma_{name} [{unit}]": values for name, unit, values in names}
     if data.sigma_readings is not None:
         legs = zip(mechanism.legs, data.sigma_readings.T, strict=True)
@@ -153,9 +169,20 @@ def write_measurements(
 
 
 def _poses(table: Table, mechanism: Mechanism) -> Array:
+    """Return the coordinates of poses; a spatial platform's orientation in any of the ways."""
     platform = mechanism.platform
-    names = zip(platform.coordinates, platform.units, strict=True)
-    return np.column_stack([table.numbers(name, unit) for name, unit in names])
+    columns = dict(zip(platform.coordinates, platform.units, strict=True))
+    ways = [way for way, (names, _) in WAYS.items() if all(name in table for name in names)]
+    if platform.kind != "spatial" or not ways or ways[0] == "tilt-torsion":
+        return np.column_stack([table.numbers(name, unit) for name, unit in columns.items()])
+    names, unit = WAYS[ways[0]]
+    position = np.column_stack([table.numbers(name, "m") for name in "xyz"])
+    values = np.column_stack([table.numbers(name, unit) for name in names])
+    try:
+        rotation = rotation_of(ways[0], values)
+    except MeasurementError as error:
+        raise MeasurementError(f"{table.path}: {error}") from error
+    return platform.coordinates_of(RigidTransform.from_components(position, rotation))
 
 
 def _readings(table: Table, mechanism: Mechanism) -> Array:
@@ -192,12 +219,21 @@ def _sigmas(table: Table, units: dict[str, str]) -> Array | None:
     return sigmas
 
 
-def _pose_columns(mechanism: Mechanism, plan: Plan) -> dict[str, Array | tuple[str, ...]]:
+def _pose_columns(
+    mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsion"
+) -> dict[str, Array | tuple[str, ...]]:
     platform = mechanism.platform
     columns: dict[str, Array | tuple[str, ...]] = {}
     if plan.sets is not None:
         columns["set"] = plan.sets
-    for name, unit, values in zip(platform.coordinates, platform.units, plan.poses.T, strict=True):
+    poses = plan.poses
+    names = list(zip(platform.coordinates, platform.units, strict=True))
+    if platform.kind == "spatial" and orientation != "tilt-torsion":
+        turns = columns_of(orientation, platform.transforms(poses).rotation)
+        poses = np.concatenate((poses[:, :3], turns), axis=1)
+        written, unit = WAYS[orientation]
+        names = names[:3] + [(name, unit) for name in written]
+    for (name, unit), values in zip(names, poses.T, strict=True):
         columns[f"{name} [{unit}]"] = values
     return columns
 

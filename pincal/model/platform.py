@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
+from pincal.model.orientation import columns_of, rotation_of
 
 Array = NDArray[np.float64]
 Poses: TypeAlias = Array | RigidTransform  # coordinates (N, dof), or transforms of length N
@@ -82,6 +83,12 @@ class Platform:
         return _KINDS[self.kind].units
 
     @property
+    def freedoms(self) -> tuple[str, ...]:
+        """Names of the twist rows: turns of a spatial platform are rx, ry, rz in base axes."""
+        names = (*self.coordinates[:3], "rx", "ry", "rz")
+        return names if self.kind == "spatial" else self.coordinates
+
+    @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
         """Least and largest value of each coordinate, infinite for lengths."""
         return _KINDS[self.kind].bounds
@@ -128,9 +135,7 @@ class Platform:
 
     def _rotation(self, coordinates: Array) -> Rotation:
         if self.kind == "spatial":
-            azimuth, tilt, torsion = coordinates[:, 3:].T
-            angles = np.stack((azimuth, tilt, torsion - azimuth), axis=1)
-            return Rotation.from_euler("ZYZ", angles)
+            return rotation_of("tilt-torsion", coordinates[:, 3:])
         quaternion = np.zeros((len(coordinates), 4))
         quaternion[:, 3] = 1.0
         if self.kind == "planar":
@@ -152,7 +157,7 @@ class Platform:
         if self.kind == "planar":
             columns.append(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
         elif self.kind == "spatial":
-            columns += _tilt_and_torsion(R)
+            columns += list(columns_of("tilt-torsion", Rotation.from_matrix(R)).T)
         return np.stack(columns, axis=1)
 
     def moved(self, poses: Array, twists: Array) -> Array:
@@ -184,15 +189,3 @@ class Platform:
     def home_pose(self) -> RigidTransform:
         """Home pose, length 1."""
         return self.transforms(np.array([self.home]))
-
-
-def _tilt_and_torsion(R: Array) -> list[Array]:
-    """Return azimuth, tilt and torsion of rotation matrices, shape (N, 3, 3)."""
-    tilt = np.arctan2(np.hypot(R[:, 0, 2], R[:, 1, 2]), R[:, 2, 2])
-    azimuth = np.arctan2(R[:, 1, 2], R[:, 0, 2])
-    spin = np.arctan2(R[:, 2, 1], -R[:, 2, 0])
-    upright = tilt < 1e-12
-    azimuth = np.where(upright, 0.0, azimuth)
-    spin = np.where(upright, np.arctan2(R[:, 1, 0], R[:, 0, 0]), spin)
-    torsion = -((-(azimuth + spin) + np.pi) % (2 * np.pi) - np.pi)
-    return [azimuth, tilt, torsion]

@@ -28,6 +28,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "µm": ("m", 1e-6),  # micro sign
     "μm": ("m", 1e-6),  # Greek letter
     "in": ("m", 0.0254),
+    "1": ("1", 1.0),
     "rad": ("rad", 1.0),
     "mrad": ("rad", 1e-3),
     "deg": ("rad", np.pi / 180),

@@ -12,6 +12,7 @@ from pincal.experiment.selection import Selection
 from pincal.experiment.simulation import Accuracy
 from pincal.identification.result import CalibrationResult
 from pincal.model.mechanism import Mechanism
+from pincal.symmetry.detect import SymmetryGroup
 
 #: Unit in which people read a quantity, and its factor from SI.
 _SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
@@ -133,3 +134,18 @@ def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Group:
     ratio += [f"{before.orientation / after.orientation:.1f} times"] if turns else []
     table.add_row("better by", *ratio, "")
     return _shown(f"platform error over the workspace, {before.poses} poses", table)
+
+
+def symmetry_table(group: SymmetryGroup, equivariance: float) -> Group:
+    """Return a table of a group's elements, where they carry the legs, and what breaks others."""
+    names = group.mechanism.leg_names
+    table = _table()
+    table.add_column("element", no_wrap=True)
+    for name in names:
+        table.add_column(f"{name} to", no_wrap=True)
+    for element, permutation in zip(group.elements, group.permutations, strict=True):
+        table.add_row(str(element), *(names[i] for i in permutation))
+    lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
+    lines += [f"broken: {text}" for text in group.breaks]
+    title = f"{group.mechanism.name}: {len(group.elements)} elements, nominal geometry and modes"
+    return _shown(title, table, "\n".join(lines))

@@ -22,6 +22,7 @@ from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import Element, wrapped
 
 Array = NDArray[np.float64]
+_NEARLY = 0.1  # of the base's radius: a symmetry meant, though not kept
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def symmetry_group(mechanism: Mechanism, tolerance: float = 1e-6) -> SymmetryGro
         if broken is None:
             elements.append(element)
             permutations.append(permutation)
-        else:
+        elif _nearly_maps_bases(element, legs):
             breaks.append(broken)
     return SymmetryGroup(mechanism, tuple(elements), tuple(permutations), tuple(breaks))
 
@@ -119,6 +120,14 @@ def _candidates(legs: list[Leg]) -> list[Element]:
     turns = [Element(wrapped(_azimuth(leg) - first)) for leg in legs]
     mirrors = [Element(wrapped(_azimuth(leg) + first), reflection=True) for leg in legs]
     return [e for e in turns if abs(e.angle) > 1e-9 or e is turns[0]] + mirrors
+
+
+def _nearly_maps_bases(element: Element, legs: list[Leg]) -> bool:
+    """Return whether an element belongs to the group that the base points suggest."""
+    bases = np.array([leg.joints[0].placement.xyz for leg in legs])
+    apart = np.linalg.norm((bases @ element.matrix.T)[:, None] - bases, axis=2)
+    size = np.linalg.norm(bases[:, :2], axis=1).max()
+    return bool((apart.min(axis=1) <= _NEARLY * size).all())
 
 
 def _azimuth(leg: Leg) -> float:
