@@ -1,46 +1,53 @@
-"""Define a mechanism in Python: a planar 4-RRR, one leg carried by four rotations."""
+"""Define a mechanism in Python: a planar 3-RPR, one leg carried by three rotations."""
 
-from math import pi
+from math import atan2, hypot, pi
 
 from matplotlib.figure import Figure
 
 import pincal
-from pincal import Joint, along, placed, polar
+from pincal import Joint, Placement, placed, polar
 from pincal.show.plots import draw_mechanism
 
 # Nominal parameters of leg 1: lengths in m, angles in rad.
 parameters = {
-    "l": 0.30,
-    "L": 0.35,
-    "OA": 0.60,
-    "beta": -3 * pi / 4,
-    "ob": 0.10,
-    "beta_b": -3 * pi / 4,
-    "gamma": 0.0,
+    "OA": 1.0,  # base point: radius and azimuth
+    "beta": -pi / 2,
+    "ob": 0.3,  # platform point: radius and azimuth in the platform's frame
+    "beta_b": -pi / 6,
+    "gamma": 0.5,  # length of the slide at reading zero
 }
+x, y = 0.3 * 3**0.5 / 2, 1.0 - 0.3 / 2  # from base point to platform point at home
 leg = pincal.Leg(
     name="leg_1",
     joints=(  # base first; a placement says by which parameters a joint sits on its link
-        Joint("shoulder", "revolute", placed(parameters, polar("OA", "beta")), home=1.3),
-        Joint("elbow", "revolute", placed(parameters, along("x", "l")), home=-1.2),
-        Joint("tip", "fixed", placed(parameters, along("x", "L"))),
+        Joint("swing", "revolute", placed(parameters, polar("OA", "beta")), home=atan2(y, x)),
+        Joint(
+            "slide",
+            "prismatic",
+            Placement(),
+            axis=(1.0, 0.0, 0.0),
+            lower=0.5,
+            upper=1.4,
+            home=hypot(x, y),
+        ),
+        Joint("tip", "fixed"),
     ),
     point=Joint("b_1", "fixed", placed(parameters, polar("ob", "beta_b"))),
-    sensor=pincal.Sensor("shoulder", form="reading", gain=1.0, offset="gamma"),  # gain not sought
+    sensor=pincal.Sensor("slide", form="joint", gain=1.0, offset="gamma"),  # gain not sought
     parameters=tuple(parameters.items()),
 )
 platform = pincal.Platform("planar", home=(0.0, 0.0, 0.0))
-mechanism = pincal.generate("4RRR", leg, pincal.rotations(4), platform, "An example.")
+mechanism = pincal.generate("3RPR", leg, pincal.rotations(3), platform, "An example.")
 print(pincal.symmetry_group(mechanism))
 
-mechanism.save("04_4RRR", force=True)
-print("saved and loaded alike:", pincal.load_mechanism("04_4RRR") == mechanism)
+mechanism.save("04_3RPR", force=True)  # 'pincal demo 04_3RPR' calibrates it
+print("saved and loaded alike:", pincal.load_mechanism("04_3RPR") == mechanism)
 
-candidates = pincal.sample_workspace(mechanism, 3000, least=pincal.Margins(0.2, 0.1))
-selection = pincal.select_poses(mechanism, candidates, 14)
+candidates = pincal.sample_workspace(mechanism, 3000)
+selection = pincal.select_poses(mechanism, candidates, 12)
 print(f"{len(selection.plan.poses)} poses, efficiency {selection.efficiency:.3f}")
 
 figure = Figure(figsize=(5, 5), layout="constrained")
-draw_mechanism(figure.subplots(), mechanism).set_title("4-RRR")
+draw_mechanism(figure.subplots(), mechanism).set_title("3-RPR")
 figure.savefig("04_mechanism.png", dpi=120)
-print("wrote 04_4RRR and 04_mechanism.png")
+print("wrote 04_3RPR and 04_mechanism.png")

@@ -22,6 +22,7 @@ from pincal.experiment.observability import (
 from pincal.experiment.selection import Selection, select_poses
 from pincal.experiment.simulation import Accuracy, Simulation, accuracy, disturb, simulate
 from pincal.identification.calibrate import calibrate
+from pincal.identification.expected import ExpectedError, expected_error
 from pincal.identification.result import CalibrationResult
 from pincal.identification.result_files import read_result
 from pincal.kinematics.derivatives import identification_jacobian
@@ -54,6 +55,7 @@ __all__ = [
     "Accuracy",
     "CalibrationResult",
     "Element",
+    "ExpectedError",
     "FileError",
     "ForwardSolution",
     "Identifiability",
@@ -84,6 +86,7 @@ __all__ = [
     "calibrate",
     "cartesian",
     "disturb",
+    "expected_error",
     "forward",
     "generate",
     "identifiability",

@@ -227,6 +227,74 @@ def test_together_with_all_poses_beats_each_leg_alone(
     assert (together < alone).mean() > 0.9
 
 
+def test_expected_platform_error_is_the_covariance_carried_on(
+    kind: str, candidates: dict[str, np.ndarray], selections: dict[str, pincal.Selection]
+) -> None:
+    """Expected error² is the sum of the errors² that the columns of a root of the covariance make.
+
+    They are made by driving the identified mechanism with slightly different models.
+    """
+    noise, poses = pincal.Noise(1e-6, 1e-6), candidates[kind][:200]
+    mechanism, _, data = noisy(kind, selections[kind].plan, 21, noise)
+    result = pincal.calibrate(mechanism, data, noise=noise, method="together", poses="all")
+    sums = np.zeros(2)
+    for column in np.linalg.cholesky(result.covariance).T:
+        parts = np.split(column, len(mechanism.legs))
+        values = {
+            leg.name: leg.nominal + part
+            for leg, part in zip(result.identified.legs, parts, strict=True)
+        }
+        model = result.identified.with_parameters(values)
+        made = pincal.accuracy(model, result.identified, poses)
+        sums += np.square([made.position, made.orientation])
+    expected = pincal.expected_error(result, poses)
+    assert expected.poses == 200
+    found = np.array([expected.position, expected.orientation])
+    np.testing.assert_allclose(found, np.sqrt(sums), rtol=1e-3)
+
+
+def test_readings_against_the_sign_are_named(
+    kind: str, selections: dict[str, pincal.Selection]
+) -> None:
+    """Readings of one leg with the wrong sign raise, naming the leg and the sign."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 17, pincal.Noise())
+    for index, leg in enumerate(mechanism.leg_names):
+        readings = data.readings.copy()
+        readings[:, index] *= -1
+        wrong = pincal.Measurements(data.poses, data.sets, readings=readings)
+        with pytest.raises(pincal.MeasurementError, match=f"{leg}:.* (sign|turns|Check)"):
+            pincal.calibrate(mechanism, wrong)
+
+
+def test_whole_turns_are_named(kind: str, selections: dict[str, pincal.Selection]) -> None:
+    """A reading that is a whole turn off raises, with its leg and row."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 18, pincal.Noise())
+    readings = data.readings.copy()
+    readings[4, 1] += 2 * np.pi
+    wrong = pincal.Measurements(data.poses, data.sets, readings=readings)
+    with pytest.raises(pincal.MeasurementError, match=r"leg_2: 1 readings .* first in data row 5"):
+        pincal.calibrate(mechanism, wrong)
+
+
+def test_an_outlier_is_pointed_out(kind: str, selections: dict[str, pincal.Selection]) -> None:
+    """A position 30 mm off is named by its row in the warnings."""
+    mechanism, _, data = noisy(kind, selections[kind].plan, 19, pincal.Noise())
+    poses = data.poses.copy()
+    poses[2, 0] += 0.03
+    wrong = pincal.Measurements(poses, data.sets, readings=data.readings)
+    result = pincal.calibrate(mechanism, wrong, noise=pincal.Noise())
+    assert any("data row 3 " in text for text in result.warnings)
+
+
+def test_noise_in_the_wrong_unit_is_refused(
+    mechanism: pincal.Mechanism, selections: dict[str, pincal.Selection]
+) -> None:
+    """Noise of 0.1 (meant as mm) raises and says that it is in metres."""
+    _, _, data = noisy(mechanism.name, selections[mechanism.name].plan, 20, pincal.Noise())
+    with pytest.raises(pincal.MeasurementError, match="in metres"):
+        pincal.calibrate(mechanism, data, noise=pincal.Noise(0.1, 1e-4))
+
+
 def test_protocol_of_the_paper_improves_the_platform(
     candidates: dict[str, np.ndarray], selections: dict[str, pincal.Selection]
 ) -> None:

@@ -408,7 +408,10 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
         [(YAML, "{x: l}", "{x: [l, L]}")],
         [YAML, "leg_1", "'elbow'", "'x'", "'L'"],
     ),
-    "platform-unknown": ([(YAML, "kind: planar", "kind: spatial")], [YAML, "'spatial'", "planar"]),
+    "platform-unknown": (
+        [(YAML, "kind: planar", "kind: hovering")],
+        [YAML, "'hovering'", "planar"],
+    ),
     "platform-home-short": (
         [(YAML, "{x: 0.0, y: 0.0, phi: 0.0}", "{x: 0.0, y: 0.0}")],
         [YAML, "home", "phi"],

@@ -92,13 +92,14 @@ def test_component_of_home_stops_at_a_gap() -> None:
         )
 
     inside = points[counts(points)]
-    connected = HomeComponent(inside, np.array([1.0, 0.0]), counts)(inside)
+    platform = pincal.Platform("point", home=(1.0, 0.0))
+    connected = HomeComponent(platform, inside, counts)(inside)
     np.testing.assert_array_equal(connected, inside[:, 0] > 0)
 
 
 def test_empty_workspace_is_an_error(mechanism: pincal.Mechanism) -> None:
     """Margins that home itself does not keep raise, and say what to do."""
-    with pytest.raises(pincal.WorkspaceError, match="lower the margins"):
+    with pytest.raises(pincal.WorkspaceError, match="Lower the margins"):
         pincal.sample_workspace(mechanism, 10, least=pincal.Margins(0.99, 0.99))
 
 

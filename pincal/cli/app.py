@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +28,22 @@ app = typer.Typer(
     "mechanisms') or a mechanism folder. Tables are CSV files whose headers carry units, such as "
     "'x [mm]', 'phi [deg]', 'leg_1 [rad]'. See it all at work with 'pincal demo'.",
 )
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        stdout.print(f"pincal {version('pincal')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_version, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
 
 Mech = Annotated[str, typer.Argument(metavar="MECH", help="Bundled mechanism or folder.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]

@@ -12,14 +12,17 @@ import typer
 from pincal.cli.app import Force, Mech, Seed, app, output_option, stderr, stdout, working, wrote
 from pincal.cli.experiment import select, simulate
 from pincal.cli.kinematics import workspace
-from pincal.errors import FileError, MeasurementError
+from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.experiment.simulation import accuracy
 from pincal.identification.calibrate import calibrate as identify
+from pincal.identification.expected import expected_error
+from pincal.identification.result import CalibrationResult
 from pincal.model.files import load_mechanism
-from pincal.model.measurements import Noise, read_measurements, read_poses
+from pincal.model.measurements import Measurements, Noise, read_measurements, read_poses
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing
 from pincal.show.tables import accuracy_table, legs_table, result_table
+from pincal.workspace.sampling import sample_workspace
 
 
 class Method(StrEnum):
@@ -74,7 +77,8 @@ def calibrate(
 
     Without noise options, equal noise of positions [m] and orientations [rad] is assumed
     and its scale estimated from the residuals. RESULT holds result.json, residuals.csv and
-    the calibrated mechanism, a folder that every command takes as MECH.
+    the calibrated mechanism; every command takes it as MECH. The exit code is 1, and no
+    mechanism is written, if the fit does not converge.
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force, folder=True)
@@ -90,19 +94,64 @@ def calibrate(
             noise=noise,
             progress=tell,
         )
+        tell("sampling the workspace for the platform's errors")
+        summary = _summary(mechanism, data, result)
     result.save(output, force=force)
     stdout.print(result_table(result))
     stdout.print(legs_table(result))
-    stdout.print(
-        f"{result.message}; reduced χ² {result.reduced_chi2:.3g} on "
-        f"{result.degrees_of_freedom} degrees of freedom",
-        markup=False,
-    )
+    for line in summary:
+        stdout.print(line, markup=False)
     for text in result.warnings:
         stderr.print(f"warning: {text}", style="yellow", markup=False)
     wrote(output)
     if not result.converged:
         raise typer.Exit(1)
+
+
+def _summary(mechanism: Mechanism, data: Measurements, result: CalibrationResult) -> list[str]:
+    """Return what a calibration means, in sentences."""
+    lines = [result.message]
+    if result.noise_source == "estimated" and result.noise:
+        lines.append(
+            f"noise estimated from the residuals: {1e3 * result.noise.position:.3g} mm in position"
+            + (
+                f", {1e3 * result.noise.orientation:.3g} mrad in orientation"
+                if "rad" in mechanism.platform.units
+                else ""
+            )
+        )
+    else:
+        lines.append(
+            f"reduced χ² {result.reduced_chi2:.3g} on {result.degrees_of_freedom} degrees of "
+            "freedom; near 1 the residuals are as large as the noise given makes them"
+        )
+    if result.converged:
+        try:
+            poses = sample_workspace(mechanism, 1000)
+        except WorkspaceError:  # no workspace with the default margins: judge at the measurements
+            poses = data.poses
+        moved = accuracy(mechanism, result.identified, poses)
+        left = expected_error(result, poses)
+        turns = "rad" in mechanism.platform.units
+        lines.append(
+            "platform, root mean square over the workspace: the nominal model was off by "
+            + _size(moved.position, moved.orientation, turns)
+            + ", the calibrated one should be within "
+            + _size(left.position, left.orientation, turns)
+            + " (by the parameters' uncertainties; ± of single parameters may be larger where they "
+            "compensate each other)"
+        )
+    unused = len(data) - min(leg.n_residuals for leg in result.legs)
+    if unused:
+        lines.append(
+            f"{unused} of {len(data)} measured poses serve other legs only; --poses all lets every "
+            "leg use every pose"
+        )
+    return lines
+
+
+def _size(position: float, orientation: float, turns: bool) -> str:
+    return f"{1e3 * position:.3g} mm" + (f" and {1e3 * orientation:.3g} mrad" if turns else "")
 
 
 def _noise(

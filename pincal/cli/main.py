@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 from pincal.cli import calibration, experiment, kinematics, mechanisms, symmetry
@@ -18,6 +19,9 @@ app.registered_commands.sort(
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
+            stream.reconfigure(errors="replace")
     try:
         app(args=argv, prog_name="pincal")
     except PincalError as error:

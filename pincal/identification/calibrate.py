@@ -16,7 +16,7 @@ from scipy.special import gammainc, ndtri, stdtrit
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.identification.fit import Fit, fit
-from pincal.identification.plausibility import check_plausible
+from pincal.identification.plausibility import check_noise, check_plausible
 from pincal.identification.problem import Problem
 from pincal.identification.residuals import LegResidual, Residual
 from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult
@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Method = Literal["per-leg", "together"]
 _CONFIDENCE = 0.95
+_OUTLYING = 5.0  # standard deviations from which a residual is pointed out
 _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 
 
@@ -64,6 +65,8 @@ def calibrate(
     sigmas, source = _sigmas(mechanism, measurements, noise)
     known = source != "assumed"
     used = _used(mechanism, measurements, poses, known)
+    if noise is not None:
+        check_noise(mechanism, noise)
     check_plausible(mechanism, measurements)
     shake = sigmas[0] * np.random.default_rng(0).standard_normal(sigmas[0].shape)
     shaken = replace(measurements, poses=mechanism.platform.moved(measurements.poses, shake))
@@ -77,8 +80,7 @@ def calibrate(
             for data in (measurements, shaken)
         )
         fits.append(fit(problem, again, weighted=residual == "closure", known=known))
-    given = noise if source == "given" else None if source == "rows" else Noise()
-    return _assemble(mechanism, fits, used, method, residual, poses, given, source)
+    return _assemble(mechanism, fits, used, method, residual, poses, noise, source)
 
 
 def _problem(
@@ -151,6 +153,9 @@ def _assemble(
         begin += size
     dof = sum(one.degrees_of_freedom for one in fits)
     chi2 = sum(one.chi2 for one in fits) / dof if dof else np.nan
+    if source == "assumed":
+        scale = float(np.sqrt(chi2))
+        noise = Noise(*(scale * value for value in vars(Noise()).values()))
     failed = [one.message for one in fits if not one.converged]
     iterations = sum(one.evaluations for one in fits)
     return CalibrationResult(
@@ -161,14 +166,14 @@ def _assemble(
         residual=residual,
         poses=poses,
         noise=noise,
-        noise_source=source,
+        noise_source="estimated" if source == "assumed" else source,
         covariance=covariance,
         degrees_of_freedom=dof,
         reduced_chi2=float(chi2),
         iterations=iterations,
         converged=not failed,
         message="; ".join(failed) or f"converged after {iterations} evaluations",
-        warnings=tuple(_warnings(legs, source, dof, float(chi2))),
+        warnings=tuple(_warnings(mechanism, legs, source, dof, float(chi2))),
     )
 
 
@@ -219,13 +224,21 @@ def _leg_results(mechanism: Mechanism, one: Fit, used: Mask, known: bool) -> lis
     return results
 
 
-def _warnings(legs: tuple[LegResult, ...], source: str, dof: int, chi2: float) -> list[str]:
+def _warnings(
+    mechanism: Mechanism, legs: tuple[LegResult, ...], source: str, dof: int, chi2: float
+) -> list[str]:
     """Return what the reader of a result should know first."""
     found = []
     if source == "assumed":
+        turns = "rad" in mechanism.platform.units
         found.append(
-            "the noise was not given: equal standard deviations of position [m] and orientation "
-            "[rad] were assumed and their scale estimated from the residuals"
+            "the noise was not given: "
+            + (
+                "equal standard deviations of position [m] and orientation [rad] were"
+                if turns
+                else "exact readings were"
+            )
+            + " assumed, and the scale estimated from the residuals"
         )
     elif dof and not _UNLIKELY <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - _UNLIKELY:
         found.append(
@@ -233,6 +246,15 @@ def _warnings(legs: tuple[LegResult, ...], source: str, dof: int, chi2: float) -
             f"{'larger' if chi2 > 1 else 'smaller'} than given, or the model lacks something; the "
             "uncertainties assume the noise as given"
         )
+    scale = np.sqrt(chi2) if source == "assumed" else 1.0
+    for leg in legs:
+        off = np.abs(leg.residuals) / (scale * leg.sigma) if scale > 0.0 else np.zeros(1)
+        worst = int(np.argmax(off))
+        if off[worst] > _OUTLYING:
+            found.append(
+                f"{leg.name}: the residual of data row {leg.rows[worst] + 1} is {off[worst]:.1f} "
+                "standard deviations; look at this measurement (residuals.csv has all)"
+            )
     found += [
         f"{leg.name}: {leg.n_residuals} poses for {len(leg.parameters)} parameters; two or three "
         "times as many poses as parameters are advised"

@@ -73,14 +73,15 @@ class CalibrationResult:
     residual: str
     poses: str
     noise: Noise | None
-    """Standard deviations used for all rows; None if rows have their own."""
+    """Standard deviations given or estimated for all rows; None if rows have their own."""
     noise_source: str
-    """``"given"``, ``"rows"`` of the measurements, or ``"assumed"`` with its scale estimated."""
+    """``"given"``, ``"rows"`` of the measurements, or ``"estimated"`` from the residuals."""
     covariance: Array
     """Covariance of all parameters, legs in order, shape (n, n)."""
     degrees_of_freedom: int
     reduced_chi2: float
-    """χ² over degrees of freedom, with the noise as modelled; near 1 if that holds."""
+    """χ² over degrees of freedom, near 1 if the noise is as given; if it was estimated, of the
+    assumed one (1e-4 m and rad), and no sign of a good fit."""
     iterations: int
     """Evaluations of the residuals."""
     converged: bool

@@ -20,6 +20,7 @@ from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
 _SAMPLES = 20_000
+_BEYOND = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
 
 
 def start(
@@ -40,15 +41,16 @@ def start(
     if form:
         joints, possible = form(closure, targets)
         return joints, possible & (attempt == 0)
-    tree, joints = _samples(closure.leg, closure.platform)
+    tree, joints, reach = _samples(closure.leg, closure.platform)
     rows = list(closure.platform.closure_rows)
-    nearest = np.asarray(tree.query(targets[:, rows], [attempt + 1])[1])[:, 0]
-    return joints[nearest], np.ones(len(targets), dtype=bool)
+    distance, nearest = tree.query(targets[:, rows], [attempt + 1])
+    index = np.minimum(nearest[:, 0], len(joints) - 1)  # none is near where a target is infinite
+    return joints[index], distance[:, 0] <= reach
 
 
 @lru_cache(maxsize=64)
-def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array]:
-    """Return sampled tips of the leg in its working mode, and their joint positions."""
+def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
+    """Return sampled tips of the leg in its mode, their joints, and how far it reaches beyond."""
     closure = LegClosure(leg, platform)
     rng = np.random.default_rng(0)
     low, high = [], []
@@ -60,7 +62,9 @@ def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array]:
     poses = np.broadcast_to(platform.home_pose.as_matrix(), (_SAMPLES, 4, 4))
     keep = mode_sign(closure.evaluate(joints, poses)) == home_mode(leg, platform)
     joints = joints[keep]
-    return KDTree(closure.tips(joints)[:, list(platform.closure_rows)]), joints
+    tree = KDTree(closure.tips(joints)[:, list(platform.closure_rows)])
+    gaps = tree.query(tree.data, [2])[0]
+    return tree, joints, _BEYOND * float(gaps.max())
 
 
 def mode_sign(closure: Closure) -> Array:

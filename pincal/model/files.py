@@ -28,7 +28,7 @@ def bundled() -> dict[str, Path]:
 
 
 def load_mechanism(name_or_path: str | Path) -> Mechanism:
-    """Return a mechanism from a bundled name (``"3RRR"``) or a mechanism folder.
+    """Return a mechanism from a bundled name (``"3RRR"``), its folder, or a result folder.
 
     Raises:
         FileError: no such folder, or a file in it is missing.
@@ -42,6 +42,8 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
             f"no mechanism {str(name_or_path)[:200]!r}: neither a folder nor one of the bundled "
             f"ones ({', '.join(bundled()) or 'none found'})"
         )
+    if (folder / "result.json").is_file() and (folder / "mechanism").is_dir():
+        folder = folder / "mechanism"  # a result of 'pincal calibrate'
     path = folder / "mechanism.yaml"
     spec = read_spec(path)
     try:

@@ -81,7 +81,7 @@ def read_poses(path: str | Path, mechanism: Mechanism) -> Plan:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
-    table = read_table(path)
+    table = _read(path, mechanism)
     return Plan(_poses(table, mechanism), _sets(table, mechanism))
 
 
@@ -92,7 +92,7 @@ def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
-    return _readings(read_table(path), mechanism)
+    return _readings(_read(path, mechanism), mechanism)
 
 
 def read_measurements(path: str | Path, mechanism: Mechanism) -> Measurements:
@@ -102,7 +102,7 @@ def read_measurements(path: str | Path, mechanism: Mechanism) -> Measurements:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
-    table = read_table(path)
+    table = _read(path, mechanism)
     platform = mechanism.platform
     sigma_poses = _sigmas(table, dict(zip(platform.freedoms, platform.units, strict=True)))
     units = {leg.name: leg.reading_unit for leg in mechanism.legs}
@@ -166,6 +166,23 @@ def write_measurements(
         legs = zip(mechanism.legs, data.sigma_readings.T, strict=True)
         columns |= {f"sigma_{leg.name} [{leg.reading_unit}]": values for leg, values in legs}
     write_table(path, columns, force=force)
+
+
+def _read(path: str | Path, mechanism: Mechanism) -> Table:
+    """Return a table; a column whose name differs from a known one by its case is refused."""
+    table = read_table(path)
+    turns = [name for names, _ in WAYS.values() for name in names]
+    values = [*mechanism.platform.coordinates, *turns, *mechanism.leg_names]
+    known = ["set", *values, *(f"sigma_{name}" for name in values)]
+    for column in table.units:
+        bare = column.split("(")[0].strip().lower()
+        meant = [name for name in known if name.lower() == bare and name not in table]
+        if column not in known and meant:
+            raise MeasurementError(
+                f"{table.path}: column {column!r} is ignored as it stands; write {meant[0]!r}, and "
+                "units in brackets: 'x [mm]'"
+            )
+    return table
 
 
 def _poses(table: Table, mechanism: Mechanism) -> Array:

@@ -15,8 +15,13 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.inverse import close_chunks
-from pincal.kinematics.singularity import drive_margins, home_determinant, platform_margin
+from pincal.kinematics.inverse import close, close_chunks
+from pincal.kinematics.singularity import (
+    drive_margins,
+    home_determinant,
+    margins,
+    platform_margin,
+)
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.workspace.component import HomeComponent
@@ -123,10 +128,7 @@ def _explore(
     home = np.array(mechanism.platform.home)
     reach = _reach_box(mechanism)
     if not in_workspace(mechanism, home[None], least)[0]:
-        raise WorkspaceError(
-            f"the home pose of {mechanism.name!r} does not keep the margins from singularities "
-            "or the joint limits; lower the margins (--margin-type1, --margin-type2) or move home"
-        )
+        raise WorkspaceError(_why_not_home(mechanism, least or Margins()))
 
     def counts(poses: Array) -> Mask:
         return in_workspace(mechanism, poses, least)
@@ -147,6 +149,29 @@ def _explore(
         kept = np.concatenate((kept, poses[counts(poses)]))
         connected = HomeComponent(mechanism.platform, kept[-2 * _PILOT :], counts)
     return *_around(kept[connected(kept)], _WIDEN / 4, *reach), connected
+
+
+def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
+    """Return why the home pose does not count."""
+    name, platform = mechanism.name, mechanism.platform
+    start = f"the home pose of {name!r} is not in the workspace: "
+    for leg in mechanism.legs:
+        closed = close(LegClosure(leg, platform), platform.home_pose.as_matrix())
+        if not closed.reached[0]:
+            return start + f"{leg.name} does not reach it on the side where it bends at home"
+        for joint, value in zip(leg.moving, closed.joints[0], strict=True):
+            if not joint.lower <= value <= joint.upper:
+                return start + (
+                    f"joint {joint.name!r} of {leg.name} is at {value:.4g} there, beyond its "
+                    f"limits {joint.lower:.4g} to {joint.upper:.4g}"
+                )
+    found = margins(mechanism, platform.home_pose)
+    return start + (
+        f"its distances from singularities are {found.type1.min():.3g} (type 1, the drives' grip) "
+        f"and {found.type2[0]:.3g} (type 2, the platform's stiffness), the margins "
+        f"{least.type1:.3g} and {least.least_type2(mechanism):.3g}. Lower the margins ('pincal "
+        "workspace --margin-type1 … --margin-type2 …') or move home"
+    )
 
 
 def _around(poses: Array, widen: float, least: Array, most: Array) -> tuple[Array, Array]:
