@@ -1,6 +1,6 @@
 """Ratios, measured in one run: what pincal adds to Pinocchio, and what batches save.
 
-``python -m pytest benchmarks/bench_kinematics.py --docs`` writes docs/benchmarks.md. Each
+``python -m pytest benchmarks/bench_kinematics.py -n 0 --docs`` writes docs/benchmarks.md. Each
 ratio is of medians of runs taken in turn, so that a drifting machine drifts for both.
 Bounds are not asserted: a benchmark is not a test.
 """

@@ -37,8 +37,8 @@ def _page(rows: list[tuple[str, float, str]]) -> str:
     lines = [
         "# Benchmarks",
         "",
-        "Written by `python -m pytest benchmarks/bench_kinematics.py --docs`; ratios of medians,",
-        "measured in one run, on the bundled 3-RRR.",
+        "Written by `python -m pytest benchmarks/bench_kinematics.py -n 0 --docs`;",
+        "ratios of medians, measured in one run, on the bundled 3-RRR.",
         f"Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
         f"{platform.machine()}.",
         "",
