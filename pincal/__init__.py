@@ -49,17 +49,34 @@ from pincal.model.sensor import Sensor
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element, mirror, rotations
 from pincal.symmetry.generate import generate
-from pincal.workspace.sampling import Margins, in_workspace, sample_workspace
+from pincal.workspace.articular import (
+    ArticularSymmetry,
+    articular_space,
+    articular_symmetry,
+    equal_sums,
+)
+from pincal.workspace.axes import Axis
+from pincal.workspace.box import default_grid, default_samples
+from pincal.workspace.criteria import Margins, in_workspace
+from pincal.workspace.inscribed import Inscribed, largest_inscribed
+from pincal.workspace.orientations import Orientations
+from pincal.workspace.positions import Grid, Samples
+from pincal.workspace.region import Workspace, compute_workspace
+from pincal.workspace.sampling import sample_workspace
 
 __all__ = [
     "Accuracy",
+    "ArticularSymmetry",
+    "Axis",
     "CalibrationResult",
     "Element",
     "ExpectedError",
     "FileError",
     "ForwardSolution",
+    "Grid",
     "Identifiability",
     "Indices",
+    "Inscribed",
     "InverseSolution",
     "Joint",
     "Leg",
@@ -70,22 +87,31 @@ __all__ = [
     "MechanismError",
     "Noise",
     "ObservabilityError",
+    "Orientations",
     "PincalError",
     "Placement",
     "Plan",
     "Platform",
+    "Samples",
     "Selection",
     "Sensor",
     "Simulation",
     "SymmetryError",
     "SymmetryGroup",
+    "Workspace",
     "WorkspaceError",
     "accuracy",
     "along",
+    "articular_space",
+    "articular_symmetry",
     "bundled",
     "calibrate",
     "cartesian",
+    "compute_workspace",
+    "default_grid",
+    "default_samples",
     "disturb",
+    "equal_sums",
     "expected_error",
     "forward",
     "generate",
@@ -94,6 +120,7 @@ __all__ = [
     "in_workspace",
     "indices",
     "inverse",
+    "largest_inscribed",
     "load_mechanism",
     "margins",
     "mirror",

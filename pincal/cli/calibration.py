@@ -11,7 +11,7 @@ import typer
 
 from pincal.cli.app import Force, Mech, Seed, app, output_option, stderr, stdout, working, wrote
 from pincal.cli.experiment import select, simulate
-from pincal.cli.kinematics import workspace
+from pincal.cli.workspace import workspace
 from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.experiment.simulation import accuracy
 from pincal.identification.calibrate import calibrate as identify
@@ -203,7 +203,7 @@ def demo(
     truth, measured, result = folder / "truth", folder / "measurements.csv", folder / "result"
 
     _step(f"pincal workspace {mech} --count 30000 --seed {seed} -o {candidates}")
-    workspace(mech, candidates, 30_000, seed, force=force)
+    workspace(mech, candidates, count=30_000, seed=seed, force=force)
     _step(f"pincal select {mech} --count 24 --candidates {candidates} --seed {seed} -o {plan}")
     select(mech, plan, 24, candidates, seed=seed, force=force)
     _step(

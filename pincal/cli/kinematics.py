@@ -1,4 +1,4 @@
-"""``pincal inverse``, ``forward`` and ``workspace``: poses to readings and back."""
+"""``pincal inverse`` and ``forward``: poses to readings and back."""
 
 from __future__ import annotations
 
@@ -10,14 +10,10 @@ import typer
 from scipy.spatial import KDTree
 
 from pincal.cli.app import (
-    Count,
     Force,
     Mech,
-    Seed,
     app,
-    counting,
     output_option,
-    stderr,
     working,
     wrote,
 )
@@ -33,17 +29,9 @@ from pincal.model.measurements import (
     write_readings,
 )
 from pincal.model.output import refuse_existing
-from pincal.workspace.sampling import Margins, sample_workspace
+from pincal.workspace.criteria import Margins
+from pincal.workspace.sampling import sample_workspace
 
-MarginType1 = Annotated[
-    float, typer.Option(help="Least distance from type-1 singularities; a dyad's elbow sine.")
-]
-MarginType2 = Annotated[
-    float | None,
-    typer.Option(
-        help="Least distance from type-2 singularities [default: 0.2, at most half of home's]."
-    ),
-]
 _SHOWN = 5
 
 
@@ -106,30 +94,3 @@ def _refuse_lost(path: Path, lost: list[tuple[int, str]], what: str) -> None:
             f"{path}: {len(lost)} {what}(s) without a solution, nothing written. {named}{more}. "
             "Correct or remove these rows"
         )
-
-
-@app.command()
-def workspace(
-    mech: Mech,
-    output: Annotated[Path, output_option("CANDIDATES.csv", "Poses in the workspace.")],
-    count: Count = 30_000,
-    seed: Seed = 0,
-    margin_type1: MarginType1 = 0.23,
-    margin_type2: MarginType2 = None,
-    force: Force = False,
-) -> None:
-    """Write poses spread over the workspace.
-
-    They are candidates for 'pincal select'.
-    Every leg reaches them in its working mode, within joint limits and margins from
-    singularities, and they are connected to home.
-    """
-    mechanism = load_mechanism(mech)
-    refuse_existing(output, force=force)
-    least = Margins(margin_type1, margin_type2)
-    with counting("sampling the workspace", count) as done:
-        poses = sample_workspace(mechanism, count, seed, least, done)
-    write_poses(output, mechanism, Plan(poses), force=force)
-    box = zip(mechanism.platform.coordinates, poses.min(axis=0), poses.max(axis=0), strict=True)
-    stderr.print(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f}' for n, a, b in box)}")
-    wrote(output)

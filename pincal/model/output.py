@@ -27,10 +27,13 @@ def refuse_existing(path: str | Path, *, force: bool, folder: bool = False) -> P
     path = Path(path)
     try:
         exists, is_folder = path.exists(), path.is_dir()
+        special = exists and not (is_folder or path.is_file())  # a device or a pipe
         parent = path.absolute().parent
         has_parent = parent.is_dir()
     except (OSError, ValueError) as error:
         raise FileError(f"cannot write {str(path)[:200]!r}: {error}") from error
+    if special:
+        raise FileError(f"{path} is a device or a pipe; name a file to write")
     if exists and not force:
         raise FileError(f"{path} exists; choose another name, or say --force to replace it")
     if exists and is_folder and not folder:

@@ -18,18 +18,19 @@ from pincal.symmetry.detect import SymmetryGroup
 _SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
 
 
-def _table() -> Table:
+def plain_table() -> Table:
+    """Return an empty table in the house's looks."""
     return Table(box=box.SIMPLE_HEAD, pad_edge=False)
 
 
-def _shown(title: str, table: Table, caption: str = "") -> Group:
+def titled(title: str, table: Table, caption: str = "") -> Group:
     """Return a table under its title, with a caption as wide as the terminal."""
     return Group(Text(title, style="bold"), table, *([Text(caption + "\n")] if caption else []))
 
 
 def parameters_table(mechanism: Mechanism) -> Group:
     """Return a table of nominal parameters, one row a parameter, one column a leg."""
-    table = _table()
+    table = plain_table()
     table.add_column("parameter")
     for name in mechanism.leg_names:
         table.add_column(name, justify="right")
@@ -40,12 +41,12 @@ def parameters_table(mechanism: Mechanism) -> Group:
         cells = ["" if value is None else f"{value:.6f}" for value in values]
         unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
         table.add_row(name, *cells, unit)
-    return _shown(f"{mechanism.name}: nominal parameters", table)
+    return titled(f"{mechanism.name}: nominal parameters", table)
 
 
 def selection_table(selection: Selection) -> Group:
     """Return a table of what a selection gives each leg."""
-    table = _table()
+    table = plain_table()
     for name in ("leg", "poses", "efficiency", "O1", "condition"):
         table.add_column(name, justify="left" if name == "leg" else "right")
     for leg in selection.legs:
@@ -56,7 +57,7 @@ def selection_table(selection: Selection) -> Group:
             f"{leg.indices.O1_per_parameter:.4f}",
             f"{leg.condition:.3g}",
         )
-    return _shown(
+    return titled(
         f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
         f"{selection.candidates} candidates",
         table,
@@ -67,7 +68,7 @@ def selection_table(selection: Selection) -> Group:
 
 def result_table(result: CalibrationResult) -> Group:
     """Return a table of identified parameters with 95 % intervals and changes."""
-    table = _table()
+    table = plain_table()
     table.add_column("leg")
     table.add_column("parameter", no_wrap=True)
     for name in ("nominal", "identified", "change", "± 95 %"):
@@ -89,7 +90,7 @@ def result_table(result: CalibrationResult) -> Group:
                 f"{change / p.std:+.1f}" if p.std > 0 else "",
                 end_section=i == len(leg.parameters) - 1,
             )
-    return _shown(
+    return titled(
         f"{result.nominal.name} calibrated: {result.method}, {result.residual} residual",
         table,
         "nominal and identified in m, rad and 1; change and its 95 % interval in the unit behind; "
@@ -100,7 +101,7 @@ def result_table(result: CalibrationResult) -> Group:
 def legs_table(result: CalibrationResult) -> Group:
     """Return a table of residuals, rank and condition of each leg."""
     unit, factor = _SHOWN["m" if result.residual == "closure" else "rad"]
-    table = _table()
+    table = plain_table()
     table.add_column("leg")
     for name in (f"rms before [{unit}]", f"rms after [{unit}]", "poses", "rank", "condition"):
         table.add_column(escape(name), justify="right")
@@ -113,12 +114,12 @@ def legs_table(result: CalibrationResult) -> Group:
             f"{leg.rank} of {len(leg.parameters)}",
             f"{leg.condition:.3g}",
         )
-    return _shown("residuals", table)
+    return titled("residuals", table)
 
 
 def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Group:
     """Return a table of platform errors with nominal and with identified parameters."""
-    table = _table()
+    table = plain_table()
     table.add_column("model")
     table.add_column(escape("position rms [mm]"), justify="right")
     table.add_column(escape("worst [mm]"), justify="right")
@@ -133,13 +134,13 @@ def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Group:
     ratio += [f"{before.worst_position / after.worst_position:.1f} times"]
     ratio += [f"{before.orientation / after.orientation:.1f} times"] if turns else []
     table.add_row("better by", *ratio, "")
-    return _shown(f"platform error over the workspace, {before.poses} poses", table)
+    return titled(f"platform error over the workspace, {before.poses} poses", table)
 
 
 def symmetry_table(group: SymmetryGroup, equivariance: float) -> Group:
     """Return a table of a group's elements, where they carry the legs, and what breaks others."""
     names = group.mechanism.leg_names
-    table = _table()
+    table = plain_table()
     table.add_column("element", no_wrap=True)
     for name in names:
         table.add_column(f"{name} to", no_wrap=True)
@@ -148,4 +149,4 @@ def symmetry_table(group: SymmetryGroup, equivariance: float) -> Group:
     lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
     lines += [f"broken: {text}" for text in group.breaks]
     title = f"{group.mechanism.name}: {len(group.elements)} elements, nominal geometry and modes"
-    return _shown(title, table, "\n".join(lines))
+    return titled(title, table, "\n".join(lines))

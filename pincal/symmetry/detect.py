@@ -1,4 +1,4 @@
-"""The symmetry group of a mechanism, detected from geometry, working modes and sensors.
+"""The symmetry group of a mechanism, detected from geometry, limits, working modes, sensors.
 
 An element of the group carries leg 1 to some leg j, so the only candidates are one
 rotation and one mirror for each j. A candidate holds if it carries every leg onto a
@@ -8,6 +8,7 @@ leg; if not, the first thing that breaks it is named.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,8 +96,9 @@ class SymmetryGroup:
         return "\n".join(lines + [f"  broken: {b}" for b in self.breaks])
 
 
+@lru_cache(maxsize=64)
 def symmetry_group(mechanism: Mechanism, tolerance: float = 1e-6) -> SymmetryGroup:
-    """Return the symmetry group of a mechanism's nominal geometry, working modes and sensors.
+    """Return the symmetry group of a mechanism's nominal geometry, limits, modes and sensors.
 
     Args:
         mechanism: The mechanism.
@@ -195,4 +197,11 @@ def _difference(
     shift = abs(wrapped(carried.sensor.zero - leg.sensor.zero))
     if shift > tolerance:
         return "zero of the sensor", shift
+    for a, b in zip(carried.moving, leg.moving, strict=True):
+        if min(a.upper - a.lower, b.upper - b.lower) >= 2 * np.pi and a.kind == "revolute":
+            continue  # goes all round, wherever that is counted from
+        ends = (a.lower - b.lower, a.upper - b.upper)
+        shift = max(abs(wrapped(end) if a.kind == "revolute" else end) for end in ends)
+        if not shift <= 2 * tolerance * (size if a.kind == "prismatic" else 1.0):
+            return f"limits of joint {b.name!r}", shift if np.isfinite(shift) else None
     return None

@@ -8,23 +8,18 @@ if it can be driven to from home so.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.inverse import close, close_chunks
-from pincal.kinematics.singularity import (
-    drive_margins,
-    home_determinant,
-    margins,
-    platform_margin,
-)
+from pincal.kinematics.inverse import close
+from pincal.kinematics.singularity import margins
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Poses
+from pincal.workspace.box import reach_box
 from pincal.workspace.component import HomeComponent
+from pincal.workspace.criteria import Margins, in_workspace
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,53 +27,6 @@ _BATCH = 16_384
 _PILOT = 1_500  # accepted poses from which the box is tightened and connected
 _WIDEN = 0.1  # of the box around the accepted poses, on each side
 _MOST = 400  # batches without enough poses before giving up
-
-
-@dataclass(frozen=True)
-class Margins:
-    """Least distances from singularities that a pose must keep, dimensionless."""
-
-    type1: float = 0.23
-    """Drive of each leg; at a planar dyad the sine of the elbow angle."""
-    type2: float | None = None
-    """Determinant of the legs' unit constraint lines, signed as at home. If not given, 0.2,
-    but no more than half of the home pose's: hexapods are far below planar mechanisms."""
-
-    def __post_init__(self) -> None:
-        for name, value in (("type-1", self.type1), ("type-2", self.type2)):
-            if value is not None and not 0.0 <= value < 1.0:
-                raise WorkspaceError(f"the {name} margin is {value:g}; expected 0 to 1")
-
-    def least_type2(self, mechanism: Mechanism) -> float:
-        """Return the type-2 margin for a mechanism."""
-        if self.type2 is not None:
-            return self.type2
-        return min(0.2, 0.5 * abs(home_determinant(mechanism)))
-
-
-def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = None) -> Mask:
-    """Return which poses count, shape (N,).
-
-    Raises:
-        MechanismError: poses of a wrong shape, or not finite.
-    """
-    least = least or Margins()
-    least_type2 = least.least_type2(mechanism)
-    transforms = mechanism.platform.transforms(poses)
-    inside = np.empty(len(transforms), dtype=bool)
-    for rows, _, closed in close_chunks(mechanism, transforms):
-        ok = np.ones(rows.stop - rows.start, dtype=bool)
-        for leg, one in zip(mechanism.legs, closed, strict=True):
-            low, high = zip(*((j.lower, j.upper) for j in leg.moving), strict=True)
-            with np.errstate(invalid="ignore"):
-                limits = (one.joints >= low) & (one.joints <= high)
-            ok &= one.reached & limits.all(axis=1)
-        closures = [one.closure for one in closed]
-        with np.errstate(invalid="ignore"):
-            ok &= (drive_margins(closures) >= least.type1).all(axis=1)
-            ok &= platform_margin(mechanism, closures) >= least_type2
-        inside[rows] = ok
-    return inside
 
 
 def sample_workspace(
@@ -126,7 +74,7 @@ def _explore(
 ) -> tuple[Array, Array, HomeComponent]:
     """Return lower and upper corners of a box around the workspace, and its part around home."""
     home = np.array(mechanism.platform.home)
-    reach = _reach_box(mechanism)
+    reach = reach_box(mechanism)
     if not in_workspace(mechanism, home[None], least)[0]:
         raise WorkspaceError(_why_not_home(mechanism, least or Margins()))
 
@@ -179,18 +127,3 @@ def _around(poses: Array, widen: float, least: Array, most: Array) -> tuple[Arra
     low, high = poses.min(axis=0), poses.max(axis=0)
     size = high - low
     return np.maximum(low - widen * size, least), np.minimum(high + widen * size, most)
-
-
-def _reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return a box that holds every pose that all legs can reach."""
-    low, high = np.full(3, -np.inf), np.full(3, np.inf)
-    for leg in mechanism.legs:
-        base = np.array(leg.joints[0].placement.xyz)
-        reach = LegClosure(leg, mechanism.platform).reach
-        low, high = np.maximum(low, base - reach), np.minimum(high, base + reach)
-    least, most = np.array(mechanism.platform.bounds).T
-    lengths = mechanism.platform.units.count("m")
-    least[:lengths], most[:lengths] = low[:lengths], high[:lengths]
-    if (least >= most).any():
-        raise WorkspaceError(f"no pose of {mechanism.name!r} is within reach of all its legs")
-    return least, most

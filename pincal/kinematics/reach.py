@@ -1,0 +1,167 @@
+"""Where a leg can have its tip, in closed form: a shell around a centre, cut by half-spaces.
+
+Planar dyads and universal-prismatic legs reach a platform point if its distance from the
+leg's centre lies between two bounds, and on the right side of planes. Stroke, elbow
+margin and the turn of a universal joint all take this form, which for many positions and
+orientations at once is a product of matrices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closed_forms import (
+    closed_form,
+    dyad_geometry,
+    planar_dyad,
+    universal_geometry,
+)
+from pincal.kinematics.closure import LegClosure
+from pincal.model.leg import Joint
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+SLACK = 1e-12  # of the leg's size, and [rad]: mirrored poses differ by rounding errors
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Tips that a leg reaches within its limits; at dyads with an elbow margin."""
+
+    point: Array
+    """Platform point b, platform frame, shape (3,), [m]."""
+    centre: Array
+    """Centre of the shell, base frame, shape (3,), [m]."""
+    bounds: tuple[float, float]
+    """Least and largest squared distance from the centre, [m²]; slack included."""
+    normals: Array
+    """Half-spaces n · (tip − centre) ≥ −slack, unit normals, shape (n_planes, 3)."""
+    slack: float
+    """[m]."""
+    exact: bool
+    """Whether nothing else limits the leg; else the shell is necessary, not sufficient."""
+
+    def holds(self, matrices: Array) -> Mask:
+        """Return which poses ``T_base_platform``, shape (N, 4, 4), the leg reaches."""
+        arm = matrices[:, :3, 3] + matrices[:, :3, :3] @ self.point - self.centre
+        squared = np.einsum("ni,ni->n", arm, arm)
+        inside = (squared >= self.bounds[0]) & (squared <= self.bounds[1])
+        for normal in self.normals:
+            inside &= arm @ normal >= -self.slack
+        return inside
+
+    def turned(self, R: Array) -> Array:
+        """Return the platform point turned by orientations, shape (O, 3, 3), for what follows.
+
+        Columns (2 R b, 1), shape (4, O): the factor of a squared distance that does not depend
+        on the position.
+        """
+        return np.vstack((2.0 * (R @ self.point).T, np.ones(len(R))))
+
+    def holds_each(self, positions: Array, turned: Array) -> Mask:
+        """Return which pairs of position and orientation the leg reaches, shape (P, O).
+
+        Args:
+            positions: Shape (P, 3), [m].
+            turned: The platform point in each orientation, from ``turned``.
+        """
+        squared = self._squared(positions, turned)
+        inside = (squared >= self.bounds[0]) & (squared <= self.bounds[1])
+        for normal in self.normals:
+            row, column = (positions - self.centre) @ normal, normal @ turned[:3] / 2
+            inside &= row[:, None] + column >= -self.slack
+        return inside
+
+    def holds_all(self, positions: Array, turned: Array) -> Mask:
+        """Return which positions the leg reaches in all orientations, shape (P,)."""
+        squared = self._squared(positions, turned)
+        inside = squared.min(axis=1) >= self.bounds[0]
+        inside &= squared.max(axis=1) <= self.bounds[1]
+        for normal in self.normals:
+            least = (normal @ turned[:3]).min() / 2
+            inside &= (positions - self.centre) @ normal + least >= -self.slack
+        return inside
+
+    def _squared(self, positions: Array, turned: Array) -> Array:
+        """Return |r + R b − c|² = |r − c|² + |b|² + 2 (r − c) · R b, shape (P, O)."""
+        offset = positions - self.centre
+        constant = np.einsum("ni,ni->n", offset, offset) + self.point @ self.point
+        return np.column_stack((offset, constant)) @ turned
+
+
+def reach_of(closure: LegClosure, least_type1: float = 0.0) -> Reach | None:
+    """Return where a leg can have its tip, or None if it has no closed form.
+
+    Args:
+        closure: The leg at its parameter values.
+        least_type1: Margin from type-1 singularities, which at a dyad bounds the elbow.
+    """
+    form = closed_form(closure)
+    if form is None:
+        return None
+    return (_dyad if form is planar_dyad else _universal)(closure, least_type1)
+
+
+def _dyad(closure: LegClosure, least_type1: float) -> Reach:
+    """Return the ring of a dyad: |cos of the elbow| ≤ √(1 − margin²)."""
+    dyad = dyad_geometry(closure)
+    largest = np.sqrt(1.0 - least_type1**2)
+    middle, swing = dyad.a**2 + dyad.b**2, 2 * dyad.a * dyad.b * largest
+    low, high = np.sqrt(max(middle - swing, 0.0)), np.sqrt(middle + swing)
+    exact = all(_free(joint) for joint in closure.leg.moving)
+    point = closure.targets(np.eye(4)[None])[0]
+    centre = np.array([dyad.shoulder.real, dyad.shoulder.imag, point[2]])  # heights do not count
+    return _reach(closure, point, centre, (low, high), [], exact)
+
+
+def _universal(closure: LegClosure, least_type1: float) -> Reach:
+    """Return the shell of a universal-prismatic leg, cut by the first axis' limits."""
+    leg = closure.leg
+    form = universal_geometry(closure)
+    first, second, slide = leg.moving
+    low, high = sorted((form.forth * slide.lower, form.forth * slide.upper))
+    planes: list[Array] = []
+    exact = least_type1 <= 1.0 - SLACK  # a slide along the leg always has full grip
+    if not _free(first):
+        # with C, S = r cos q₁, r sin q₁: sin(q₁ − lower) ≥ 0 and sin(upper − q₁) ≥ 0
+        exact &= first.upper - first.lower <= np.pi + SLACK
+        exact &= first.lower >= first.home - np.pi and first.upper <= first.home + np.pi
+        C, S = form.side * form.forth * form.e3, -form.side * form.forth * form.e2
+        planes = [
+            S * np.cos(first.lower) - C * np.sin(first.lower),
+            C * np.sin(first.upper) - S * np.cos(first.upper),
+        ]
+        if np.allclose(planes[0], planes[1], rtol=0.0, atol=SLACK):
+            planes = planes[:1]
+    middle = 0.0 if form.side > 0 else np.pi
+    home = leg.home[1] + form.delta
+    middle += 2 * np.pi * np.round((home - middle) / (2 * np.pi))  # q₂ + δ is within ± π/2 of it
+    exact &= second.lower + form.delta <= middle - np.pi / 2 + SLACK
+    exact &= second.upper + form.delta >= middle + np.pi / 2 - SLACK
+    point = closure.targets(np.eye(4)[None])[0]
+    return _reach(closure, point, form.centre, (low, high), planes if exact else [], exact)
+
+
+def _free(joint: Joint) -> bool:
+    """Return whether a joint may turn to every angle that inverse kinematics gives."""
+    around = joint.home - joint.lower, joint.upper - joint.home
+    return min(around) >= np.pi - SLACK
+
+
+def _reach(
+    closure: LegClosure,
+    point: Array,
+    centre: Array,
+    distances: tuple[float, float],
+    planes: list[Array],
+    exact: bool,
+) -> Reach:
+    """Return a reach with slack for rounding errors."""
+    slack = SLACK * closure.size
+    low, high = distances
+    bounds = ((low - slack) ** 2 if low > slack else -np.inf, (high + slack) ** 2)
+    normals = np.array(planes).reshape(-1, 3)
+    return Reach(point, centre, (float(bounds[0]), float(bounds[1])), normals, slack, bool(exact))

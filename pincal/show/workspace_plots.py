@@ -1,0 +1,143 @@
+"""Plots of workspaces: what counts, its fundamental domain, the largest circle; readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Patch
+from numpy.typing import NDArray
+
+from pincal.model.mechanism import Mechanism
+from pincal.show.plots import COLOURS, MARKERS
+from pincal.workspace.articular import equal_sums
+from pincal.workspace.inscribed import Inscribed
+from pincal.workspace.positions import Grid
+from pincal.workspace.region import Workspace
+
+Array = NDArray[np.float64]
+_DOMAIN, _CARRIED = COLOURS[0], "#A9CBE8"
+_MOST_SLICES = 9
+_CURVED = 4  # straight pieces of a cell's arc
+
+
+def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -> Figure:
+    """Return a figure of a workspace seen from above, in slices of equal z in space."""
+    levels = _levels(workspace)
+    columns = min(3, len(levels))
+    rows = -(-len(levels) // columns)
+    figure = Figure(figsize=(4.6 * columns + 1.0, 4.4 * rows + 0.9), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).ravel()
+    for axes, level in zip(panels, levels, strict=False):
+        draw_workspace(axes, workspace, level, inscribed)
+    for axes in panels[len(levels) :]:
+        axes.set_axis_off()
+    handles = [Patch(color=_DOMAIN, label="computed: fundamental domain")]
+    if len(workspace.elements) > 1:
+        handles.append(Patch(color=_CARRIED, label="follows by symmetry"))
+    else:
+        handles = [Patch(color=_DOMAIN, label="counts")]
+    if inscribed:
+        handles.append(Patch(fill=False, edgecolor=COLOURS[1], label="largest inscribed"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    unit = {1: "m", 2: "m²", 3: "m³"}[workspace.asked.dimension]
+    name = workspace.test.mechanism.name
+    size = f"{workspace.measure:.4g} ± {workspace.uncertainty:.2g} {unit}"
+    figure.suptitle(f"{name}: {workspace.kind} workspace, {size}")
+    return figure
+
+
+def draw_workspace(
+    axes: Axes, workspace: Workspace, level: float | None = None, inscribed: Inscribed | None = None
+) -> Axes:
+    """Draw positions that count, at one height in space; the fundamental domain is darker."""
+    index = np.flatnonzero(workspace.inside)
+    positions = workspace.asked.at(index)
+    if level is not None:
+        here = np.abs(positions[:, 2] - level) <= 1e-9 * max(1.0, abs(level))
+        index, positions = index[here], positions[here]
+    own = workspace.representative(index)
+    colours = np.where(own, _DOMAIN, _CARRIED)
+    if isinstance(workspace.asked, Grid):
+        cells = _cells(workspace.asked, index)
+        axes.add_collection(
+            PolyCollection(list(cells), facecolors=colours, edgecolors="face", lw=0.2)
+        )
+    else:
+        axes.scatter(positions[:, 0], positions[:, 1], c=colours, s=2, lw=0)
+    for place, leg in enumerate(workspace.test.mechanism.legs):
+        base = leg.joints[0].placement.xyz
+        axes.plot(*base[:2], MARKERS[place % len(MARKERS)], color="0.25", ms=6)
+        axes.annotate(leg.name, base[:2], xytext=(5, 5), textcoords="offset points", size=7)
+    if inscribed and abs(inscribed.centre[2] - (level or 0.0)) < inscribed.radius:
+        height = inscribed.centre[2] - (level if level is not None else inscribed.centre[2])
+        radius = float(np.sqrt(inscribed.radius**2 - height**2))
+        centre = (float(inscribed.centre[0]), float(inscribed.centre[1]))
+        axes.add_patch(Circle(centre, radius, fill=False, ec=COLOURS[1], lw=2))
+        axes.plot(*centre, "+", color=COLOURS[1])
+    axes.set_title("" if level is None else f"z = {level:.4g} m", fontsize=9)
+    axes.margins(0.08)
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    return axes
+
+
+def _levels(workspace: Workspace) -> list[float | None]:
+    """Return the heights at which to draw slices, or None for the plane."""
+    grid = workspace.asked
+    if not isinstance(grid, Grid) or len(grid.shape) < 3:
+        return [None]
+    counts = workspace.inside.reshape(grid.shape).any(axis=(0, 1))
+    heights = grid.axes[2].values[counts] if counts.any() else grid.axes[2].values[:1]
+    pick = np.linspace(0, len(heights) - 1, min(_MOST_SLICES, len(heights))).round().astype(int)
+    return [float(heights[i]) for i in pick]
+
+
+def _cells(grid: Grid, index: NDArray[np.int64]) -> Array:
+    """Return the outlines of cells seen from above, shape (N, n_corners, 2)."""
+    first, second = (a.values[i] for a, i in zip(grid.axes[:2], grid.split(index)[:2], strict=True))
+    half = [(axis.step or 0.0) / 2 for axis in grid.axes[:2]]
+    low, high = first - half[0], first + half[0]
+    if grid.polar:
+        low = np.maximum(low, 0.0)
+    along = np.linspace(-half[1], half[1], _CURVED + 1 if grid.polar else 2)
+    outer = [(high, second + step) for step in along]
+    inner = [(low, second + step) for step in along[::-1]]
+    return np.stack([grid.cartesian(corner)[:, :2] for corner in (*outer, *inner)], axis=1)
+
+
+def articular_figure(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figure:
+    """Return the plane of equal sums for each space of readings, and the first as a cloud.
+
+    Args:
+        mechanism: A mechanism of three legs.
+        spaces: Readings by title, shape (N, 3); the first one is drawn as a cloud too.
+    """
+    columns = min(3, len(spaces) + 1)
+    rows = -(-(len(spaces) + 1) // columns)
+    figure = Figure(figsize=(4.4 * columns, 4.4 * rows), layout="constrained")
+    unit = mechanism.legs[0].reading_unit
+    cloud = figure.add_subplot(rows, columns, 1, projection="3d")
+    title, readings = next(iter(spaces.items()))
+    cloud.scatter(*readings.T, s=1, c=equal_sums(readings)[:, 2], cmap="viridis", lw=0)
+    cloud.set(xlabel=f"ψ₁ [{unit}]", ylabel=f"ψ₂ [{unit}]", zlabel=f"ψ₃ [{unit}]", title=title)
+    cloud.set_box_aspect(None, zoom=0.85)
+    for place, (title, readings) in enumerate(spaces.items(), 2):
+        axes = figure.add_subplot(rows, columns, place)
+        across, up, _ = equal_sums(readings).T
+        axes.plot(across, up, ".", ms=1.5, color=COLOURS[(place - 2) % len(COLOURS)])
+        reach = 1.1 * float(np.abs([across, up]).max(initial=1e-9))
+        for k, name in enumerate(mechanism.leg_names):
+            direction = np.array([np.cos(2 * np.pi * k / 3), np.sin(2 * np.pi * k / 3)])
+            axes.plot(*(np.outer([0, reach], direction).T), "-", color="0.6", lw=0.8, zorder=0)
+            axes.annotate(name, tuple(reach * direction), size=7, color="0.3", ha="center")
+        axes.set_aspect("equal")
+        axes.set(title=title, xlabel=f"[{unit}]", ylabel=f"[{unit}]")
+        axes.margins(0.1)
+    figure.suptitle(f"{mechanism.name}: articular-variables space, plane ψ₁ + ψ₂ + ψ₃ = constant")
+    return figure

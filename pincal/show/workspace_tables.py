@@ -1,0 +1,76 @@
+"""Tables of workspaces: how large, how symmetric, and the space of their readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Group
+from rich.markup import escape
+from rich.table import Table
+
+from pincal.model.mechanism import Mechanism
+from pincal.show.tables import plain_table, titled
+from pincal.workspace.articular import ArticularSymmetry
+from pincal.workspace.inscribed import Inscribed
+from pincal.workspace.positions import Grid
+from pincal.workspace.region import Workspace
+
+
+def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) -> Group:
+    """Return what a workspace is: how large, in how many orientations, by which symmetry."""
+    asked, test = workspace.asked, workspace.test
+    name, unit = {1: ("length", "m"), 2: ("area", "m²"), 3: ("volume", "m³")}[asked.dimension or 1]
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    how = "at most: half a cell along the edge" if isinstance(asked, Grid) else "95 %"
+    table.add_row(name, f"{workspace.measure:.5g} ± {workspace.uncertainty:.2g} {unit} ({how})")
+    apart = f"; {workspace.apart:,} more lie apart from home" if workspace.apart else ""
+    table.add_row("positions", f"{workspace.count:,} of {asked.size:,} count{apart}")
+    every = "in every one of" if test.every else "in any of"
+    table.add_row("orientations", f"{every} {len(test.orientations):,}")
+    least = test.least
+    type2 = least.least_type2(test.mechanism)
+    text = "none" if type2 == -np.inf else f"type 1 ≥ {least.type1:.3g}, type 2 ≥ {type2:.3g}"
+    table.add_row("margins", text)
+    table.add_row(
+        "symmetry",
+        f"{workspace.computed:,} positions computed, the others by {len(workspace.elements)} "
+        f"elements: {', '.join(str(e) for e in workspace.elements)}",
+    )
+    if inscribed:
+        kept = len(asked.axes) if isinstance(asked, Grid) else 3
+        centre = ", ".join(f"{v + 0.0:.4f}" for v in inscribed.centre[:kept].round(6))
+        body = "ball" if asked.dimension == 3 else "circle"
+        touches = "; it touches the edge of the grid" if inscribed.at_edge else ""
+        table.add_row(
+            f"largest {body}", f"radius {inscribed.radius:.4f} m around ({centre}) m{touches}"
+        )
+    return titled(f"{test.mechanism.name}: {workspace.kind} workspace", table)
+
+
+def articular_table(
+    mechanism: Mechanism,
+    spaces: Mapping[str, NDArray[np.float64]],
+    checks: Sequence[ArticularSymmetry],
+) -> Group:
+    """Return the extent of spaces of readings, and whether permuted readings are reached."""
+    table = plain_table()
+    table.add_column("space", no_wrap=True)
+    table.add_column("poses", justify="right")
+    for leg in mechanism.legs:
+        table.add_column(escape(f"{leg.name} [{leg.reading_unit}]"), justify="right")
+    for name, readings in spaces.items():
+        low, high = readings.min(axis=0), readings.max(axis=0)
+        ends = (f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True))
+        table.add_row(name, f"{len(readings):,}", *ends)
+    lines = [
+        f"{check.element}: {check.solved} of {check.asked} permuted readings solved, "
+        f"{check.inside} in the workspace, at most {check.off:.2g} from the carried pose"
+        for check in checks
+    ]
+    return titled(
+        f"{mechanism.name}: articular-variables space",
+        table,
+        "\n".join(lines or ["no symmetry but the identity"]),
+    )

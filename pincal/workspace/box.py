@@ -1,0 +1,98 @@
+"""Boxes and grids that hold every position which all legs can reach."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import WorkspaceError
+from pincal.kinematics.closure import LegClosure
+from pincal.model.mechanism import Mechanism
+from pincal.symmetry.detect import symmetry_group
+from pincal.workspace.axes import Axis
+from pincal.workspace.positions import Grid, Samples
+
+Array = NDArray[np.float64]
+_ACROSS = {2: 200, 3: 60}  # steps of a grid in the plane, in space, across the box
+_AROUND = {2: 360, 3: 72}  # bearings of a polar grid, at least
+
+
+def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return lower and upper corner, coordinates of the platform, of what all legs can reach.
+
+    Raises:
+        WorkspaceError: no pose is within reach of all legs.
+    """
+    low, high = _reach(mechanism)
+    least, most = np.array(mechanism.platform.bounds).T
+    lengths = mechanism.platform.units.count("m")
+    least[:lengths], most[:lengths] = low[:lengths], high[:lengths]
+    return least, most
+
+
+def default_grid(mechanism: Mechanism, given: Iterable[str | Axis] = ()) -> Grid:
+    """Return a grid of positions within reach; polar if the mechanism has rotations.
+
+    Args:
+        mechanism: The mechanism.
+        given: Axes that are not to be as they would be; ``x`` or ``y`` make the grid square.
+
+    Raises:
+        WorkspaceError: axes that are wrong, or that the platform does not have.
+    """
+    axes = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in given]
+    names = {axis.name for axis in axes}
+    spatial = mechanism.platform.units.count("m") == 3
+    if "z" in names and not spatial:
+        raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
+    low, high = _reach(mechanism)
+    n = 3 if spatial else 2
+    step = float((high - low)[:n].max()) / _ACROSS[n]
+    turns = sum(not element.reflection for element in symmetry_group(mechanism).elements)
+    if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):
+        around = 2 * turns * -(-_AROUND[n] // (2 * turns))
+        radius = _radius(mechanism)
+        rings = np.arange(step / 2, radius, step)
+        turn = Axis.spaced("bearing", -np.pi, np.pi, 2 * np.pi / around)
+        defaults = {"radius": Axis("radius", rings), "bearing": turn}
+    else:
+        defaults = {name: _across(name, low[i], high[i], step) for i, name in enumerate("xy")}
+    if spatial:
+        defaults["z"] = _across("z", low[2], high[2], step)
+    missing = [axis for name, axis in defaults.items() if name not in names]
+    return Grid.of(*axes, *missing)
+
+
+def default_samples(mechanism: Mechanism, count: int, seed: int = 0) -> Samples:
+    """Return random positions within reach, in orbits of the mechanism's group."""
+    low, high = _reach(mechanism)
+    spatial = mechanism.platform.units.count("m") == 3
+    height = (float(low[2]), float(high[2])) if spatial else (0.0, 0.0)
+    elements = symmetry_group(mechanism).elements
+    return Samples(count, _radius(mechanism), height, seed, elements)
+
+
+def _across(name: str, low: float, high: float, step: float) -> Axis:
+    """Return an axis from end to end, in steps of about the size wanted."""
+    return Axis(name, np.linspace(low, high, round((high - low) / step) + 1))
+
+
+def _reach(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return the corners of a box that holds what all legs reach, shape (3,) each, [m]."""
+    low, high = np.full(3, -np.inf), np.full(3, np.inf)
+    for leg in mechanism.legs:
+        base = np.array(leg.joints[0].placement.xyz)
+        reach = LegClosure(leg, mechanism.platform).reach
+        low, high = np.maximum(low, base - reach), np.minimum(high, base + reach)
+    if (low >= high)[: mechanism.platform.units.count("m")].any():
+        raise WorkspaceError(f"no pose of {mechanism.name!r} is within reach of all its legs")
+    return low, high
+
+
+def _radius(mechanism: Mechanism) -> float:
+    """Return the largest distance from the axis that every leg can reach, [m]."""
+    bases = np.array([leg.joints[0].placement.xyz for leg in mechanism.legs])
+    reaches = [LegClosure(leg, mechanism.platform).reach for leg in mechanism.legs]
+    return float((np.hypot(bases[:, 0], bases[:, 1]) + reaches).min())

@@ -1,0 +1,103 @@
+"""Chunks of work run in this process, on all cores, or on a Dask cluster: each once.
+
+Results are kept by the number of their chunk. A chunk that a dying worker takes with it
+is run again by another one, and counts once however often it was run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any, TypeAlias
+
+import joblib
+
+from pincal.errors import WorkspaceError
+
+Chunk: TypeAlias = tuple[int, int]
+Task: TypeAlias = Callable[[int, int], bytes]
+_WAIT = "10s"  # for a scheduler to answer
+_AHEAD = 4  # chunks handed to each core of a cluster at a time
+
+
+def run(
+    task: Task, chunks: list[Chunk], jobs: int = 1, scheduler: str | None = None
+) -> Iterator[tuple[Chunk, bytes]]:
+    """Yield each chunk with its result, in the order in which they are done.
+
+    Args:
+        task: Called with the ends of a chunk; can be pickled.
+        chunks: First number and the one after the last, for each chunk.
+        jobs: Processes on this machine; -1 for one a core.
+        scheduler: Address of a Dask scheduler, such as ``tcp://host:8786``, to run there.
+
+    Raises:
+        WorkspaceError: a wrong number of jobs, the scheduler cannot be reached, has no
+            workers, or a chunk fails there.
+    """
+    if jobs == 0 or jobs < -1:
+        raise WorkspaceError(f"{jobs} jobs; expected at least 1, or -1 for one a core")
+    if scheduler is not None:
+        yield from _on_cluster(task, chunks, scheduler)
+    elif jobs == 1 or len(chunks) == 1:
+        for chunk in chunks:
+            yield chunk, task(*chunk)
+    else:
+        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+        yield from parallel(joblib.delayed(_numbered)(task, chunk) for chunk in chunks)
+
+
+def _numbered(task: Task, chunk: Chunk) -> tuple[Chunk, bytes]:
+    return chunk, task(*chunk)
+
+
+def _on_cluster(task: Task, chunks: list[Chunk], scheduler: str) -> Iterator[tuple[Chunk, bytes]]:
+    try:
+        import distributed
+    except ImportError as error:
+        raise WorkspaceError(
+            "a Dask cluster needs the package distributed: python -m pip install 'pincal[cluster]'"
+        ) from error
+    try:
+        client: Any = distributed.Client(  # type: ignore[no-untyped-call]
+            scheduler, timeout=_WAIT, set_as_default=False
+        )
+    except (OSError, ValueError, TimeoutError) as error:
+        raise WorkspaceError(
+            f"no Dask scheduler answers at {scheduler}: {error}. Start one with 'dask scheduler' "
+            "and give its address, such as tcp://host:8786"
+        ) from error
+    with client:
+        cores = sum(client.nthreads().values())
+        if not cores:
+            raise WorkspaceError(
+                f"the Dask scheduler at {scheduler} has no workers; start some with 'dask worker "
+                f"{scheduler} --nthreads 1 --nworkers 2'"
+            )
+        yield from _collect(client, distributed.as_completed, task, chunks, _AHEAD * cores)
+
+
+def _collect(
+    client: Any, as_completed: Any, task: Task, chunks: list[Chunk], ahead: int
+) -> Iterator[tuple[Chunk, bytes]]:
+    """Yield results as they come, with so many chunks handed out at a time."""
+    waiting = iter(chunks)
+
+    def hand_out() -> Iterator[Future[tuple[Chunk, bytes]]]:
+        for chunk in waiting:
+            yield client.submit(_numbered, task, chunk, pure=False)
+            return
+
+    futures = as_completed([f for _ in range(ahead) for f in hand_out()])
+    for future in futures:
+        try:
+            result = future.result()
+        except Exception as error:  # whatever a worker raised
+            raise WorkspaceError(
+                f"a chunk of work failed on the cluster: {type(error).__name__}: {error}. The "
+                "workers need the same version of pincal"
+            ) from error
+        future.release()
+        yield result
+        for more in hand_out():
+            futures.add(more)

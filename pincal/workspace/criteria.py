@@ -1,0 +1,115 @@
+"""What makes a pose count: reach in the working mode, joint limits, margins from singularities.
+
+Legs with a closed form are asked first, by shells and half-spaces; what they leave open
+is answered by the closed loops.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import WorkspaceError
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.inverse import CHUNK, close
+from pincal.kinematics.reach import SLACK, Reach, reach_of
+from pincal.kinematics.singularity import drive_margins, home_determinant, platform_margin
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Poses
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Least distances from singularities that a pose must keep, dimensionless."""
+
+    type1: float = 0.23
+    """Drive of each leg; at a planar dyad the sine of the elbow angle."""
+    type2: float | None = None
+    """Determinant of the legs' unit constraint lines, signed as at home. If not given, 0.2,
+    but no more than half of the home pose's: hexapods are far below planar mechanisms.
+    Minus infinity counts poses on both sides of singularities."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("type-1", self.type1), ("type-2", self.type2)):
+            ignored = name == "type-2" and value == -np.inf
+            if value is not None and not ignored and not 0.0 <= value < 1.0:
+                raise WorkspaceError(f"the {name} margin is {value:g}; expected 0 to 1")
+
+    @classmethod
+    def none(cls) -> Margins:
+        """Return no margins: only reach in the working mode and joint limits count."""
+        return cls(0.0, -np.inf)
+
+    def least_type2(self, mechanism: Mechanism) -> float:
+        """Return the type-2 margin for a mechanism."""
+        if self.type2 is not None:
+            return self.type2
+        return min(0.2, 0.5 * abs(home_determinant(mechanism)))
+
+
+class Criteria:
+    """Tells which poses of a mechanism count."""
+
+    def __init__(self, mechanism: Mechanism, least: Margins | None = None) -> None:
+        self.mechanism = mechanism
+        self.least = least or Margins()
+        self._type2 = self.least.least_type2(mechanism)
+        self._legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+        found = [reach_of(leg, self.least.type1) for leg in self._legs]
+        self.reaches: tuple[Reach, ...] = tuple(reach for reach in found if reach)
+        self.in_closed_form = self._type2 == -np.inf and all(r and r.exact for r in found)
+        """Whether the reaches say it all."""
+
+    def __call__(self, matrices: Array) -> Mask:
+        """Return which poses ``T_base_platform``, shape (N, 4, 4), count."""
+        inside = np.ones(len(matrices), dtype=bool)
+        for reach in self.reaches:
+            inside &= reach.holds(matrices)
+        if not self.in_closed_form:
+            rows = np.flatnonzero(inside)
+            for begin in range(0, len(rows), CHUNK):
+                part = rows[begin : begin + CHUNK]
+                inside[part] = self._closed(matrices[part])
+        return inside
+
+    def _closed(self, matrices: Array) -> Mask:
+        """Return which poses count, by closing every leg."""
+        inside = np.ones(len(matrices), dtype=bool)
+        closed = [close(leg, matrices) for leg in self._legs]
+        with np.errstate(invalid="ignore"):
+            for leg, one in zip(self._legs, closed, strict=True):
+                low, high = np.array([(j.lower, j.upper) for j in leg.leg.moving]).T
+                slack = SLACK * max(1.0, leg.size)
+                inside &= one.reached
+                inside &= ((one.joints >= low - slack) & (one.joints <= high + slack)).all(axis=1)
+            closures = [one.closure for one in closed]
+            inside &= (drive_margins(closures) >= self.least.type1 - SLACK).all(axis=1)
+            if self._type2 > -np.inf:
+                inside &= platform_margin(self.mechanism, closures) >= self._type2 - SLACK
+        return inside
+
+
+@lru_cache(maxsize=16)
+def _criteria(mechanism: Mechanism, least: Margins) -> Criteria:
+    return Criteria(mechanism, least)
+
+
+def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = None) -> Mask:
+    """Return which poses count, shape (N,).
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    transforms = mechanism.platform.transforms(poses)
+    criteria = _criteria(mechanism, least or Margins())
+    inside = np.empty(len(transforms), dtype=bool)
+    for begin in range(0, len(transforms), CHUNK):
+        rows = slice(begin, begin + CHUNK)
+        inside[rows] = criteria(transforms[rows].as_matrix())
+    return inside

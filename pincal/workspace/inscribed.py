@@ -1,0 +1,143 @@
+"""The largest circle or ball inside a workspace, from points on its boundary.
+
+The centre of the largest circle that holds none of some points is a vertex of their
+Voronoi diagram. The points are first the cells next to the workspace; those near the
+circle are then moved to the boundary, by bisection towards their neighbour that counts,
+and rim positions that do not count are added, until neither changes the circle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree, QhullError, Voronoi
+
+from pincal.errors import WorkspaceError
+from pincal.workspace.neighbours import edges
+from pincal.workspace.positions import Grid
+from pincal.workspace.region import Workspace
+
+Array = NDArray[np.float64]
+_BISECTIONS = 14  # to 1e-4 of a step
+_ROUNDS = 60
+_RIM = 1 - 1e-3  # of the radius: where every position must count
+_RIM_POSITIONS = {2: 500, 3: 2000}
+
+
+@dataclass(frozen=True)
+class Inscribed:
+    """Largest circle (in a plane) or ball (in space) in which every position counts."""
+
+    centre: Array
+    """Shape (3,), base frame, [m]."""
+    radius: float
+    """[m]."""
+    checked: int
+    """Number of positions that were asked on its rim; all count."""
+    at_edge: bool
+    """Whether it touches the edge of the grid: the workspace may hold a larger one."""
+
+
+def largest_inscribed(workspace: Workspace) -> Inscribed:
+    """Return the largest circle or ball inside a workspace that was asked on a grid.
+
+    Raises:
+        WorkspaceError: samples instead of a grid, a grid with one axis, or too few cells.
+    """
+    grid = workspace.asked
+    if not isinstance(grid, Grid) or grid.dimension < 2:
+        raise WorkspaceError("an inscribed circle or ball needs a grid with two or three axes")
+    if grid.polar and (grid.dimension < 3) != (len(grid.shape) < 3 or grid.shape[2] == 1):
+        raise WorkspaceError("an inscribed circle needs values of both radius and bearing")
+    if not workspace.count:
+        raise WorkspaceError("the workspace is empty: no circle fits into it")
+    kept = [0, 1, 2] if len(grid.shape) == 3 and grid.shape[2] > 1 else [0, 1]
+    inner, points = _pairs(workspace, grid)
+    edge = _edge_of_grid(workspace, grid)
+    moved = np.zeros(len(points), dtype=bool)
+    apart = np.linalg.norm(points - inner, axis=1)
+    for _ in range(_ROUNDS):
+        centre, radius = _emptiest(np.concatenate((points, edge)), kept, workspace)
+        distance = np.linalg.norm((points - centre)[:, kept], axis=1)
+        near = np.flatnonzero(~moved & (distance - apart <= radius))
+        if len(near):
+            points[near] = _bisected(workspace, inner[near], points[near])
+            moved[near] = True
+            continue
+        rim = _rim(centre, _RIM * radius, kept)
+        bad = rim[~workspace.test(rim)]
+        if not len(bad):
+            to_edge = np.linalg.norm((edge - centre)[:, kept], axis=1).min(initial=np.inf)
+            return Inscribed(centre, radius, len(rim), bool(to_edge <= radius * (1 + 1e-9)))
+        within = np.broadcast_to(centre, bad.shape)
+        points = np.concatenate((points, _bisected(workspace, within, bad)))
+        inner = np.concatenate((inner, within))
+        moved = np.append(moved, np.ones(len(bad), dtype=bool))
+        apart = np.append(apart, np.zeros(len(bad)))
+    raise WorkspaceError("the workspace is too ragged for this grid; take smaller steps")
+
+
+def _pairs(workspace: Workspace, grid: Grid) -> tuple[Array, Array]:
+    """Return neighbours on the grid: those that count, and those that do not, (M, 3) each."""
+    pairs = edges(grid, workspace.inside)
+    first = workspace.inside[pairs[:, 0]]
+    inner = np.where(first, pairs[:, 0], pairs[:, 1])
+    outer = np.where(first, pairs[:, 1], pairs[:, 0])
+    return workspace.asked.at(inner), workspace.asked.at(outer)
+
+
+def _bisected(workspace: Workspace, inner: Array, outer: Array) -> Array:
+    """Return points between positions that count and others that do not, shape (M, 3)."""
+    for _ in range(_BISECTIONS):
+        middle = (inner + outer) / 2
+        counts = workspace.test(middle)[:, None]
+        inner, outer = np.where(counts, middle, inner), np.where(counts, outer, middle)
+    return outer
+
+
+def _edge_of_grid(workspace: Workspace, grid: Grid) -> Array:
+    """Return where cells that count end the grid, half a step beyond, shape (M, 3)."""
+    numbers = np.arange(grid.size).reshape(grid.shape)
+    found = [np.empty((0, 3))]
+    for place, axis in enumerate(grid.axes):
+        if len(axis.values) < 2 or axis.full_turn:
+            continue
+        for end, sign in ((0, -1.0), (-1, 1.0)):
+            index = numbers.take(end, place).ravel()
+            index = index[workspace.inside[index]]
+            coordinates = [a.values[i] for a, i in zip(grid.axes, grid.split(index), strict=True)]
+            coordinates[place] = coordinates[place] + sign * axis.step / 2
+            if axis.name == "radius" and sign < 0 and axis.values[0] <= axis.step:
+                continue  # the centre is no edge
+            found.append(grid.cartesian(coordinates))
+    return np.concatenate(found)
+
+
+def _emptiest(points: Array, kept: list[int], workspace: Workspace) -> tuple[Array, float]:
+    """Return centre and radius of the largest circle free of points, centred where it counts."""
+    inner = workspace.positions
+    try:
+        vertices = Voronoi(points[:, kept]).vertices
+    except (QhullError, ValueError) as error:
+        raise WorkspaceError(
+            "too few cells count for an inscribed circle; take smaller steps"
+        ) from error
+    radii = KDTree(points[:, kept]).query(vertices)[0]
+    cells = KDTree(inner[:, kept])
+    for index in np.argsort(radii)[::-1]:
+        centre = np.array(inner[0])
+        centre[kept] = vertices[index]
+        if cells.query(vertices[index])[0] <= radii[index] and workspace.test(centre[None])[0]:
+            return centre, float(radii[index])
+    raise WorkspaceError("no circle fits between the cells that count; take smaller steps")
+
+
+def _rim(centre: Array, radius: float, kept: list[int]) -> Array:
+    """Return positions on a circle or sphere, shape (N, 3), [m]."""
+    n = len(kept)
+    directions = np.random.default_rng(0).normal(size=(_RIM_POSITIONS[n], n))
+    positions = np.repeat(centre[None], len(directions), axis=0)
+    positions[:, kept] += radius * directions / np.linalg.norm(directions, axis=1)[:, None]
+    return positions

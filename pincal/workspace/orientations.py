@@ -1,0 +1,106 @@
+"""Sets of orientations over which a workspace asks: one, a range, or all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import WorkspaceError
+from pincal.model.orientation import WAYS, rotation_of
+from pincal.model.platform import Platform
+from pincal.symmetry.elements import Element
+from pincal.workspace.axes import Axis
+
+Array = NDArray[np.float64]
+_SAME = 1e-9  # between unit quaternions
+_MOST = 1_000_000
+_PLANE_STEP = np.radians(5.0)
+_SPACE_STEP = np.radians(30.0)
+_SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
+
+
+@dataclass(frozen=True)
+class Orientations:
+    """Distinct orientations ``R_base_platform``."""
+
+    quaternions: Array
+    """Unit quaternions, scalar last and not negative, shape (O, 4)."""
+
+    def __len__(self) -> int:
+        return len(self.quaternions)
+
+    @property
+    def rotations(self) -> Rotation:
+        """The orientations, length O."""
+        return Rotation.from_quat(self.quaternions)
+
+    @classmethod
+    def from_rotations(cls, rotations: Rotation) -> Orientations:
+        """Return the distinct ones of some orientations."""
+        quaternions = np.atleast_2d(rotations.as_quat(canonical=True))
+        _, first = np.unique(quaternions.round(9), axis=0, return_index=True)
+        return cls(quaternions[np.sort(first)])
+
+    @classmethod
+    def home(cls, platform: Platform) -> Orientations:
+        """Return the orientation of the home pose alone."""
+        return cls.from_rotations(platform.home_pose.rotation)
+
+    @classmethod
+    def everywhere(cls, platform: Platform) -> Orientations:
+        """Return orientations all round: every 5° in a plane, every 30° in space."""
+        if platform.kind == "planar":
+            return cls.of(platform, [_round("phi", _PLANE_STEP)])
+        if platform.kind == "spatial":
+            tilt = Axis.spaced("tilt", 0.0, np.pi, _SPACE_STEP)
+            around = [_round(name, _SPACE_STEP) for name in ("azimuth", "torsion")]
+            return cls.of(platform, [tilt, *around])
+        return cls.home(platform)
+
+    @classmethod
+    def of(cls, platform: Platform, axes: Sequence[str | Axis]) -> Orientations:
+        """Return the orientations of a grid, in one of the ways to write them.
+
+        Axes that are not given stay at 0, but an azimuth beside a tilt goes round in steps
+        of 10°.
+
+        Raises:
+            WorkspaceError: axes that the platform does not have, or of two ways at once.
+        """
+        parsed = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in axes]
+        values = {axis.name: axis.values for axis in parsed}
+        if len(values) != len(parsed):
+            raise WorkspaceError("an axis of orientation is given twice")
+        if platform.kind == "planar" and set(values) == {"phi"}:
+            return cls.from_rotations(Rotation.from_euler("Z", values["phi"][:, None]))
+        ways = {w: c for w, (c, unit) in WAYS.items() if unit == "rad" and set(values) <= set(c)}
+        if platform.kind != "spatial" or not ways:
+            wanted = {"planar": "phi", "spatial": _SPATIAL}.get(platform.kind, "none")
+            raise WorkspaceError(
+                f"orientations by {', '.join(values)}: a {platform.kind!r} platform takes {wanted}"
+            )
+        way, columns = next(iter(ways.items()))
+        if "tilt" in values and "azimuth" not in values:
+            values["azimuth"] = _round("azimuth", np.radians(10.0)).values
+        lists = [values.get(name, np.zeros(1)) for name in columns]
+        if np.prod([len(v) for v in lists], dtype=np.int64) > _MOST:
+            raise WorkspaceError(f"more than {_MOST:,} orientations; take larger steps")
+        grid = np.stack(np.meshgrid(*lists, indexing="ij"), axis=-1).reshape(-1, 3)
+        return cls.from_rotations(rotation_of(way, grid))
+
+    def maps(self, element: Element) -> bool:
+        """Return whether an element carries the set onto itself: R → Q R Qᵀ."""
+        Q = element.matrix
+        images = Rotation.from_matrix(Q @ self.rotations.as_matrix() @ Q.T).as_quat()
+        tree = KDTree(np.concatenate((self.quaternions, -self.quaternions)))
+        return bool(tree.query(images)[0].max() <= _SAME)
+
+
+def _round(name: str, step: float) -> Axis:
+    """Return an axis once round."""
+    return Axis.spaced(name, -np.pi, np.pi, step)

@@ -1,0 +1,257 @@
+"""Positions at which a workspace is asked: a grid, or samples, that symmetry maps onto itself.
+
+Neither is ever held whole: positions are made from their numbers. An element of the
+mechanism's group that maps the set onto itself makes one position of each orbit enough;
+the lowest number of an orbit stands for it, so that these form a fundamental domain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import WorkspaceError
+from pincal.symmetry.elements import Element, wrapped
+from pincal.workspace.axes import Axis
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+#: Takes numbers of positions to those of their images.
+Carrier: TypeAlias = Callable[[Indices], Indices]
+_SAME = 1e-9  # of an axis' size
+
+
+class Positions(Protocol):
+    """A numbered set of positions in the base frame."""
+
+    @property
+    def size(self) -> int:
+        """Number of positions."""
+
+    @property
+    def dimension(self) -> int:
+        """1, 2 or 3: whether a length, area or volume is measured."""
+
+    def at(self, index: Indices) -> Array:
+        """Return positions by number, shape (N, 3), [m]."""
+
+    def measures(self, index: Indices) -> Array:
+        """Return the length, area or volume that each position stands for, shape (N,)."""
+
+    def carrier(self, element: Element) -> Carrier | None:
+        """Return what an element does to the numbers, or None if the set does not map."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Grid of positions: ``x, y`` or ``radius, bearing``, and ``z``."""
+
+    axes: tuple[Axis, ...]
+
+    def __post_init__(self) -> None:
+        names = [axis.name for axis in self.axes]
+        if names[:2] not in (["x", "y"], ["radius", "bearing"]) or names[2:] not in ([], ["z"]):
+            raise WorkspaceError(
+                "a grid of positions has the axes x, y (or radius, bearing) and, in space, z, "
+                f"each once; got {', '.join(names) or 'none'}"
+            )
+
+    @classmethod
+    def of(cls, *axes: str | Axis) -> Grid:
+        """Return a grid from axes or their texts, in any order: ``"x=-1:1:0.1"``."""
+        parsed = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in axes]
+        order = ("x", "y", "radius", "bearing", "z")
+        if unknown := [axis.name for axis in parsed if axis.name not in order]:
+            raise WorkspaceError(f"axis {unknown[0]!r} is not one of positions: {order}")
+        return cls(tuple(sorted(parsed, key=lambda axis: order.index(axis.name))))
+
+    @property
+    def polar(self) -> bool:
+        """Whether the first axes are radius and bearing."""
+        return self.axes[0].name == "radius"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values of each axis."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def size(self) -> int:
+        """Number of positions."""
+        return int(np.prod(self.shape, dtype=np.int64))
+
+    @property
+    def dimension(self) -> int:
+        """Number of axes with more than one value."""
+        return sum(n > 1 for n in self.shape)
+
+    def at(self, index: Indices) -> Array:
+        """Return positions by number, shape (N, 3), [m]."""
+        return self.cartesian(
+            [a.values[i] for a, i in zip(self.axes, self.split(index), strict=True)]
+        )
+
+    def cartesian(self, coordinates: Sequence[Array]) -> Array:
+        """Return positions from values along the axes, shape (N, 3), [m]."""
+        first, second, *rest = coordinates
+        if self.polar:
+            first, second = first * np.cos(second), first * np.sin(second)
+        third = rest[0] if rest else np.zeros_like(first)
+        return np.stack((first, second, third), axis=-1)
+
+    def measures(self, index: Indices) -> Array:
+        """Return the length, area or volume of cells: axes with one value do not count."""
+        result = np.ones(len(index))
+        for axis, i in zip(self.axes, self.split(index), strict=True):
+            if len(axis.values) > 1:
+                if axis.name == "radius":  # r dr, exact for the ring
+                    inner = np.maximum(axis.values[i] - axis.step / 2, 0.0)
+                    result *= ((axis.values[i] + axis.step / 2) ** 2 - inner**2) / 2
+                else:
+                    result *= axis.step
+        if self.polar and len(self.axes[0].values) == 1:
+            result *= self.axes[0].values[0]
+        return result
+
+    def carrier(self, element: Element) -> Carrier | None:
+        """Return what an element does to the numbers, or None if the grid does not map."""
+        first, second, *rest = self.axes
+        swap = False
+        if self.polar:
+            turned = element.azimuth(0.0) + (-1.0 if element.reflection else 1.0) * second.values
+            images = [first.values, turned]
+        else:
+            Q = np.where(np.abs(element.matrix) < _SAME, 0.0, element.matrix)
+            swap = bool(Q[0, 0] == 0.0)
+            a, b = (Q[0, 1], Q[1, 0]) if swap else (Q[0, 0], Q[1, 1])
+            if abs(abs(a) - 1.0) > _SAME or abs(abs(b) - 1.0) > _SAME:
+                return None
+            # images of the values that come to stand on this axis, in their own order
+            images = [
+                a * (second if swap else first).values,
+                b * (first if swap else second).values,
+            ]
+        images += [axis.values for axis in rest]
+        maps = [_match(axis, image) for axis, image in zip(self.axes, images, strict=True)]
+        if any(m is None for m in maps):
+            return None
+
+        def carry(index: Indices) -> Indices:
+            split = list(self.split(index))
+            if swap:
+                split[0], split[1] = split[1], split[0]
+            moved = tuple(m[i] for m, i in zip(maps, split, strict=True) if m is not None)
+            return np.ravel_multi_index(moved, self.shape).astype(np.int64)
+
+        return carry
+
+    def split(self, index: Indices) -> tuple[Indices, ...]:
+        """Return the place of positions on each axis."""
+        return np.unravel_index(index, self.shape)
+
+
+def _match(axis: Axis, images: Array) -> Indices | None:
+    """Return which values of an axis equal its images, or None if they are not the same set."""
+    values, period = axis.values, 2 * np.pi if axis.name == "bearing" else np.inf
+    if len(images) != len(values):
+        return None
+    if np.isfinite(period):
+        images = values[0] + (images - values[0] + _SAME) % period - _SAME
+    index = np.searchsorted(values, images - _SAME * max(1.0, float(np.abs(values).max())))
+    index = np.minimum(index, len(values) - 1)
+    size = float(np.ptp(values)) or 1.0
+    return index if np.abs(values[index] - images).max() <= 4 * _SAME * max(1.0, size) else None
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Random positions, evenly in a cylinder about z; whole orbits of a group at a time."""
+
+    count: int
+    """Number of positions asked for; as many whole orbits as hold it."""
+    radius: float
+    """Of the cylinder, [m]."""
+    height: tuple[float, float] = (0.0, 0.0)
+    """Lower and upper end of the cylinder, [m]; equal in a plane."""
+    seed: int = 0
+    elements: tuple[Element, ...] = (Element(0.0),)
+    """Group in whose orbits positions come."""
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or not self.radius > 0.0 or self.height[1] < self.height[0]:
+            raise WorkspaceError(
+                f"{self.count} samples in a cylinder of radius {self.radius:g}, height "
+                f"{self.height[0]:g} to {self.height[1]:g}: expected at least one, a positive "
+                "radius, and the lower end first"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of positions."""
+        order = len(self.elements)
+        return -(-self.count // order) * order
+
+    @property
+    def dimension(self) -> int:
+        """2 in a plane, 3 in space."""
+        return 2 if self.height[0] == self.height[1] else 3
+
+    def at(self, index: Indices) -> Array:
+        """Return positions by number, shape (N, 3), [m]."""
+        points = self._first[index // len(self.elements)]
+        which = index % len(self.elements)
+        matrices = np.stack([element.matrix for element in self.elements])
+        return np.einsum("nij,nj->ni", matrices[which], points)
+
+    def measures(self, index: Indices) -> Array:
+        """Return the share of the cylinder's area or volume, [m²] or [m³], shape (N,)."""
+        whole = np.pi * self.radius**2 * ((self.height[1] - self.height[0]) or 1.0)
+        return np.full(len(index), whole / self.size)
+
+    def carrier(self, element: Element) -> Carrier | None:
+        """Return what an element does to the numbers, or None if it is not of the group."""
+        table = []
+        for own in self.elements:
+            target = element.after(own)
+            same = [i for i, e in enumerate(self.elements) if _equal(e, target)]
+            if not same:
+                return None
+            table.append(same[0])
+        images = np.array(table, dtype=np.int64)
+
+        def carry(index: Indices) -> Indices:
+            within = index % len(images)
+            return index - within + images[within]
+
+        return carry
+
+    @cached_property
+    def _first(self) -> Array:
+        """First position of each orbit, shape (n_orbits, 3)."""
+        rng = np.random.default_rng(self.seed)
+        r, bearing, h = rng.uniform(size=(3, self.size // len(self.elements)))
+        low, high = self.height
+        r, bearing = self.radius * np.sqrt(r), 2 * np.pi * bearing
+        return np.stack((r * np.cos(bearing), r * np.sin(bearing), low + (high - low) * h), axis=1)
+
+
+def _equal(a: Element, b: Element) -> bool:
+    return a.reflection == b.reflection and abs(wrapped(a.angle - b.angle)) <= _SAME
+
+
+def representatives(carriers: Sequence[Carrier], index: Indices) -> Indices:
+    """Return the lowest number in the orbit of each position, shape (N,).
+
+    Args:
+        carriers: What the elements of a group do to the numbers.
+        index: Numbers of positions, shape (N,).
+    """
+    lowest = index
+    for carrier in carriers:
+        lowest = np.minimum(lowest, carrier(index))
+    return lowest

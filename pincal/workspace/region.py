@@ -1,0 +1,283 @@
+"""Workspaces as sets of positions: reached in one orientation, in some, or in all of a set.
+
+Reachable asks for any orientation, total orientation and dexterous for every one; the
+constant orientation workspace has a single one. A position is done with at the
+first orientation that decides it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import WorkspaceError
+from pincal.model.mechanism import Mechanism
+from pincal.symmetry.detect import symmetry_group
+from pincal.symmetry.elements import Element
+from pincal.workspace.chunks import run
+from pincal.workspace.criteria import Criteria, Margins
+from pincal.workspace.neighbours import edges, part_around
+from pincal.workspace.orientations import Orientations
+from pincal.workspace.positions import Carrier, Grid, Indices, Positions, Samples, representatives
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
+_CHUNK = 1 << 20  # poses handed out at a time
+_POSITIONS = 1 << 17  # positions looked at at a time, at most
+_BLOCK = 1 << 17  # pairs of position and orientation in memory at a time
+_FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
+_EXACT = 1e-9  # tolerance of symmetry: elements must not change what counts
+
+
+@dataclass(frozen=True)
+class PositionTest:
+    """Tells which positions are reached in any, or in every, orientation of a set."""
+
+    mechanism: Mechanism
+    orientations: Orientations
+    every: bool
+    least: Margins
+
+    @cached_property
+    def _criteria(self) -> Criteria:
+        return Criteria(self.mechanism, self.least)
+
+    def __call__(self, positions: Array) -> Mask:
+        """Return which positions, shape (N, 3), count."""
+        size = max(1, _BLOCK // len(self.orientations))
+        inside = np.empty(len(positions), dtype=bool)
+        decide = self._all if self.every else self._any
+        for begin in range(0, len(positions), size):
+            rows = slice(begin, begin + size)
+            inside[rows] = decide(positions[rows])
+        return inside
+
+    @cached_property
+    def _turns(self) -> tuple[Array, list[Array]]:
+        """Orientations as matrices, shape (O, 3, 3), and each leg's point turned by them.
+
+        Those that are likely to decide come first: the far ones if every one must be reached.
+        """
+        rotations = self.orientations.rotations
+        home = self.mechanism.platform.home_pose.rotation[0]
+        far = (home.inv() * rotations).magnitude()
+        R = rotations.as_matrix()[np.argsort(-far if self.every else far, kind="stable")]
+        return R, [reach.turned(R) for reach in self._criteria.reaches]
+
+    def _all(self, positions: Array) -> Mask:
+        """Return which positions are reached in every orientation; a leg that fails ends it."""
+        R, arms = self._turns
+        alive = np.arange(len(positions))
+        for reach, arm in zip(self._criteria.reaches, arms, strict=True):
+            alive = alive[reach.holds_all(positions[alive], arm)]
+        inside = np.zeros(len(positions), dtype=bool)
+        if not self._criteria.in_closed_form:
+            possible = np.ones((len(alive), len(R)), dtype=bool)
+            alive = alive[self._by_closing(positions[alive], possible)]
+        inside[alive] = True
+        return inside
+
+    def _any(self, positions: Array) -> Mask:
+        """Return which positions are reached in some orientation."""
+        R, arms = self._turns
+        """Return which pairs every leg with a closed form reaches, shape (P, O)."""
+        possible = np.ones((len(positions), len(R)), dtype=bool)
+        for reach, arm in zip(self._criteria.reaches, arms, strict=True):
+            rows = np.flatnonzero(possible.any(axis=1))
+            possible[rows] &= reach.holds_each(positions[rows], arm)
+        if self._criteria.in_closed_form:
+            return np.asarray(possible.any(axis=1))
+        return self._by_closing(positions, possible)
+
+    def _by_closing(self, positions: Array, possible: Mask) -> Mask:
+        """Return which positions count, by closing the legs at possible pairs, shape (P,)."""
+        R, _ = self._turns
+        decided = np.zeros(len(positions), dtype=bool)  # failed if every, else reached
+        begin, width = 0, _FIRST
+        while begin < len(R) and not decided.all():
+            columns = slice(begin, begin + width)
+            open_rows = np.flatnonzero(~decided)
+            row, column = np.nonzero(possible[open_rows, columns])
+            row, column = open_rows[row], column + begin
+            matrices = np.broadcast_to(np.eye(4), (len(row), 4, 4)).copy()
+            matrices[:, :3, 3], matrices[:, :3, :3] = positions[row], R[column]
+            deciding = self._criteria(matrices) != self.every
+            decided[row[deciding]] = True
+            begin, width = begin + width, 8 * width
+        return decided != self.every
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Chunk of positions, by their numbers, to packed bits."""
+
+    test: PositionTest
+    positions: Positions
+    elements: tuple[Element, ...]
+
+    @cached_property
+    def carriers(self) -> list[Carrier]:
+        found = [self.positions.carrier(element) for element in self.elements]
+        return [carrier for carrier in found if carrier]
+
+    def __call__(self, begin: int, end: int) -> bytes:
+        index = np.arange(begin, end)
+        own = index[representatives(self.carriers, index) == index]
+        inside = np.zeros(end - begin, dtype=bool)
+        inside[own - begin] = self.test(self.positions.at(own))
+        return np.packbits(inside).tobytes()
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Positions that count, of a grid or of samples."""
+
+    kind: str
+    test: PositionTest
+    asked: Positions
+    """The positions asked, of which ``inside`` tells."""
+    inside: Mask
+    """Which positions count, by number, shape (n_asked,); not writable."""
+    elements: tuple[Element, ...]
+    """Elements of the mechanism's group that were used, the identity first."""
+    computed: int
+    """Number of positions that were computed; the others follow by symmetry."""
+    apart: int
+    """Number of positions of a grid that would count but do not hang together with home's."""
+
+    @property
+    def count(self) -> int:
+        """Number of positions that count."""
+        return int(np.count_nonzero(self.inside))
+
+    @property
+    def positions(self) -> Array:
+        """Positions that count, shape (count, 3), base frame, [m]; all at once."""
+        return self.asked.at(np.flatnonzero(self.inside))
+
+    def representative(self, index: Indices) -> Mask:
+        """Return which positions, by number, are of the fundamental domain that was computed."""
+        found = [self.asked.carrier(element) for element in self.elements]
+        return representatives([carrier for carrier in found if carrier], index) == index
+
+    @cached_property
+    def measure(self) -> float:
+        """Area [m²] or volume [m³]; a length [m] on a line."""
+        parts = (
+            self.asked.measures(begin + np.flatnonzero(self.inside[begin:end])).sum()
+            for begin, end in _chunks(len(self.inside), _POSITIONS)
+        )
+        return float(sum(parts))
+
+    @cached_property
+    def uncertainty(self) -> float:
+        """By how much ``measure`` may be off.
+
+        On a grid at most, half a cell along the whole edge (usually far less); with samples
+        the half width of the 95 % interval.
+        """
+        if isinstance(self.asked, Grid):
+            return float(self.asked.measures(edges(self.asked, self.inside).ravel()).sum() / 4)
+        orbits = (
+            len(self.inside) / len(self.asked.elements) if isinstance(self.asked, Samples) else 1
+        )
+        share = self.count / len(self.inside)
+        whole = float(self.asked.measures(np.zeros(1, np.int64))[0] * len(self.inside))
+        return 1.96 * whole * float(np.sqrt(share * (1 - share) / orbits))
+
+
+def compute_workspace(
+    mechanism: Mechanism,
+    kind: str,
+    positions: Positions,
+    orientations: Orientations | None = None,
+    least: Margins | None = None,
+    *,
+    symmetry: bool = True,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Workspace:
+    """Return the positions that a platform reaches in one orientation, some, or all of a set.
+
+    On a grid, positions beyond a singularity that do not hang together with home's (or, where
+    that does not count, with the one nearest to it) are left out; samples count one by one.
+
+    Args:
+        mechanism: The mechanism.
+        kind: ``reachable`` (in any orientation), ``constant-orientation`` (in the one given),
+            ``total-orientation`` (in every one given) or ``dexterous`` (in every one there is).
+        positions: Where to ask.
+        orientations: Orientations asked; if not given, home's for a constant orientation, and
+            all round (5° apart in a plane, 30° in space) if reachable or dexterous.
+        least: Margins from singularities.
+        symmetry: Compute a fundamental domain of the mechanism's group only, as far as the
+            group maps positions and orientations onto themselves.
+        jobs: Processes; -1 for one a core.
+        scheduler: Address of a Dask scheduler to run on.
+        progress: Called with the number of positions done.
+
+    Raises:
+        WorkspaceError: an unknown kind, no orientations where they are needed, or work that
+            cannot be run as asked.
+    """
+    asked = _asked(mechanism, kind, orientations)
+    every = kind != "reachable"
+    elements: tuple[Element, ...] = (Element(0.0),)
+    if symmetry:
+        group = symmetry_group(mechanism, _EXACT).elements
+        elements = tuple(e for e in group if positions.carrier(e) and asked.maps(e))
+    task = _Task(PositionTest(mechanism, asked, every, least or Margins()), positions, elements)
+    task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
+    size = max(1, min(_POSITIONS, _CHUNK // len(asked)))
+    inside, computed = np.zeros(positions.size, dtype=bool), 0
+    for done, (chunk, bits) in enumerate(
+        run(task, list(_chunks(positions.size, size)), jobs, scheduler), 1
+    ):
+        packed = np.frombuffer(bits, dtype=np.uint8)
+        inside[slice(*chunk)] = np.unpackbits(packed, count=chunk[1] - chunk[0])
+        if progress:
+            progress(min(done * size, positions.size))
+    for begin, end in _chunks(positions.size, _POSITIONS):
+        index = np.arange(begin, end)
+        lowest = representatives(task.carriers, index)
+        computed += int(np.count_nonzero(lowest == index))
+        inside[begin:end] = inside[lowest]
+    apart = 0
+    if isinstance(positions, Grid) and inside.any():
+        part = part_around(positions, inside, mechanism.platform.home_pose.translation[0])
+        apart = int(np.count_nonzero(inside) - np.count_nonzero(part))
+        inside = part
+    inside.setflags(write=False)
+    return Workspace(kind, task.test, positions, inside, elements, computed, apart)
+
+
+def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orientations:
+    """Return the orientations that a kind of workspace asks."""
+    platform = mechanism.platform
+    if kind not in KINDS:
+        raise WorkspaceError(f"unknown kind of workspace {kind!r}; expected {', '.join(KINDS)}")
+    if given is not None:
+        if kind == "constant-orientation" and len(given) != 1:
+            raise WorkspaceError(
+                f"a constant-orientation workspace has one orientation; got {len(given)}"
+            )
+        return given
+    if kind == "total-orientation" and platform.kind in ("planar", "spatial"):
+        raise WorkspaceError(
+            "a total-orientation workspace needs the orientations to reach, such as "
+            + ("'phi [deg]=-20:20:5'" if platform.kind == "planar" else "'tilt [deg]=0:30:5'")
+        )
+    if kind == "constant-orientation":
+        return Orientations.home(platform)
+    return Orientations.everywhere(platform)
+
+
+def _chunks(size: int, step: int) -> Iterator[tuple[int, int]]:
+    for begin in range(0, size, step):
+        yield begin, min(begin + step, size)
