@@ -1,8 +1,7 @@
 """Ratios, measured in one run: what pincal adds to Pinocchio, and what batches save.
 
-``python -m pytest benchmarks/bench_kinematics.py -n 0 --docs`` writes docs/benchmarks.md. Each
-ratio is of medians of runs taken in turn, so that a drifting machine drifts for both.
-Bounds are not asserted: a benchmark is not a test.
+``python -m pytest benchmarks/bench_*.py -n 0 --docs`` writes docs/benchmarks.md. Bounds
+are not asserted: a benchmark is not a test.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import sys
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from pincal.kinematics.chain import leg_chain
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from closed_forms import angles, jacobian
+from conftest import in_turn
 
 Array = NDArray[np.float64]
 POSES = 30_000
@@ -37,18 +36,6 @@ def mechanism() -> pincal.Mechanism:
 @pytest.fixture(scope="module")
 def poses(mechanism: pincal.Mechanism) -> Array:
     return pincal.sample_workspace(mechanism, POSES, seed=0)
-
-
-def in_turn(*functions: Callable[[], object], runs: int = 9) -> list[float]:
-    """Return the median times of functions run in turn, [s], after a warm-up of each."""
-    times: list[list[float]] = [[] for _ in functions]
-    for run in range(runs + 1):
-        for function, own in zip(functions, times, strict=True):
-            begin = perf_counter()
-            function()
-            if run:
-                own.append(perf_counter() - begin)
-    return [float(np.median(own)) for own in times]
 
 
 def identification_jacobians(

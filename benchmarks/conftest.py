@@ -7,7 +7,9 @@ import platform
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
+from time import perf_counter
 
+import numpy as np
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs" / "benchmarks.md"
@@ -32,13 +34,25 @@ def ratios(request: pytest.FixtureRequest) -> Iterator[Callable[[str, float, str
         DOCS.write_text(_page(rows), encoding="utf-8")
 
 
+def in_turn(*functions: Callable[[], object], runs: int = 9) -> list[float]:
+    """Return the median times of functions run in turn, [s], after a warm-up of each."""
+    times: list[list[float]] = [[] for _ in functions]
+    for run in range(runs + 1):
+        for function, own in zip(functions, times, strict=True):
+            begin = perf_counter()
+            function()
+            if run:
+                own.append(perf_counter() - begin)
+    return [float(np.median(own)) for own in times]
+
+
 def _page(rows: list[tuple[str, float, str]]) -> str:
     packages = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy"))
     lines = [
         "# Benchmarks",
         "",
-        "Written by `python -m pytest benchmarks/bench_kinematics.py -n 0 --docs`;",
-        "ratios of medians, measured in one run, on the bundled 3-RRR.",
+        "Written by `python -m pytest benchmarks/bench_*.py -n 0 --docs`;",
+        "ratios of medians, measured in one run, on the bundled 3-RRR and 6-UPS.",
         f"Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
         f"{platform.machine()}.",
         "",

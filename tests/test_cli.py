@@ -2,69 +2,24 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import shutil
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import contents, done, run
 
 import pincal
-from pincal.cli import main
 from pincal.cli.app import app
 
 KINDS = ["3RRR", "5R"]
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
 DISTURB = ["--disturb", "0.001"]
 COMMANDS = [str(c.callback.__name__) for c in app.registered_commands if c.callback]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a command left behind: its exit code and what it said."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def trouble(self) -> str:
-        """The last paragraph on stderr after the lines that tell progress, if it is an error."""
-        lines = self.err.splitlines()
-        starts = [i for i, line in enumerate(lines) if line.startswith("pincal: ")]
-        assert len(starts) == 1, self.err
-        before, text = lines[: starts[0]], lines[starts[0] :]
-        assert all(line.endswith(" …") for line in before), self.err
-        assert all(line.strip() for line in text), self.err
-        return "\n".join(text)
-
-
-def run(*arguments: object) -> Outcome:
-    """Run pincal with the arguments, as typed; only ``SystemExit`` may leave it."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    return Outcome(int(left.value.code or 0), out.getvalue(), err.getvalue())
-
-
-def done(*arguments: object) -> Outcome:
-    """Run pincal with the arguments; it must succeed."""
-    outcome = run(*arguments)
-    assert outcome.code == 0, outcome.err
-    return outcome
-
-
-def contents(folder: Path) -> dict[str, bytes | None]:
-    """Return the bytes of all files below a folder, None for folders, by relative path."""
-    return {
-        str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None
-        for p in folder.rglob("*")
-    }
 
 
 def unnamed(words: list[str], text: str) -> list[str]:

@@ -179,3 +179,49 @@ def test_a_leg_that_misses_home_is_refused() -> None:
     leg = pincal.load_mechanism("3RRR").legs[0]
     with pytest.raises(pincal.MechanismError, match="does not reach the home pose"):
         pincal.generate("far", leg, pincal.rotations(3), pincal.Platform("planar", (9.0, 0.0, 0.0)))
+
+
+def on_its_mirror_plane(n: int) -> pincal.Mechanism:
+    """Return n universal-prismatic legs, each in a plane of symmetry of the full D_2n."""
+    leg = pincal.load_mechanism("6UPS").legs[0]
+    leg = leg.with_parameters({"beta": 0.0, "beta_b": 0.0})
+    platform = pincal.Platform("spatial", (0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
+    return pincal.generate(f"{n}UPS", leg, pincal.rotations(n), platform)
+
+
+@pytest.mark.parametrize("n", range(2, 9))
+def test_all_2n_elements_of_generated_mechanisms_are_found(n: int) -> None:
+    """Rotations and mirrors, and each element carries the legs as it carries their bases."""
+    mechanism = on_its_mirror_plane(n)
+    group = pincal.symmetry_group(mechanism)
+    assert len(group.elements) == 2 * n
+    assert sum(e.reflection for e in group.elements) == n
+    bases = np.array([leg.joints[0].placement.xyz for leg in mechanism.legs])
+    for element, permutation in zip(group.elements, group.permutations, strict=True):
+        np.testing.assert_allclose(bases @ element.matrix.T, bases[list(permutation)], atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5])
+@pytest.mark.parametrize("name", ["OA", "ob"])
+def test_a_length_off_by_a_millimetre_costs_what_moves_its_leg(n: int, name: str) -> None:
+    """Leg 2 longer by 1e-3: what stays is the mirror that leaves it; the others say why."""
+    exact = on_its_mirror_plane(n)
+    value = exact.legs[1].nominal_by_name[name] + 1e-3
+    group = pincal.symmetry_group(exact.with_parameters({"leg_2": {name: value}}))
+    assert {str(e) for e in group.elements} == {"identity", f"mirror at azimuth {360 / n:.4g}°"}
+    assert len(group.breaks) == 2 * n - 2
+    for broken in group.breaks:
+        assert broken.quantity == f"parameter {name!r}"
+        assert broken.deviation == pytest.approx(1e-3, abs=1e-12)
+
+
+def test_limits_break_a_symmetry_too() -> None:
+    """A leg of less stroke is another leg."""
+    exact = on_its_mirror_plane(3)
+    first = exact.legs[0]
+    joints = tuple(replace(j, upper=2.5) if j.kind == "prismatic" else j for j in first.joints)
+    shorter = replace(exact, legs=(replace(first, joints=joints), *exact.legs[1:]))
+    group = pincal.symmetry_group(shorter)
+    assert [str(e) for e in group.elements] == ["identity", "mirror at azimuth 0°"]
+    assert "limits of joint" in group.breaks[0].quantity
+    assert group.breaks[0].deviation == pytest.approx(0.1)

@@ -82,6 +82,9 @@ def workspace(
     no_symmetry: Annotated[
         bool, typer.Option("--no-symmetry", help="Compute all, not a fundamental domain.")
     ] = False,
+    connected: Annotated[
+        bool, typer.Option("--connected", help="Keep what hangs together with home's part.")
+    ] = False,
     inscribed: Annotated[
         bool, typer.Option("--inscribed", help="Find the largest circle or ball inside.")
     ] = False,
@@ -101,8 +104,7 @@ def workspace(
     singularities, and that are connected to home.
 
     reachable, constant-orientation, total-orientation, dexterous: positions reached in
-    any orientation, in the one given, in every one given, in every one there is; of a grid
-    those that hang together with home.
+    any orientation, in the one given, in every one given, in every one there is, one by one.
 
     articular: poses and sensor readings over the workspace, with the check that permuted
     readings are reached too; --axis phi=0,0.4,0.6 adds workspaces of constant orientation.
@@ -141,6 +143,7 @@ def workspace(
                 orientations,
                 least,
                 symmetry=not no_symmetry,
+                connected=connected,
                 jobs=jobs,
                 scheduler=scheduler,
                 progress=done,

@@ -28,6 +28,18 @@ SLACK = 1e-12  # of the leg's size, and [rad]: mirrored poses differ by rounding
 
 
 @dataclass(frozen=True)
+class Turned:
+    """Platform point of a leg in O orientations: what does not depend on the position."""
+
+    factor: Array
+    """Columns (2 R b, 1) of a squared distance, shape (4, O)."""
+    heights: Array
+    """R b along the normal of each half-space, shape (n_planes, O), [m]."""
+    lowest: Array
+    """Least of the heights, shape (n_planes,), [m]."""
+
+
+@dataclass(frozen=True)
 class Reach:
     """Tips that a leg reaches within its limits; at dyads with an elbow margin."""
 
@@ -53,15 +65,14 @@ class Reach:
             inside &= arm @ normal >= -self.slack
         return inside
 
-    def turned(self, R: Array) -> Array:
-        """Return the platform point turned by orientations, shape (O, 3, 3), for what follows.
+    def turned(self, R: Array) -> Turned:
+        """Return the platform point turned by orientations, shape (O, 3, 3), for what follows."""
+        arms = (R @ self.point).T
+        heights = self.normals @ arms
+        factor = np.vstack((2.0 * arms, np.ones(len(R))))
+        return Turned(factor, heights, heights.min(axis=1, initial=np.inf))
 
-        Columns (2 R b, 1), shape (4, O): the factor of a squared distance that does not depend
-        on the position.
-        """
-        return np.vstack((2.0 * (R @ self.point).T, np.ones(len(R))))
-
-    def holds_each(self, positions: Array, turned: Array) -> Mask:
+    def holds_each(self, positions: Array, turned: Turned) -> Mask:
         """Return which pairs of position and orientation the leg reaches, shape (P, O).
 
         Args:
@@ -70,26 +81,24 @@ class Reach:
         """
         squared = self._squared(positions, turned)
         inside = (squared >= self.bounds[0]) & (squared <= self.bounds[1])
-        for normal in self.normals:
-            row, column = (positions - self.centre) @ normal, normal @ turned[:3] / 2
-            inside &= row[:, None] + column >= -self.slack
+        for normal, heights in zip(self.normals, turned.heights, strict=True):
+            inside &= ((positions - self.centre) @ normal)[:, None] + heights >= -self.slack
         return inside
 
-    def holds_all(self, positions: Array, turned: Array) -> Mask:
+    def holds_all(self, positions: Array, turned: Turned) -> Mask:
         """Return which positions the leg reaches in all orientations, shape (P,)."""
         squared = self._squared(positions, turned)
         inside = squared.min(axis=1) >= self.bounds[0]
         inside &= squared.max(axis=1) <= self.bounds[1]
-        for normal in self.normals:
-            least = (normal @ turned[:3]).min() / 2
-            inside &= (positions - self.centre) @ normal + least >= -self.slack
+        for normal, lowest in zip(self.normals, turned.lowest, strict=True):
+            inside &= (positions - self.centre) @ normal + lowest >= -self.slack
         return inside
 
-    def _squared(self, positions: Array, turned: Array) -> Array:
+    def _squared(self, positions: Array, turned: Turned) -> Array:
         """Return |r + R b − c|² = |r − c|² + |b|² + 2 (r − c) · R b, shape (P, O)."""
         offset = positions - self.centre
         constant = np.einsum("ni,ni->n", offset, offset) + self.point @ self.point
-        return np.column_stack((offset, constant)) @ turned
+        return np.column_stack((offset, constant)) @ turned.factor
 
 
 def reach_of(closure: LegClosure, least_type1: float = 0.0) -> Reach | None:

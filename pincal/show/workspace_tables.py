@@ -25,7 +25,7 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     how = "at most: half a cell along the edge" if isinstance(asked, Grid) else "95 %"
     table.add_row(name, f"{workspace.measure:.5g} ± {workspace.uncertainty:.2g} {unit} ({how})")
-    apart = f"; {workspace.apart:,} more lie apart from home" if workspace.apart else ""
+    apart = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
     table.add_row("positions", f"{workspace.count:,} of {asked.size:,} count{apart}")
     every = "in every one of" if test.every else "in any of"
     table.add_row("orientations", f"{every} {len(test.orientations):,}")

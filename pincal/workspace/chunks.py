@@ -6,9 +6,11 @@ is run again by another one, and counts once however often it was run.
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from typing import Any, TypeAlias
+from urllib.parse import urlsplit
 
 import joblib
 
@@ -16,7 +18,7 @@ from pincal.errors import WorkspaceError
 
 Chunk: TypeAlias = tuple[int, int]
 Task: TypeAlias = Callable[[int, int], bytes]
-_WAIT = "10s"  # for a scheduler to answer
+_WAIT = 5.0  # for a scheduler to answer, [s]
 _AHEAD = 4  # chunks handed to each core of a cluster at a time
 
 
@@ -58,15 +60,10 @@ def _on_cluster(task: Task, chunks: list[Chunk], scheduler: str) -> Iterator[tup
         raise WorkspaceError(
             "a Dask cluster needs the package distributed: python -m pip install 'pincal[cluster]'"
         ) from error
-    try:
-        client: Any = distributed.Client(  # type: ignore[no-untyped-call]
-            scheduler, timeout=_WAIT, set_as_default=False
-        )
-    except (OSError, ValueError, TimeoutError) as error:
-        raise WorkspaceError(
-            f"no Dask scheduler answers at {scheduler}: {error}. Start one with 'dask scheduler' "
-            "and give its address, such as tcp://host:8786"
-        ) from error
+    _reach(scheduler)
+    client: Any = distributed.Client(  # type: ignore[no-untyped-call]
+        scheduler, timeout=_WAIT, set_as_default=False
+    )
     with client:
         cores = sum(client.nthreads().values())
         if not cores:
@@ -75,6 +72,20 @@ def _on_cluster(task: Task, chunks: list[Chunk], scheduler: str) -> Iterator[tup
                 f"{scheduler} --nthreads 1 --nworkers 2'"
             )
         yield from _collect(client, distributed.as_completed, task, chunks, _AHEAD * cores)
+
+
+def _reach(scheduler: str) -> None:
+    """Raise if nothing listens at an address: a client that waits in vain is slow to give up."""
+    try:
+        parts = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
+        if not parts.hostname or not parts.port:
+            raise ValueError("not an address")
+        socket.create_connection((parts.hostname, parts.port), _WAIT).close()
+    except (OSError, ValueError) as error:
+        raise WorkspaceError(
+            f"no Dask scheduler answers at {scheduler}: {error}. Start one with 'dask scheduler' "
+            "and give its address, such as tcp://host:8786"
+        ) from error
 
 
 def _collect(
@@ -88,7 +99,7 @@ def _collect(
             yield client.submit(_numbered, task, chunk, pure=False)
             return
 
-    futures = as_completed([f for _ in range(ahead) for f in hand_out()])
+    futures = as_completed([f for _ in range(ahead) for f in hand_out()], loop=client.loop)
     for future in futures:
         try:
             result = future.result()

@@ -22,6 +22,7 @@ from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
 
 
 @dataclass(frozen=True)
@@ -89,14 +90,16 @@ class Criteria:
                 inside &= one.reached
                 inside &= ((one.joints >= low - slack) & (one.joints <= high + slack)).all(axis=1)
             closures = [one.closure for one in closed]
-            inside &= (drive_margins(closures) >= self.least.type1 - SLACK).all(axis=1)
+            least = max(self.least.type1 - SLACK, _GRIP)
+            inside &= (drive_margins(closures) >= least).all(axis=1)
             if self._type2 > -np.inf:
                 inside &= platform_margin(self.mechanism, closures) >= self._type2 - SLACK
         return inside
 
 
 @lru_cache(maxsize=16)
-def _criteria(mechanism: Mechanism, least: Margins) -> Criteria:
+def criteria_of(mechanism: Mechanism, least: Margins) -> Criteria:
+    """Return the criteria of a mechanism, made once."""
     return Criteria(mechanism, least)
 
 
@@ -107,7 +110,7 @@ def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = Non
         MechanismError: poses of a wrong shape, or not finite.
     """
     transforms = mechanism.platform.transforms(poses)
-    criteria = _criteria(mechanism, least or Margins())
+    criteria = criteria_of(mechanism, least or Margins())
     inside = np.empty(len(transforms), dtype=bool)
     for begin in range(0, len(transforms), CHUNK):
         rows = slice(begin, begin + CHUNK)

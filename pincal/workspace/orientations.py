@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,10 +96,23 @@ class Orientations:
 
     def maps(self, element: Element) -> bool:
         """Return whether an element carries the set onto itself: R → Q R Qᵀ."""
-        Q = element.matrix
-        images = Rotation.from_matrix(Q @ self.rotations.as_matrix() @ Q.T).as_quat()
-        tree = KDTree(np.concatenate((self.quaternions, -self.quaternions)))
-        return bool(tree.query(images)[0].max() <= _SAME)
+        x, y, z, w = self.quaternions.T
+        axis = np.stack((x, y, z), axis=1) @ element.matrix.T
+        if element.reflection:  # the axis of a turn is a pseudovector
+            axis = -axis
+        images = np.column_stack((axis, w))
+        if len(images) > 1 and not self._has(images[:: max(1, len(images) // 64)]):
+            return False
+        return self._has(images)
+
+    def _has(self, quaternions: Array) -> bool:
+        away, _ = self._tree.query(quaternions, distance_upper_bound=_SAME)
+        return bool(np.isfinite(away).all())
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        upright = self.quaternions[:, 3] <= _SAME  # half a turn is written in two ways
+        return KDTree(np.concatenate((self.quaternions, -self.quaternions[upright])))
 
 
 def _round(name: str, step: float) -> Axis:

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.kinematics.reach import Turned
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.workspace.chunks import run
-from pincal.workspace.criteria import Criteria, Margins
+from pincal.workspace.criteria import Criteria, Margins, criteria_of
 from pincal.workspace.neighbours import edges, part_around
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import Carrier, Grid, Indices, Positions, Samples, representatives
@@ -27,7 +28,8 @@ from pincal.workspace.positions import Carrier, Grid, Indices, Positions, Sample
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
-_CHUNK = 1 << 20  # poses handed out at a time
+_CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
+_CLOSED = 1 << 18  # where loops are closed
 _POSITIONS = 1 << 17  # positions looked at at a time, at most
 _BLOCK = 1 << 17  # pairs of position and orientation in memory at a time
 _FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
@@ -45,7 +47,16 @@ class PositionTest:
 
     @cached_property
     def _criteria(self) -> Criteria:
-        return Criteria(self.mechanism, self.least)
+        return criteria_of(self.mechanism, self.least)
+
+    def __reduce__(self) -> tuple[type[PositionTest], tuple[object, ...]]:
+        """Pickle what is given, not what is cached: it goes to other processes often."""
+        return PositionTest, (self.mechanism, self.orientations, self.every, self.least)
+
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether no loop needs to be closed to tell."""
+        return self._criteria.in_closed_form
 
     def __call__(self, positions: Array) -> Mask:
         """Return which positions, shape (N, 3), count."""
@@ -58,7 +69,7 @@ class PositionTest:
         return inside
 
     @cached_property
-    def _turns(self) -> tuple[Array, list[Array]]:
+    def _turns(self) -> tuple[Array, list[Turned]]:
         """Orientations as matrices, shape (O, 3, 3), and each leg's point turned by them.
 
         Those that are likely to decide come first: the far ones if every one must be reached.
@@ -76,7 +87,7 @@ class PositionTest:
         for reach, arm in zip(self._criteria.reaches, arms, strict=True):
             alive = alive[reach.holds_all(positions[alive], arm)]
         inside = np.zeros(len(positions), dtype=bool)
-        if not self._criteria.in_closed_form:
+        if not self.in_closed_form:
             possible = np.ones((len(alive), len(R)), dtype=bool)
             alive = alive[self._by_closing(positions[alive], possible)]
         inside[alive] = True
@@ -90,7 +101,7 @@ class PositionTest:
         for reach, arm in zip(self._criteria.reaches, arms, strict=True):
             rows = np.flatnonzero(possible.any(axis=1))
             possible[rows] &= reach.holds_each(positions[rows], arm)
-        if self._criteria.in_closed_form:
+        if self.in_closed_form:
             return np.asarray(possible.any(axis=1))
         return self._by_closing(positions, possible)
 
@@ -120,6 +131,9 @@ class _Task:
     positions: Positions
     elements: tuple[Element, ...]
 
+    def __reduce__(self) -> tuple[type[_Task], tuple[object, ...]]:
+        return _Task, (self.test, self.positions, self.elements)
+
     @cached_property
     def carriers(self) -> list[Carrier]:
         found = [self.positions.carrier(element) for element in self.elements]
@@ -147,8 +161,6 @@ class Workspace:
     """Elements of the mechanism's group that were used, the identity first."""
     computed: int
     """Number of positions that were computed; the others follow by symmetry."""
-    apart: int
-    """Number of positions of a grid that would count but do not hang together with home's."""
 
     @property
     def count(self) -> int:
@@ -164,6 +176,18 @@ class Workspace:
         """Return which positions, by number, are of the fundamental domain that was computed."""
         found = [self.asked.carrier(element) for element in self.elements]
         return representatives([carrier for carrier in found if carrier], index) == index
+
+    @cached_property
+    def apart(self) -> int:
+        """Number of positions on a grid that count but do not hang together with home's there.
+
+        They may belong to another aspect, or hang together by way of other heights and
+        orientations. 0 of samples.
+        """
+        if not isinstance(self.asked, Grid) or not self.inside.any():
+            return 0
+        home = self.test.mechanism.platform.home_pose.translation[0]
+        return self.count - int(np.count_nonzero(part_around(self.asked, self.inside, home)))
 
     @cached_property
     def measure(self) -> float:
@@ -199,14 +223,15 @@ def compute_workspace(
     least: Margins | None = None,
     *,
     symmetry: bool = True,
+    connected: bool = False,
     jobs: int = 1,
     scheduler: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Workspace:
     """Return the positions that a platform reaches in one orientation, some, or all of a set.
 
-    On a grid, positions beyond a singularity that do not hang together with home's (or, where
-    that does not count, with the one nearest to it) are left out; samples count one by one.
+    Positions count one by one, those of an aspect beyond a singularity too where margins allow
+    for it: see ``connected`` and ``Workspace.apart``.
 
     Args:
         mechanism: The mechanism.
@@ -218,6 +243,8 @@ def compute_workspace(
         least: Margins from singularities.
         symmetry: Compute a fundamental domain of the mechanism's group only, as far as the
             group maps positions and orientations onto themselves.
+        connected: Keep only what hangs together, on this grid, with the position that counts and
+            is nearest to home.
         jobs: Processes; -1 for one a core.
         scheduler: Address of a Dask scheduler to run on.
         progress: Called with the number of positions done.
@@ -227,6 +254,8 @@ def compute_workspace(
             cannot be run as asked.
     """
     asked = _asked(mechanism, kind, orientations)
+    if connected and not isinstance(positions, Grid):
+        raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
     every = kind != "reachable"
     elements: tuple[Element, ...] = (Element(0.0),)
     if symmetry:
@@ -234,7 +263,8 @@ def compute_workspace(
         elements = tuple(e for e in group if positions.carrier(e) and asked.maps(e))
     task = _Task(PositionTest(mechanism, asked, every, least or Margins()), positions, elements)
     task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
-    size = max(1, min(_POSITIONS, _CHUNK // len(asked)))
+    most = _CHUNK if task.test.in_closed_form else min(_CHUNK, _CLOSED)
+    size = max(1, min(_POSITIONS, most // len(asked)))
     inside, computed = np.zeros(positions.size, dtype=bool), 0
     for done, (chunk, bits) in enumerate(
         run(task, list(_chunks(positions.size, size)), jobs, scheduler), 1
@@ -248,13 +278,10 @@ def compute_workspace(
         lowest = representatives(task.carriers, index)
         computed += int(np.count_nonzero(lowest == index))
         inside[begin:end] = inside[lowest]
-    apart = 0
-    if isinstance(positions, Grid) and inside.any():
-        part = part_around(positions, inside, mechanism.platform.home_pose.translation[0])
-        apart = int(np.count_nonzero(inside) - np.count_nonzero(part))
-        inside = part
+    if connected and isinstance(positions, Grid) and inside.any():
+        inside = part_around(positions, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
-    return Workspace(kind, task.test, positions, inside, elements, computed, apart)
+    return Workspace(kind, task.test, positions, inside, elements, computed)
 
 
 def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orientations:

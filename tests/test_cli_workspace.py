@@ -1,0 +1,154 @@
+"""``pincal workspace``: files, pictures and numbers of every kind, and a clean way out."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import contents, done, run
+
+import pincal
+from pincal.model.table import read_table
+
+HEXAPOD = ["--axis", "radius=0.1:1.5:0.2", "--axis", "bearing [deg]=0:360:30", "--axis"]
+TILTS = ["--axis", "tilt=0:0.2:0.1", "--no-margins"]
+
+
+def positions(path: Path) -> np.ndarray:
+    """Return the positions of a file, one column a coordinate."""
+    table = read_table(path)
+    return np.stack([table.numbers(name, "m") for name in table.units], axis=1)
+
+
+def test_total_orientation_of_the_hexapod(tmp_path: Path) -> None:
+    """The file holds the positions that count, with and without symmetry, in two processes."""
+    line = ["workspace", "6UPS", "--kind", "total-orientation", *HEXAPOD, "z=1.8:2:0.1", *TILTS]
+    files = []
+    for name, more in (("a", []), ("b", ["--no-symmetry"]), ("c", ["--jobs", "2"])):
+        files.append(tmp_path / f"{name}.csv")
+        outcome = done(*line, *more, "-o", files[-1])
+        assert "volume" in outcome.out
+        assert ("6 elements" in outcome.out) == (name != "b")
+    assert files[0].read_bytes() == files[1].read_bytes() == files[2].read_bytes()
+    mechanism = pincal.load_mechanism("6UPS")
+    grid = pincal.Grid.of("radius=0.1:1.5:0.2", "bearing [deg]=0:360:30", "z=1.8:2:0.1")
+    turns = pincal.Orientations.of(mechanism.platform, ["tilt=0:0.2:0.1"])
+    found = pincal.compute_workspace(
+        mechanism, "total-orientation", grid, turns, pincal.Margins.none()
+    )
+    np.testing.assert_array_equal(positions(files[0]), found.positions)
+
+
+def test_the_circle_is_printed_and_drawn(tmp_path: Path) -> None:
+    """The five-bar's maximal inscribed circle, as table and as pictures."""
+    margins = ["--margin-type1", 0, "--margin-type2", 0]
+    for suffix in ("svg", "png", "pdf"):
+        output, picture = tmp_path / f"{suffix}.csv", tmp_path / f"w.{suffix}"
+        line = ["workspace", "5R", "--kind", "reachable", "--inscribed", *margins]
+        outcome = done(*line, "--picture", picture, "-o", output)
+        assert "radius 0.645" in outcome.out or "radius 0.646" in outcome.out
+        assert "apart from home's" in outcome.out
+        assert picture.stat().st_size > 5000
+    assert "<svg" in (tmp_path / "w.svg").read_text(encoding="utf-8")
+    done(*line, "--connected", "-o", tmp_path / "kept.csv")
+    assert positions(tmp_path / "kept.csv")[:, 1].min() > 0.0
+
+
+@pytest.mark.parametrize("more", [["--samples", 2000], ["--axis", "x=-1:1:0.1"], []])
+def test_pictures_of_every_kind_of_positions(more: list[object], tmp_path: Path) -> None:
+    """Samples, square and polar grids are drawn; in space in slices."""
+    picture = tmp_path / "w.png"
+    done("workspace", "3RRR", "--kind", "constant-orientation", "--axis", "phi=0.1", *more,
+         "--picture", picture, "-o", tmp_path / "w.csv")  # fmt: skip
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    spatial = ["--kind", "reachable", *HEXAPOD, "z=1:2.6:0.4", *TILTS]
+    done("workspace", "6UPS", *spatial, "--picture", tmp_path / "s.png", "-o", tmp_path / "s.csv")
+
+
+def test_articular_space(tmp_path: Path) -> None:
+    """Poses and readings over the workspace and at three orientations, and the check."""
+    picture = tmp_path / "a.png"
+    outcome = done("workspace", "3RRR", "--kind", "articular", "--count", 500, "--axis",
+                   "phi=0,0.4,0.6", "--picture", picture, "-o", tmp_path / "a.csv")  # fmt: skip
+    assert "rotation by 120°: 500 of 500 permuted readings solved, 500 in the" in outcome.out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    table = read_table(tmp_path / "a.csv")
+    spaces = table.text["space"]
+    assert list(dict.fromkeys(spaces)) == ["all", *(f"phi = {v} rad" for v in ("0", "0.4", "0.6"))]
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = np.stack(
+        [table.numbers("x", "m"), table.numbers("y", "m"), table.numbers("phi", "rad")]
+    )
+    readings = pincal.inverse(mechanism, poses.T).readings
+    written = [table.numbers(leg, "rad") for leg in mechanism.leg_names]
+    np.testing.assert_allclose(readings, np.stack(written, axis=1), atol=1e-12)
+    at = np.array([s == "phi = 0.4 rad" for s in spaces])
+    np.testing.assert_allclose(poses[2, at], 0.4, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("--kind largest", ["--kind largest", "total-orientation"]),
+        ("--kind reachable --axis x=1:-1:0.1", ["'x'", "reversed"]),
+        ("--kind reachable --axis x=0:1", ["'x'", "LOW:HIGH:STEP"]),
+        ("--kind reachable --axis z=1", ["'z'", "plane"]),
+        ("--kind reachable --axis q=1", ["'q'", "unknown axis"]),
+        ("--kind total-orientation", ["needs the orientations"]),
+        ("--kind total-orientation --axis tilt=0", ["platform takes phi"]),
+        ("--kind reachable --jobs 0", ["0 jobs"]),
+        ("--kind reachable --scheduler tcp://127.0.0.1:1", ["127.0.0.1:1", "dask scheduler"]),
+        ("--kind reachable --axis x=5,6 --axis y=5,6 --inscribed", ["empty"]),
+        ("--kind reachable --samples 10 --inscribed", ["needs a grid"]),
+        ("--kind reachable --samples 10 --connected", ["no neighbours"]),
+        ("--kind reachable --picture w.bmp", ["w.bmp", ".svg"]),
+        ("--kind reachable --picture none/w.png", ["none"]),
+        ("--axis x=0:1:0.1", ["--kind"]),
+        ("--kind poses --inscribed", ["--kind"]),
+    ],
+)
+def test_wrong_questions_leave_nothing(
+    line: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One message, exit code 2, no file."""
+    monkeypatch.chdir(tmp_path)
+    outcome = run("workspace", "3RRR", *line.split(" "), "-o", "w.csv")
+    assert outcome.code == 2, outcome.err
+    for word in words:
+        assert word in outcome.err
+    assert "Traceback" not in outcome.err
+    assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_an_interrupt_leaves_nothing(jobs: str, tmp_path: Path) -> None:
+    """Ctrl-C in the middle: the exit code says so, and no file stays behind."""
+    turns = ["--axis", "tilt=0:0.05:0.001", "--axis", "torsion=-0.05:0.05:0.005"]  # an hour's work
+    line = ["workspace", "6UPS", "--kind", "total-orientation", *turns]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pincal", *line, "--jobs", jobs, "-o", "w.csv"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(5.0)
+    assert process.poll() is None  # still at work
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert contents(tmp_path) == {}
+
+
+def test_devices_are_not_replaced() -> None:
+    """--force replaces files, not what the system keeps under /dev."""
+    outcome = run("workspace", "5R", "--count", 5, "--force", "-o", "/dev/null")
+    assert outcome.code == 2
+    assert "device" in outcome.err
+    assert Path("/dev/null").is_char_device()

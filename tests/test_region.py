@@ -1,0 +1,450 @@
+"""Workspaces of every kind: the papers' figures, symmetry against brute force, bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import pincal
+from pincal.workspace.criteria import Criteria
+
+NONE = pincal.Margins.none()
+TILTS = ["azimuth [deg]=-170:180:10", "tilt=0:0.6:0.1", "torsion=-0.6:0.6:0.1"]
+POLAR = {
+    "5R": ("radius=0.05:2:0.05", "bearing [deg]=0:360:5"),
+    "3RRR": ("radius=0.02:0.8:0.04", "bearing [deg]=0:360:7.5"),
+    "6UPS": ("radius=0.1:1.5:0.2", "bearing [deg]=0:360:10", "z=1.4:2.4:0.2"),
+}
+CARTESIAN = {
+    "5R": ("x=-1.5:1.5:0.05", "y=0:2:0.05"),
+    "3RRR": ("x=-0.8:0.8:0.05", "y=-0.8:0.8:0.05"),
+    "6UPS": ("x=-1.5:1.5:0.25", "y=-1.5:1.5:0.25", "z=1.4:2.4:0.25"),
+}
+REACH = {
+    "5R": ([-1.5, -1.5], [1.5, 2.0]),
+    "3RRR": ([-0.9, -0.9, -1.0], [0.9, 0.9, 1.0]),
+    "6UPS": ([-1.5, -1.5, -2.5, -3, 0, -1], [1.5, 1.5, 2.5, 3, 1, 1]),
+}
+TURNS = {"5R": [], "3RRR": ["phi=-0.2:0.2:0.1"], "6UPS": ["tilt=0:0.3:0.15", "torsion=-0.2,0,0.2"]}
+
+
+@pytest.fixture(params=["5R", "3RRR", "6UPS"])
+def any_mechanism(request: pytest.FixtureRequest) -> pincal.Mechanism:
+    """Every bundled mechanism."""
+    return pincal.load_mechanism(request.param)
+
+
+@pytest.fixture(scope="module")
+def hexapod() -> pincal.Mechanism:
+    """The 6-UPS."""
+    return pincal.load_mechanism("6UPS")
+
+
+@pytest.fixture(scope="module")
+def notes() -> pincal.Grid:
+    """The slice at z = 1.8 on which the paper's figures were checked."""
+    return pincal.Grid.of("x=-1.5:1.5:0.02", "y=-1.5:1.5:0.02", "z=1.8")
+
+
+def brute_force(
+    hexapod: pincal.Mechanism, positions: np.ndarray, rotations: Rotation
+) -> np.ndarray:
+    """Return which positions have all leg lengths in 1.6 to 2.6 m, by |r + R b − A|."""
+    base = np.array([leg.joints[0].placement.xyz for leg in hexapod.legs])
+    arms = rotations.as_matrix() @ np.array([leg.point.placement.xyz for leg in hexapod.legs]).T
+    inside = []
+    for position in positions:
+        lengths = np.linalg.norm(position + arms.transpose(0, 2, 1) - base, axis=2)
+        inside.append(((lengths >= 1.6) & (lengths <= 2.6)).all())
+    return np.array(inside)
+
+
+def test_total_orientation_with_tilt_and_torsion(
+    hexapod: pincal.Mechanism, notes: pincal.Grid
+) -> None:
+    """14,477 cells as published, every one of which stays inside under the whole group."""
+    turns = pincal.Orientations.of(hexapod.platform, TILTS)
+    found = pincal.compute_workspace(hexapod, "total-orientation", notes, turns, NONE)
+    assert found.count == 14_477
+    assert found.measure == pytest.approx(5.791, abs=5e-4)
+    assert found.computed == 151 * 76  # y → −y maps the square grid onto itself
+    group = pincal.symmetry_group(hexapod).elements
+    assert len(group) == 6
+    for element in group:
+        assert found.test(found.positions @ element.matrix.T).all()
+
+
+def test_total_orientation_with_zyx_angles(hexapod: pincal.Mechanism, notes: pincal.Grid) -> None:
+    """4.923 m² as published; y → −y survives, 9 % of the cells leave under 120°."""
+    axes = [f"{name}=-0.6:0.6:0.1" for name in ("yaw", "pitch", "roll")]
+    turns = pincal.Orientations.of(hexapod.platform, axes)
+    found = pincal.compute_workspace(hexapod, "total-orientation", notes, turns, NONE)
+    assert found.measure == pytest.approx(4.923, abs=5e-4)
+    assert [str(e) for e in found.elements] == ["identity", "mirror at azimuth 0°"]
+    turned = found.positions @ pincal.Element(2 * np.pi / 3).matrix.T
+    assert 1 - found.test(turned).mean() == pytest.approx(0.09, abs=0.005)
+
+
+def test_total_orientation_equals_brute_force(hexapod: pincal.Mechanism) -> None:
+    """The same positions as by leg lengths of every pose, at random positions."""
+    positions = np.random.default_rng(0).uniform([-1.5, -1.5, 1.2], [1.5, 1.5, 2.6], (400, 3))
+    turns = pincal.Orientations.of(hexapod.platform, TILTS)
+    grid = pincal.Grid.of("x=0,1", "y=0,1", "z=1.8")
+    test = pincal.compute_workspace(hexapod, "total-orientation", grid, turns, NONE).test
+    expected = brute_force(hexapod, positions, turns.rotations)
+    assert 20 < expected.sum() < 380
+    np.testing.assert_array_equal(test(positions), expected)
+
+
+@pytest.mark.parametrize("grid", ["polar", "cartesian", "samples"])
+@pytest.mark.parametrize("kind", ["reachable", "constant-orientation", "total-orientation"])
+@pytest.mark.parametrize("margins", [NONE, None])
+def test_symmetry_changes_nothing_but_the_work(
+    any_mechanism: pincal.Mechanism, grid: str, kind: str, margins: pincal.Margins | None
+) -> None:
+    """A fundamental domain gives the very set that computing all positions gives."""
+    name, platform = any_mechanism.name, any_mechanism.platform
+    if grid == "samples":
+        asked = pincal.default_samples(any_mechanism, 3000)
+    else:
+        asked = pincal.Grid.of(*(POLAR if grid == "polar" else CARTESIAN)[name])
+    turns = pincal.Orientations.of(platform, TURNS[name]) if TURNS[name] else None
+    given = None if kind == "constant-orientation" else turns
+    arguments = (any_mechanism, kind, asked, given, margins)
+    short = pincal.compute_workspace(*arguments)
+    long = pincal.compute_workspace(*arguments, symmetry=False)
+    np.testing.assert_array_equal(short.inside, long.inside)
+    assert 0 < long.count < asked.size
+    assert long.computed == asked.size
+    order = len(pincal.symmetry_group(any_mechanism).elements)
+    if grid != "cartesian":
+        assert len(short.elements) == order
+    assert short.computed <= 0.6 * asked.size or (grid, name) == ("cartesian", "3RRR")
+
+
+def test_group_of_the_set_not_of_the_mechanism_is_used(hexapod: pincal.Mechanism) -> None:
+    """Elements that do not map grid or orientations onto themselves are left out."""
+    grid = pincal.Grid.of(*POLAR["6UPS"])
+    one_sided = pincal.Orientations.of(hexapod.platform, ["tilt=0:0.3:0.1", "torsion=0,0.2"])
+    found = pincal.compute_workspace(hexapod, "total-orientation", grid, one_sided, NONE)
+    assert [e.reflection for e in found.elements] == [False] * 3
+    slanted = pincal.Orientations.from_rotations(Rotation.from_rotvec([0.2, 0.1, 0.0]))
+    found = pincal.compute_workspace(hexapod, "constant-orientation", grid, slanted, NONE)
+    assert len(found.elements) == 1
+    partial = pincal.Grid.of("radius=0.1:1.5:0.2", "bearing [deg]=-40:40:10", "z=1.8")
+    found = pincal.compute_workspace(hexapod, "constant-orientation", partial, None, NONE)
+    assert [str(e) for e in found.elements] == ["identity", "mirror at azimuth 0°"]
+
+
+def test_square_grid_follows_quarter_turns() -> None:
+    """Four legs a quarter turn apart map a square grid onto itself, x and y changing places."""
+    leg = pincal.load_mechanism("3RRR").legs[0]
+    platform = pincal.Platform("planar", (0.0, 0.0, 0.0))
+    mechanism = pincal.generate("4RRR", leg, pincal.rotations(4), platform)
+    grid = pincal.Grid.of("x=-0.6:0.6:0.05", "y=-0.6:0.6:0.05")
+    short = pincal.compute_workspace(mechanism, "constant-orientation", grid)
+    long = pincal.compute_workspace(mechanism, "constant-orientation", grid, symmetry=False)
+    np.testing.assert_array_equal(short.inside, long.inside)
+    assert 0 < short.count < grid.size
+    assert len(short.elements) == 4
+    assert short.computed == 12 * 13 + 1
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_closed_form_of_reach_equals_the_closed_loops(
+    any_mechanism: pincal.Mechanism, margin: float
+) -> None:
+    """Shells and half-spaces say what closing every leg says, on disturbed geometries."""
+    rng = np.random.default_rng(1)
+    for seed in range(5):
+        mechanism = pincal.disturb(any_mechanism, 0.05, seed=seed)
+        criteria = Criteria(mechanism, pincal.Margins(margin, -np.inf))
+        poses = rng.uniform(*REACH[any_mechanism.name], (4000, mechanism.platform.dof))
+        matrices = mechanism.platform.transforms(poses).as_matrix()
+        closed = criteria._closed(matrices)
+        assert 20 < closed.sum() < 3980
+        np.testing.assert_array_equal(criteria(matrices), closed)
+
+
+@pytest.mark.parametrize(
+    "limits", [(-np.pi / 2, np.pi / 2), (-0.3, 0.4), (-0.5, 3.1), (-np.inf, np.inf)]
+)
+@pytest.mark.parametrize("joint", [0, 1])
+def test_turns_of_a_universal_joint_are_limited_alike(
+    hexapod: pincal.Mechanism, joint: int, limits: tuple[float, float]
+) -> None:
+    """Half-spaces, or where they do not suffice closing the legs, keep the turns' limits."""
+    legs = []
+    for leg in hexapod.legs:
+        joints = list(leg.joints)
+        place = leg.joints.index(leg.moving[joint])
+        joints[place] = replace(joints[place], lower=limits[0], upper=limits[1])
+        legs.append(replace(leg, joints=tuple(joints)))
+    mechanism = replace(hexapod, legs=tuple(legs))
+    criteria = Criteria(mechanism, NONE)
+    rng = np.random.default_rng(0)
+    poses = rng.uniform([-2, -2, -2.5, -3, 0, -1], [2, 2, 2.5, 3, 1, 1], (20_000, 6))
+    matrices = mechanism.platform.transforms(poses).as_matrix()
+    expected = criteria._closed(matrices)
+    assert expected.any()
+    np.testing.assert_array_equal(criteria(matrices), expected)
+
+
+def test_kinds_contain_each_other(hexapod: pincal.Mechanism) -> None:
+    """Total orientation ⊂ constant orientation ⊂ reachable, each strictly here."""
+    grid = pincal.Grid.of(*POLAR["6UPS"])
+    turns = pincal.Orientations.of(hexapod.platform, ["tilt=0:0.3:0.15"])
+    every = pincal.compute_workspace(hexapod, "total-orientation", grid, turns)
+    one = pincal.compute_workspace(hexapod, "constant-orientation", grid)
+    some = pincal.compute_workspace(hexapod, "reachable", grid, turns)
+    assert (every.inside <= one.inside).all()
+    assert (one.inside <= some.inside).all()
+    assert every.count < one.count < some.count
+
+
+def test_dexterous_asks_all_round() -> None:
+    """Short legs around a large base turn no platform round; a point needs no turn."""
+    grid = pincal.Grid.of(*POLAR["3RRR"])
+    found = pincal.compute_workspace(pincal.load_mechanism("3RRR"), "dexterous", grid)
+    assert len(found.test.orientations) == 72
+    assert found.count == 0
+    assert found.uncertainty == 0.0
+    grid = pincal.Grid.of(*CARTESIAN["5R"])
+    five_bar = pincal.load_mechanism("5R")
+    point = pincal.compute_workspace(five_bar, "dexterous", grid)
+    assert point.count == pincal.compute_workspace(five_bar, "reachable", grid).count > 0
+
+
+def test_largest_circle_of_the_five_bar() -> None:
+    """The papers' maximal inscribed workspace: radius 0.647 m around (0, 1.095) m."""
+    mechanism = pincal.load_mechanism("5R")
+    grid = pincal.Grid.of("x=-1.5:1.5:0.03", "y=-0.8:2:0.03")
+    found = pincal.compute_workspace(mechanism, "reachable", grid, None, pincal.Margins(0.0, 0.0))
+    circle = pincal.largest_inscribed(found)
+    assert circle.radius == pytest.approx(0.647, abs=0.003)
+    assert circle.centre[1] == pytest.approx(1.095, abs=0.005)
+    assert abs(circle.centre[0]) < 1e-3
+    assert not circle.at_edge
+    ring = np.linspace(0, 2 * np.pi, 720)[:, None]
+    ring = np.concatenate((np.cos(ring), np.sin(ring), np.zeros_like(ring)), axis=1)
+    assert found.test(circle.centre + (circle.radius - 1e-4) * ring).all()
+    assert not found.test(circle.centre + (circle.radius + 1e-3) * ring).all()
+
+
+def test_largest_ball_of_the_hexapod(hexapod: pincal.Mechanism) -> None:
+    """Upright, half the stroke: 0.5 m around where every leg has its middle length."""
+    grid = pincal.Grid.of("radius=0.05:1:0.1", "bearing [deg]=0:360:10", "z=1.3:2.8:0.1")
+    found = pincal.compute_workspace(hexapod, "constant-orientation", grid, None, NONE)
+    ball = pincal.largest_inscribed(found)
+    leg = hexapod.legs[0]
+    across = np.subtract(leg.joints[0].placement.xyz, leg.point.placement.xyz)[:2]
+    height = np.sqrt(2.1**2 - across @ across)
+    np.testing.assert_allclose(ball.centre, [0, 0, height], atol=5e-3)
+    assert ball.radius == pytest.approx(0.5, abs=1e-3)
+
+
+def test_circle_at_the_edge_of_the_grid_says_so() -> None:
+    """A grid that ends inside the workspace bounds the circle, half a step beyond it."""
+    mechanism = pincal.load_mechanism("5R")
+    grid = pincal.Grid.of("x=-0.2:0.2:0.05", "y=0.9:1.3:0.05")
+    circle = pincal.largest_inscribed(pincal.compute_workspace(mechanism, "reachable", grid))
+    assert circle.at_edge
+    assert circle.radius == pytest.approx(0.225, abs=1e-3)
+
+
+def test_grids_measure_areas_alike() -> None:
+    """Square and polar grids, coarse and fine, agree within what they say."""
+    mechanism = pincal.load_mechanism("3RRR")
+    grids = [
+        ("x=-0.8:0.8:0.05", "y=-0.8:0.8:0.05"),
+        ("x=-0.8:0.8:0.01", "y=-0.8:0.8:0.01"),
+        ("radius=0.02:0.8:0.04", "bearing [deg]=0:360:5"),
+        ("radius=0.005:0.8:0.01", "bearing [deg]=0:360:1"),
+    ]
+    found = [
+        pincal.compute_workspace(mechanism, "constant-orientation", pincal.Grid.of(*axes))
+        for axes in grids
+    ]
+    for one in found:
+        assert 0.0 < one.uncertainty < 0.5 * one.measure
+        for other in found:
+            assert abs(one.measure - other.measure) <= one.uncertainty + other.uncertainty
+    assert found[1].uncertainty < 0.3 * found[0].uncertainty
+
+
+def test_samples_measure_the_area_too() -> None:
+    """Samples in orbits give the area of the grid within three of their standard errors."""
+    mechanism = pincal.load_mechanism("3RRR")
+    fine = pincal.Grid.of("x=-0.8:0.8:0.01", "y=-0.8:0.8:0.01")
+    area = pincal.compute_workspace(mechanism, "constant-orientation", fine).measure
+    for seed in range(5):
+        samples = pincal.Samples(6000, 0.9, seed=seed, elements=pincal.rotations(3))
+        found = pincal.compute_workspace(mechanism, "constant-orientation", samples)
+        assert found.measure == pytest.approx(area, abs=1.5 * found.uncertainty + 2e-3)
+        assert found.uncertainty < 0.1
+
+
+def test_parts_beyond_singularities_are_told() -> None:
+    """Without margins a sliver of the five-bar's other aspect passes every test but home's."""
+    mechanism = pincal.load_mechanism("5R")
+    grid = pincal.Grid.of("x=-1.5:1.5:0.02", "y=-1:2:0.02")
+    arguments = (mechanism, "reachable", grid, None, pincal.Margins(0.0, 0.0))
+    found = pincal.compute_workspace(*arguments)
+    assert found.positions[:, 1].min() < -0.5
+    kept = pincal.compute_workspace(*arguments, connected=True)
+    assert kept.positions[:, 1].min() > 0.0
+    assert found.count - kept.count == found.apart > 0
+    assert kept.apart == 0
+    with pytest.raises(pincal.WorkspaceError, match="samples have no neighbours"):
+        pincal.compute_workspace(mechanism, "reachable", pincal.Samples(900, 2.0), connected=True)
+
+
+def test_parts_hang_together_around_the_full_turn(hexapod: pincal.Mechanism) -> None:
+    """First and last bearing are neighbours: a ring is one part wherever counting starts."""
+    turns = ["bearing [deg]=0:350:10", "bearing [deg]=-180:170:10"]
+    counts = []
+    for bearing in turns:
+        grid = pincal.Grid.of("radius=1.7:2.5:0.1", bearing, "z=0.5")
+        found = pincal.compute_workspace(hexapod, "constant-orientation", grid, None, NONE)
+        assert found.apart == 0
+        counts.append(found.count)
+    assert counts[0] == counts[1] > 0
+
+
+def test_articular_space_is_as_symmetric_as_the_workspace(
+    candidates: dict[str, np.ndarray],
+) -> None:
+    """Permuted readings of the 3-RRR are reached, at the carried poses (Section 3.2)."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = candidates["3RRR"][:1000]
+    checks = pincal.articular_symmetry(mechanism, poses)
+    assert [str(c.element) for c in checks] == ["rotation by 120°", "rotation by 240°"]
+    for check in checks:
+        assert check.solved == check.inside == check.asked == 1000
+        assert check.off < 1e-9
+    readings = pincal.articular_space(mechanism, poses)
+    across = pincal.equal_sums(readings)
+    np.testing.assert_allclose(across[:, 2], readings.sum(axis=1) / np.sqrt(3), atol=1e-12)
+    rolled = pincal.equal_sums(np.roll(readings, 1, axis=1))  # a third of a turn in the plane
+    turn = np.exp(2j * np.pi / 3)
+    expected = (across[:, 0] + 1j * across[:, 1]) * turn
+    np.testing.assert_allclose(rolled[:, 0] + 1j * rolled[:, 1], expected, atol=1e-12)
+
+
+def test_jobs_change_nothing(hexapod: pincal.Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two processes give the very set that one gives."""
+    monkeypatch.setattr("pincal.workspace.region._CHUNK", 1 << 12)
+    grid = pincal.Grid.of(*POLAR["6UPS"])
+    turns = pincal.Orientations.of(hexapod.platform, TURNS["6UPS"])
+    done: list[int] = []
+    one = pincal.compute_workspace(hexapod, "total-orientation", grid, turns, progress=done.append)
+    two = pincal.compute_workspace(hexapod, "total-orientation", grid, turns, jobs=2)
+    np.testing.assert_array_equal(one.inside, two.inside)
+    assert len(done) > 2
+    assert done == sorted(done)
+    assert done[-1] == grid.size
+    assert not one.inside.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("x=-1:1:0.5", [-1, -0.5, 0, 0.5, 1]),
+        ("x [mm]=0:100:30", [0, 0.03, 0.06, 0.09]),
+        ("z=1.8", [1.8]),
+        ("phi [deg]=90,-90", [-np.pi / 2, np.pi / 2]),
+        ("bearing [deg]=-180:180:90", [-np.pi, -np.pi / 2, 0, np.pi / 2]),
+        ("tilt=0:0.6:0.1", np.linspace(0, 0.6, 7)),
+    ],
+)
+def test_axes_are_read(text: str, values: list[float]) -> None:
+    """Both forms, units, and a full turn whose ends are one."""
+    np.testing.assert_allclose(pincal.Axis.parse(text).values, values, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x=1:-1:0.1", "limits reversed, 1 to -1"),
+        ("x=0:1:0", "step is 0"),
+        ("x=0:1:-0.1", "step is -0.1"),
+        ("x=0:1:nan", "finite"),
+        ("x=0:inf:1", "finite"),
+        ("x=0:1:1e-12", "more than"),
+        ("x=0:1", "LOW:HIGH:STEP"),
+        ("x=", "not an axis"),
+        ("x=a,b", "LOW:HIGH:STEP"),
+        ("w=0:1:0.1", "unknown axis 'w'"),
+        ("x [deg]=0:1:0.1", r"unit \[deg\]"),
+        ("radius=-1:1:0.1", "negative"),
+        ("", "not an axis"),
+    ],
+)
+def test_wrong_axes_are_refused(text: str, message: str) -> None:
+    """Each says what is wrong with it."""
+    with pytest.raises(pincal.WorkspaceError, match=message):
+        pincal.Axis.parse(text)
+
+
+@pytest.mark.parametrize(
+    "axes", [(), ("x=0:1:1",), ("x=0,1", "radius=0,1"), ("x=0,1", "y=0,1", "x=0"), ("phi=0,1",)]
+)
+def test_grids_that_are_none_are_refused(axes: tuple[str, ...]) -> None:
+    """A grid needs x, y or radius, bearing, each once."""
+    with pytest.raises(pincal.WorkspaceError):
+        pincal.Grid.of(*axes)
+
+
+@pytest.mark.parametrize(
+    ("kind", "axes", "message"),
+    [
+        ("biggest", [], "unknown kind of workspace 'biggest'"),
+        ("total-orientation", [], "needs the orientations"),
+        ("constant-orientation", ["phi=0,0.1"], "one orientation; got 2"),
+    ],
+)
+def test_wrong_questions_are_refused(kind: str, axes: list[str], message: str) -> None:
+    """Kinds and orientations that do not fit raise."""
+    mechanism = pincal.load_mechanism("3RRR")
+    turns = pincal.Orientations.of(mechanism.platform, axes) if axes else None
+    with pytest.raises(pincal.WorkspaceError, match=message):
+        pincal.compute_workspace(mechanism, kind, pincal.Grid.of(*POLAR["3RRR"]), turns)
+
+
+def test_orientations_fit_the_platform() -> None:
+    """A plane turns by phi, a point not at all, and ways are not mixed."""
+    for name, axes in [("3RRR", ["tilt=0"]), ("5R", ["phi=0"]), ("6UPS", ["tilt=0", "yaw=0"])]:
+        with pytest.raises(pincal.WorkspaceError, match="platform takes"):
+            pincal.Orientations.of(pincal.load_mechanism(name).platform, axes)
+    platform = pincal.load_mechanism("6UPS").platform
+    with pytest.raises(pincal.WorkspaceError, match="twice"):
+        pincal.Orientations.of(platform, ["tilt=0", "tilt=0.1"])
+    assert len(pincal.Orientations.of(platform, TILTS)) == 36 * 6 * 13 + 13  # one azimuth upright
+
+
+def test_inscribed_circles_need_a_grid() -> None:
+    """Samples, a line and an empty workspace have none."""
+    mechanism = pincal.load_mechanism("3RRR")
+    for asked in (pincal.Samples(100, 1.0), pincal.Grid.of("x=0:1:0.1", "y=0")):
+        found = pincal.compute_workspace(mechanism, "reachable", asked)
+        with pytest.raises(pincal.WorkspaceError, match="needs a grid"):
+            pincal.largest_inscribed(found)
+    far = pincal.compute_workspace(mechanism, "reachable", pincal.Grid.of("x=5,6", "y=5,6"))
+    with pytest.raises(pincal.WorkspaceError, match="empty"):
+        pincal.largest_inscribed(far)
+
+
+def test_default_grids_hold_the_workspace(any_mechanism: pincal.Mechanism) -> None:
+    """Nothing that counts lies beyond; rotations make the grid polar."""
+    grid = pincal.default_grid(any_mechanism)
+    assert grid.polar == (any_mechanism.name != "5R")
+    poses = pincal.sample_workspace(any_mechanism, 2000)
+    reach = [np.abs(axis.values).max() + axis.step for axis in grid.axes]
+    if grid.polar:
+        assert np.linalg.norm(poses[:, :2], axis=1).max() <= reach[0]
+    else:
+        assert (np.abs(poses[:, :2]).max(axis=0) <= reach[:2]).all()
+    assert pincal.default_grid(any_mechanism, ["x=0:1:0.5"]).axes[0].values.size == 3
