@@ -106,3 +106,18 @@ def test_peak_memory(
     ratios(f"peak memory of a process, {kind}, {int(poses):,} poses [MiB]", float(peak), "< 500")
     benchmark.extra_info["mib"] = float(peak)
     benchmark.pedantic(lambda: None, rounds=1)
+
+
+def test_symmetric_against_independent_selection(
+    benchmark: Any, ratios: Any, hexapod: pincal.Mechanism
+) -> None:
+    poses = pincal.sample_workspace(hexapod, 20_000, seed=0)
+    symmetric, independent = in_turn(
+        lambda: pincal.select_poses(hexapod, poses, 24, "symmetric"),
+        lambda: pincal.select_poses(hexapod, poses, 24, "independent"),
+        runs=5,
+    )
+    ratio = symmetric / independent
+    ratios("symmetric over independent selection for six legs, 24 of 20,000 poses", ratio, "<= 0.2")
+    benchmark.extra_info["ratio"] = ratio
+    benchmark.pedantic(lambda: None, rounds=1)
