@@ -110,6 +110,26 @@ class Accuracy:
     """Poses that the model cannot command or the true mechanism cannot reach."""
 
 
+def platform_errors(model: Mechanism, truth: Mechanism, poses: Poses) -> Array:
+    """Return how far the true mechanism goes from poses that a model commands, shape (N, dof).
+
+    Twists from the commanded pose to the true one at the platform's origin, base axes, [m] and
+    [rad]; NaN where the model cannot command a pose or the true mechanism cannot reach it.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    platform = model.platform
+    wanted = platform.coordinates_of(poses)
+    errors = np.full(wanted.shape, np.nan)
+    commanded = inverse(model, wanted)
+    driven = np.flatnonzero(commanded.reached.all(axis=1))
+    solution = forward(truth, commanded.readings[driven], wanted[driven])
+    reached = driven[solution.converged]
+    errors[reached] = platform.twists_between(wanted[reached], solution.poses[solution.converged])
+    return errors
+
+
 def accuracy(model: Mechanism, truth: Mechanism, poses: Poses) -> Accuracy:
     """Return the errors of the true mechanism when a model commands its poses.
 
@@ -119,21 +139,15 @@ def accuracy(model: Mechanism, truth: Mechanism, poses: Poses) -> Accuracy:
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    platform = model.platform
-    wanted = platform.coordinates_of(poses)
-    commanded = inverse(model, wanted)
-    driven = np.flatnonzero(commanded.reached.all(axis=1))
-    solution = forward(truth, commanded.readings[driven], wanted[driven])
-    errors = platform.twists_between(
-        wanted[driven][solution.converged], solution.poses[solution.converged]
-    )
-    linear = [unit == "m" for unit in platform.units]
-    turns = errors[:, [unit == "rad" for unit in platform.units]]
-    distances = np.linalg.norm(errors[:, linear], axis=1)
+    every = platform_errors(model, truth, poses)
+    errors = every[np.isfinite(every).all(axis=1)]
+    turns = np.array([unit == "rad" for unit in model.platform.units])
+    distances = np.linalg.norm(errors[:, ~turns], axis=1)
+    angles = np.linalg.norm(errors[:, turns], axis=1)
     return Accuracy(
         position=float(np.sqrt((distances**2).mean())) if len(errors) else np.nan,
-        orientation=float(np.sqrt((turns**2).sum(axis=1).mean())) if len(errors) else np.nan,
+        orientation=float(np.sqrt((angles**2).mean())) if len(errors) else np.nan,
         worst_position=float(distances.max(initial=0.0)),
-        poses=len(wanted),
-        unreachable=len(wanted) - len(errors),
+        poses=len(every),
+        unreachable=len(every) - len(errors),
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 from pincal.errors import FileError
 
 #: A folder that holds one of these was written by pincal and may be replaced.
-MARKERS = ("mechanism.yaml", "result.json")
+MARKERS = ("mechanism.yaml", "result.json", "study.md")
 
 
 def refuse_existing(path: str | Path, *, force: bool, folder: bool = False) -> Path:

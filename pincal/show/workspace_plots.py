@@ -21,6 +21,7 @@ from pincal.workspace.region import Workspace
 Array = NDArray[np.float64]
 _DOMAIN, _CARRIED = COLOURS[0], "#A9CBE8"
 _MOST_SLICES = 9
+_MANY = 2000  # positions from which they are drawn as pixels
 _CURVED = 4  # straight pieces of a cell's arc
 
 
@@ -51,24 +52,38 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
 
 
 def draw_workspace(
-    axes: Axes, workspace: Workspace, level: float | None = None, inscribed: Inscribed | None = None
+    axes: Axes,
+    workspace: Workspace,
+    level: float | None = None,
+    inscribed: Inscribed | None = None,
+    *,
+    plain: bool = False,
 ) -> Axes:
-    """Draw positions that count, at one height in space; the fundamental domain is darker."""
+    """Draw positions that count, at one height in space; the fundamental domain is darker.
+
+    Args:
+        axes: Where to draw.
+        workspace: The workspace.
+        level: Height, [m]; None in a plane.
+        inscribed: Largest circle or ball to draw.
+        plain: Draw all positions alike, and no base points.
+    """
     index = np.flatnonzero(workspace.inside)
     positions = workspace.asked.at(index)
     if level is not None:
         here = np.abs(positions[:, 2] - level) <= 1e-9 * max(1.0, abs(level))
         index, positions = index[here], positions[here]
     own = workspace.representative(index)
-    colours = np.where(own, _DOMAIN, _CARRIED)
+    colours = np.where(own & (not plain), _DOMAIN, _CARRIED)
     if isinstance(workspace.asked, Grid):
         cells = _cells(workspace.asked, index)
-        axes.add_collection(
-            PolyCollection(list(cells), facecolors=colours, edgecolors="face", lw=0.2)
-        )
+        outlines = PolyCollection(list(cells), facecolors=colours, edgecolors="face", lw=0.2)
+        outlines.set_rasterized(len(index) > _MANY)  # a vector picture stays small
+        axes.add_collection(outlines)
     else:
-        axes.scatter(positions[:, 0], positions[:, 1], c=colours, s=2, lw=0)
-    for place, leg in enumerate(workspace.test.mechanism.legs):
+        many = len(index) > _MANY
+        axes.scatter(positions[:, 0], positions[:, 1], c=colours, s=2, lw=0, rasterized=many)
+    for place, leg in enumerate(() if plain else workspace.test.mechanism.legs):
         base = leg.joints[0].placement.xyz
         axes.plot(*base[:2], MARKERS[place % len(MARKERS)], color="0.25", ms=6)
         axes.annotate(leg.name, base[:2], xytext=(5, 5), textcoords="offset points", size=7)
@@ -124,13 +139,15 @@ def articular_figure(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figur
     unit = mechanism.legs[0].reading_unit
     cloud = figure.add_subplot(rows, columns, 1, projection="3d")
     title, readings = next(iter(spaces.items()))
-    cloud.scatter(*readings.T, s=1, c=equal_sums(readings)[:, 2], cmap="viridis", lw=0)
+    height = equal_sums(readings)[:, 2]
+    cloud.scatter(*readings.T, s=1, c=height, cmap="viridis", lw=0, rasterized=True)
     cloud.set(xlabel=f"ψ₁ [{unit}]", ylabel=f"ψ₂ [{unit}]", zlabel=f"ψ₃ [{unit}]", title=title)
     cloud.set_box_aspect(None, zoom=0.85)
     for place, (title, readings) in enumerate(spaces.items(), 2):
         axes = figure.add_subplot(rows, columns, place)
         across, up, _ = equal_sums(readings).T
-        axes.plot(across, up, ".", ms=1.5, color=COLOURS[(place - 2) % len(COLOURS)])
+        colour = COLOURS[(place - 2) % len(COLOURS)]
+        axes.plot(across, up, ".", ms=1.5, color=colour, rasterized=len(across) > _MANY)
         reach = 1.1 * float(np.abs([across, up]).max(initial=1e-9))
         for k, name in enumerate(mechanism.leg_names):
             direction = np.array([np.cos(2 * np.pi * k / 3), np.sin(2 * np.pi * k / 3)])

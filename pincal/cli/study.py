@@ -1,0 +1,60 @@
+"""``pincal study``: the papers, computed anew."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pincal.cli.app import Force, Seed, app, output_option, stderr, working, wrote
+from pincal.errors import FileError
+from pincal.model.output import refuse_existing
+
+
+@app.command()
+def study(
+    name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|all", help="Whose paper.")],
+    output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer draws, coarser grids: seconds, not minutes.")
+    ] = False,
+    seed: Seed = 0,
+    page: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.md", help="Write the text there too, with links to FOLDER."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Compute the figures and tables of a paper anew, and what it lacks.
+
+    5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical workspace, and
+    the calibration that its paper leaves as future work. FOLDER gets study.md, tables as
+    CSV and Markdown, figures as SVG and PNG; with 'all' one folder for each. The same seed
+    gives the same text and tables; times are in figures only.
+    """
+    from pincal.studies.catalogue import STUDIES, run_study
+    from pincal.studies.study import write_page
+
+    names = list(STUDIES) if name == "all" else [name]
+    folders = [output / one for one in names] if name == "all" else [output]
+    if name == "all" and not output.is_dir():
+        raise FileError(f"{output} is not a folder; make it first, each study gets its own in it")
+    for folder in folders:
+        refuse_existing(folder, force=force, folder=True)
+    if page is not None:
+        refuse_existing(page, force=force)
+    pages = {}
+    for one, folder in zip(names, folders, strict=True):
+        with working(f"study of the {one}") as tell:
+            found = run_study(one, seed, quick, tell)
+        found.write(folder, force=force)
+        wrote(folder)
+        if page is not None:
+            pages[Path(os.path.relpath(folder, page.parent)).as_posix()] = found
+    if page is not None:
+        write_page(page, pages, force=force)
+        wrote(page)
+    else:
+        stderr.print(f"read {folders[0] / 'study.md'}", markup=False)

@@ -1,0 +1,1 @@
+"""The papers as studies that anybody can run: every number measured, every figure drawn."""

@@ -1,0 +1,36 @@
+"""The studies by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pincal.errors import MechanismError
+from pincal.studies import five_bar, hexapod, three_rrr
+from pincal.studies.study import Study
+
+STUDIES: dict[str, Callable[[int, bool, Callable[[str], None]], Study]] = {
+    "5R": five_bar.run,
+    "3RRR": three_rrr.run,
+    "6UPS": hexapod.run,
+}
+
+
+def run_study(
+    name: str, seed: int = 0, quick: bool = False, tell: Callable[[str], None] = lambda _: None
+) -> Study:
+    """Return a study.
+
+    Args:
+        name: ``5R``, ``3RRR`` or ``6UPS``.
+        seed: Of all random choices.
+        quick: Fewer draws and coarser grids.
+        tell: Called with what is being done.
+
+    Raises:
+        MechanismError: there is no study of that name.
+    """
+    if name not in STUDIES:
+        raise MechanismError(f"no study of {name!r}; expected one of {', '.join(STUDIES)}")
+    study = STUDIES[name](seed, quick, tell)
+    study.command += f" --seed {seed}" * bool(seed) + " --quick" * quick
+    return study

@@ -1,0 +1,138 @@
+"""Repeated calibrations of simulated machines, and the bound that no estimator passes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from pincal.experiment.selection import Protocol, Selection, select_poses
+from pincal.experiment.simulation import accuracy, simulate
+from pincal.identification.calibrate import Method, calibrate
+from pincal.identification.residuals import Residual
+from pincal.identification.result import CalibrationResult
+from pincal.model.measurements import Noise, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.show.plots import COLOURS
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to calibrate: which poses, and how they are used."""
+
+    name: str
+    plan: Plan
+    poses: Literal["own", "all"] = "own"
+    method: Method = "per-leg"
+    residual: Residual = "joint"
+
+    def run(
+        self, mechanism: Mechanism, truth: Mechanism, noise: Noise, seed: int
+    ) -> CalibrationResult:
+        """Return the calibration of a true mechanism, measured with noise."""
+        data = simulate(mechanism, truth, self.plan, noise, seed).measurements
+        return calibrate(
+            mechanism,
+            data,
+            method=self.method,
+            residual=self.residual,
+            poses=self.poses,
+            noise=noise,
+        )
+
+    def bound(self, truth: Mechanism, noise: Noise) -> Array:
+        """Return the Cramér-Rao bound of every parameter, standard deviations, shape (n,).
+
+        Of the rows that this way uses: exact data, whitened, as one fit of all legs that
+        knows what noise they share unless each leg is alone.
+        """
+        exact = simulate(truth, truth, self.plan, Noise(0.0, 0.0, 0.0)).measurements
+        result = calibrate(truth, exact, method=self.method, poses=self.poses, noise=noise)
+        return np.sqrt(np.diagonal(result.covariance))
+
+
+def values(mechanism: Mechanism) -> Array:
+    """Return the parameters of all legs in order, shape (n,)."""
+    return np.concatenate([leg.nominal for leg in mechanism.legs])
+
+
+def parameter_errors(
+    way: Way, mechanism: Mechanism, truth: Mechanism, noise: Noise, seeds: Sequence[int]
+) -> tuple[Array, list[Mechanism]]:
+    """Return identified less true parameters, shape (n_seeds, n), and the identified ones."""
+    found = [way.run(mechanism, truth, noise, seed).identified for seed in seeds]
+    return np.stack([values(one) for one in found]) - values(truth), found
+
+
+def choose(
+    mechanism: Mechanism,
+    candidates: Array,
+    choices: Mapping[str, tuple[Protocol, int]],
+    noise: Noise,
+    seed: int,
+    quick: bool = False,
+) -> tuple[dict[str, Selection], dict[str, float]]:
+    """Return selections by name, and the time that each took, [s].
+
+    Args:
+        mechanism: The mechanism.
+        candidates: Poses to choose from, coordinates of shape (M, dof).
+        choices: Protocol and count, by name.
+        noise: Of the measurements to come.
+        seed: Of the random starts.
+        quick: Try few starts.
+    """
+    selections: dict[str, Selection] = {}
+    seconds: dict[str, float] = {}
+    for name, (protocol, count) in choices.items():
+        begin = perf_counter()
+        selections[name] = select_poses(
+            mechanism,
+            candidates,
+            count,
+            protocol,
+            noise=noise,
+            seed=seed,
+            starts=2 if quick else 20,
+        )
+        seconds[name] = perf_counter() - begin
+    return selections, seconds
+
+
+def platform_rms(model: Mechanism, truth: Mechanism, poses: Array) -> tuple[float, float]:
+    """Return the root mean square errors in position [m] and orientation [rad] over poses."""
+    found = accuracy(model, truth, poses)
+    return found.position, found.orientation
+
+
+def times_figure(seconds: Mapping[str, float], title: str = "") -> Figure:
+    """Return bars of times, [s]."""
+    figure = Figure(figsize=(9, 0.34 * len(seconds) + 1), layout="constrained")
+    axes = figure.subplots()
+    bars = axes.barh(list(seconds), list(seconds.values()), color=COLOURS[0])
+    axes.bar_label(bars, [f" {time:.3g} s" for time in seconds.values()], fontsize=8)
+    axes.set_xscale("log")
+    axes.invert_yaxis()
+    axes.margins(x=0.15)
+    axes.set_xlabel("time on the machine that drew this [s]")
+    axes.set_title(title, fontsize=10)
+    return figure
+
+
+def root_mean_square(errors: Array) -> tuple[float, float]:
+    """Return the root mean square over draws and columns, and its standard error.
+
+    Args:
+        errors: Shape (n_draws, n); draws are independent, columns need not be.
+    """
+    squares = (errors**2).mean(axis=1)
+    mean = float(np.sqrt(squares.mean()))
+    spread = float(squares.std(ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else 0.0
+    return mean, spread / (2 * mean) if mean else 0.0

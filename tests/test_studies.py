@@ -1,0 +1,147 @@
+"""The studies run, say what they should, and give the same files for the same seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import contents, done, run
+
+from pincal.model.table import read_table
+from pincal.studies.study import Study, markdown
+from pincal.studies.trials import root_mean_square
+
+FIGURES = {
+    "5R": {"fig_2", "fig_4", "fig_5", "fig_6", "table_3"},
+    "3RRR": {"fig_5", "fig_7", "fig_8", "fig_9", "fig_10", "fig_11"},
+    "6UPS": {"fig_4", "fig_5", "fig_6", "savings", "observability"},
+}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A quick run of every study, and the page of all."""
+    root = tmp_path_factory.mktemp("studies")
+    (root / "all").mkdir()
+    done("study", "all", "--quick", "-o", root / "all", "--page", root / "studies.md")
+    return {name: root / "all" / name for name in FIGURES}
+
+
+def column(folder: Path, table: str, name: str) -> list[str]:
+    """Return the cells of one column of a table."""
+    return read_table(folder / "tables" / f"{table}.csv").text[name]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_page_tables_and_figures_belong_together(folders: dict[str, Path], name: str) -> None:
+    """Every figure and table that the page names is there, in both forms."""
+    folder = folders[name]
+    page = (folder / "study.md").read_text(encoding="utf-8")
+    figures = {p.stem for p in (folder / "figures").glob("*.png")}
+    assert figures == {p.stem for p in (folder / "figures").glob("*.svg")}
+    for figure in figures:
+        assert f"(figures/{figure}.png)" in page
+    assert all(any(f.startswith(wanted) for f in figures) for wanted in FIGURES[name])
+    tables = {p.stem for p in (folder / "tables").glob("*.csv")}
+    assert tables == {p.stem for p in (folder / "tables").glob("*.md")}
+    for table in tables:
+        assert f"`tables/{table}.csv`" in page
+        assert (folder / "tables" / f"{table}.md").read_text(encoding="utf-8").strip() in page
+    assert "against_the_paper" in tables
+    assert "--quick" in page
+    whole = (folder.parents[1] / "studies.md").read_text(encoding="utf-8")
+    assert f"(all/{name}/figures/" in whole
+
+
+def test_five_bar(folders: dict[str, Path]) -> None:
+    """The circle of the papers; no way beats its bound; Table 3's costs."""
+    folder = folders["5R"]
+    errors = np.array(column(folder, "table_3_parameter_errors", "error"), dtype=float)
+    spread = np.array(column(folder, "table_3_parameter_errors", "±"), dtype=float)
+    bounds = np.array(column(folder, "table_3_parameter_errors", "Cramér-Rao bound"), dtype=float)
+    assert (errors > bounds - 4 * spread).all()
+    assert (errors < 2 * bounds).all()
+    page = (folder / "study.md").read_text(encoding="utf-8")
+    assert "radius 0.645" in page or "radius 0.646" in page
+    assert column(folder, "table_3_costs", "cost of inversion")[:2] == ["432", "1728"]
+
+
+def test_three_rrr(folders: dict[str, Path]) -> None:
+    """Permuted readings are reached; orbits gain over the paper's own sets."""
+    folder = folders["3RRR"]
+    table = "fig_7_articular_symmetry"
+    assert column(folder, table, "in the workspace") == column(folder, table, "readings")
+    assert column(folder, "fig_5_workspaces", "kept by rotations") == ["1", "1", "1"]
+    gains = dict(
+        zip(
+            column(folder, "cramer_rao_bounds", "way"),
+            map(float, column(folder, "cramer_rao_bounds", "gain")),
+            strict=True,
+        )
+    )
+    assert 1.3 < gains["symmetric, all 72 for every leg"] < 1.7
+    assert 1.4 < gains["24 orbits (72 poses)"] < 1.8
+    before, after = column(folder, "fig_10_accuracy", "position")[:2]
+    assert float(before) / float(after) > 20
+
+
+def test_hexapod(folders: dict[str, Path]) -> None:
+    """Leg lengths as printed, workspaces as symmetric as said, a calibration that helps."""
+    folder = folders["6UPS"]
+    off = [float(v) for v in read_table(folder / "tables/eqs_36_to_41_lengths.csv").text["off by"]]
+    assert max(off) < 1e-4
+    kept = [float(v) for v in column(folder, "figs_5_6_workspaces", "kept by the group")]
+    assert kept[0] == 1.0
+    assert kept[1] == pytest.approx(0.91, abs=0.02)
+    assert column(folder, "savings", "same set") == ["yes", "yes"]
+    position = [float(v) for v in column(folder, "calibration", "position")]
+    assert position[0] > 50 * position[1]
+
+
+def test_the_same_seed_gives_the_same_files(folders: dict[str, Path], tmp_path: Path) -> None:
+    """Byte for byte, pictures aside; another seed gives others."""
+    first = contents(folders["5R"])
+    for seed, same in ((0, True), (1, False)):
+        done("study", "5R", "--quick", "--seed", seed, "-o", tmp_path / str(seed))
+        again = contents(tmp_path / str(seed))
+        assert set(again) == set(first)
+        text = [name for name in first if name.endswith((".md", ".csv"))]
+        assert all(first[name] == again[name] for name in text) == same
+
+
+def test_wrong_studies_are_refused(tmp_path: Path) -> None:
+    """An unknown name, a folder that is not pincal's, a missing folder for all."""
+    (tmp_path / "mine").mkdir()
+    for line, word in (
+        (["study", "delta", "-o", tmp_path / "a"], "5R, 3RRR, 6UPS"),
+        (["study", "5R", "--force", "-o", tmp_path / "mine"], "not a folder that pincal wrote"),
+        (["study", "all", "-o", tmp_path / "none"], "make it first"),
+    ):
+        outcome = run(*line)
+        assert outcome.code == 2
+        assert word in outcome.err
+    assert contents(tmp_path) == {"mine": None}
+
+
+def test_tables_in_markdown() -> None:
+    """Numbers to four digits and to the right, text to the left."""
+    text = markdown({"way": ["a", "b"], "error [m]": [0.000123456, 2.0], "n": [1, 20]})
+    assert text.splitlines() == [
+        "| way | error [m] | n |",
+        "|---|---:|---:|",
+        "| a | 0.0001235 | 1 |",
+        "| b | 2 | 20 |",
+    ]
+    study = Study("x", "Title", "Paper", "pincal study x")
+    study.table("t", "A  table.", {"a": [1]})
+    assert "A table. (`folder/tables/t.csv`)" in study.page("folder")
+
+
+def test_root_mean_square_and_its_standard_error() -> None:
+    """The standard error is the spread of the estimate over repeated sets of draws."""
+    rng = np.random.default_rng(0)
+    found = [root_mean_square(rng.normal(size=(200, 12))) for _ in range(400)]
+    means, errors = np.array(found).T
+    assert means.mean() == pytest.approx(1.0, abs=0.01)
+    assert errors.mean() == pytest.approx(means.std(), rel=0.1)
