@@ -22,7 +22,7 @@ _MEMORY = """
 import sys
 import pincal
 mechanism = pincal.load_mechanism("6UPS")
-turns = pincal.Orientations.of(mechanism.platform, eval(sys.argv[1]))
+turns = pincal.Orientations.of(mechanism.platform, *eval(sys.argv[1]))
 grid = pincal.Grid.of(*eval(sys.argv[2]))
 pincal.compute_workspace(mechanism, sys.argv[3], grid, turns, pincal.Margins.none())
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
@@ -50,7 +50,7 @@ def brute_force(mechanism: pincal.Mechanism, positions: Array, turns: Array) -> 
 
 def test_symmetry_and_brute_force(benchmark: Any, ratios: Any, hexapod: pincal.Mechanism) -> None:
     grid = pincal.Grid.of("radius=0.01:1.5:0.02", "bearing [deg]=0:359.5:0.5", "z=1.8")
-    turns = pincal.Orientations.of(hexapod.platform, TILTS)
+    turns = pincal.Orientations.of(hexapod.platform, *TILTS)
     arguments = (hexapod, "total-orientation", grid, turns, NONE)
     few = grid.at(np.arange(0, grid.size, 180))  # brute force at every 180th position
     matrices = turns.rotations.as_matrix()
@@ -71,7 +71,7 @@ def test_symmetry_and_brute_force(benchmark: Any, ratios: Any, hexapod: pincal.M
 
 
 def test_cost_per_pose_is_flat(benchmark: Any, ratios: Any, hexapod: pincal.Mechanism) -> None:
-    turns = pincal.Orientations.of(hexapod.platform, ["tilt=0:0.6:0.1", "torsion=-0.6:0.6:0.1"])
+    turns = pincal.Orientations.of(hexapod.platform, "tilt=0:0.6:0.1", "torsion=-0.6:0.6:0.1")
     grids = [
         pincal.Grid.of(f"x=-1.5:1.5:{step}", f"y=-1.5:1.5:{step}", "z=1.8") for step in (0.5, 0.05)
     ]

@@ -90,7 +90,7 @@ def test_a_workspace_on_a_cluster_is_the_same(
     monkeypatch.setattr("pincal.workspace.region._CHUNK", 1 << 13)
     mechanism = pincal.load_mechanism("6UPS")
     grid = pincal.Grid.of("radius=0.1:1.5:0.1", "bearing [deg]=0:360:10", "z=1.6:2.2:0.2")
-    turns = pincal.Orientations.of(mechanism.platform, ["tilt=0:0.3:0.15", "torsion=-0.2,0,0.2"])
+    turns = pincal.Orientations.of(mechanism.platform, "tilt=0:0.3:0.15", "torsion=-0.2,0,0.2")
     arguments = (mechanism, "total-orientation", grid, turns)
     here = pincal.compute_workspace(*arguments)
     killed: list[int] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -37,7 +38,7 @@ def test_total_orientation_of_the_hexapod(tmp_path: Path) -> None:
     assert files[0].read_bytes() == files[1].read_bytes() == files[2].read_bytes()
     mechanism = pincal.load_mechanism("6UPS")
     grid = pincal.Grid.of("radius=0.1:1.5:0.2", "bearing [deg]=0:360:30", "z=1.8:2:0.1")
-    turns = pincal.Orientations.of(mechanism.platform, ["tilt=0:0.2:0.1"])
+    turns = pincal.Orientations.of(mechanism.platform, "tilt=0:0.2:0.1")
     found = pincal.compute_workspace(
         mechanism, "total-orientation", grid, turns, pincal.Margins.none()
     )
@@ -103,8 +104,16 @@ def test_articular_space(tmp_path: Path) -> None:
         ("--kind total-orientation --axis tilt=0", ["platform takes phi"]),
         ("--kind reachable --jobs 0", ["0 jobs"]),
         ("--kind reachable --scheduler tcp://127.0.0.1:1", ["127.0.0.1:1", "dask scheduler"]),
-        ("--kind reachable --axis x=5,6 --axis y=5,6 --inscribed", ["empty"]),
-        ("--kind reachable --samples 10 --inscribed", ["needs a grid"]),
+        ("--kind reachable --samples 10 --inscribed", ["no neighbours", "--inscribed"]),
+        ("--kind reachable --samples 10 --axis x=0:1:0.1", ["--samples", "--axis x"]),
+        ("--kind reachable --count 10", ["--count", "not for --kind reachable"]),
+        ("--kind reachable --no-margins --margin-type1 0.1", ["--no-margins"]),
+        ("--kind reachable --axis x=-500:500:10 --axis y=-500:500:10", ["'x'", "[mm]"]),
+        ("--kind dexterous --axis phi=0:1:0.1", ["total-orientation"]),
+        ("--kind reachable --picture w.csv", ["w.csv", ".svg"]),
+        ("--kind articular --connected --samples 5", ["--samples, --connected", "articular"]),
+        ("--kind articular --axis x=0:1:0.1", ["orientations"]),
+        ("--kind poses --picture w.png", ["--picture: not for --kind poses"]),
         ("--kind reachable --samples 10 --connected", ["no neighbours"]),
         ("--kind reachable --picture w.bmp", ["w.bmp", ".svg"]),
         ("--kind reachable --picture none/w.png", ["none"]),
@@ -123,6 +132,57 @@ def test_wrong_questions_leave_nothing(
         assert word in outcome.err
     assert "Traceback" not in outcome.err
     assert contents(tmp_path) == {}
+
+
+def test_an_empty_workspace_is_a_result(tmp_path: Path) -> None:
+    """Nothing counts: a header, a picture that says so, no circle, exit code 0."""
+    line = ["--axis", "x=5,6", "--axis", "y=5,6", "--inscribed", "--picture", tmp_path / "w.svg"]
+    outcome = done("workspace", "3RRR", "--kind", "reachable", *line, "-o", tmp_path / "w.csv")
+    assert "0 of 4 count" in outcome.out
+    assert "none: no position counts" in outcome.out
+    assert (tmp_path / "w.csv").read_text() == "x [m],y [m]\n"
+    spatial = ["--axis", "z=9", "--axis", "x=0", "--axis", "y=0", "--picture", tmp_path / "s.png"]
+    done("workspace", "6UPS", "--kind", "reachable", *spatial, "-o", tmp_path / "s.csv")
+    none = ["--kind", "articular", "--count", 50, "--axis", "phi [deg]=200"]
+    outcome = done("workspace", "3RRR", *none, "-o", tmp_path / "a.csv")
+    assert re.search(r"phi = -2.79253 rad +0 ", outcome.out)
+
+
+def test_a_cut_workspace_says_so(tmp_path: Path) -> None:
+    """A grid that ends inside the workspace is told; one drawn close around it is not."""
+    line = ["workspace", "3RRR", "--kind", "constant-orientation"]
+    outcome = done(*line, "--axis", "x=-0.1:0.1:0.05", "--axis", "y=-0.1:0.1:0.05",
+                   "-o", tmp_path / "cut.csv")  # fmt: skip
+    assert "cut off by the edge of the grid" in outcome.out
+    assert "not used" in outcome.out
+    outcome = done(*line, "-o", tmp_path / "whole.csv")
+    assert "cut off" not in outcome.out
+
+
+@pytest.mark.parametrize("name", ["5R", "6UPS"])
+def test_articular_space_of_other_numbers_of_legs(name: str, tmp_path: Path) -> None:
+    """Neighbouring legs are drawn in pairs."""
+    turn = ["--axis", "tilt [deg]=10", "--axis", "azimuth=0"] if name == "6UPS" else []
+    done("workspace", name, "--kind", "articular", "--count", 200, *turn, "--picture",
+         tmp_path / "a.png", "-o", tmp_path / "a.csv")  # fmt: skip
+    spaces = set(read_table(tmp_path / "a.csv").text["space"])
+    named = "azimuth = 0 rad, tilt = 0.174533 rad, torsion = 0 rad"
+    assert spaces == {"all", *([named] if turn else [])}
+
+
+@pytest.mark.parametrize(
+    ("group", "missing"), [("D6", "3 of 3 mirrors"), ("C3", ""), ("C6", "rotation by 60°")]
+)
+def test_claimed_groups(group: str, missing: str) -> None:
+    """The 3-RRR has three rotations; what a claim lacks is named, with what breaks it."""
+    outcome = run("symmetry", "3RRR", "--group", group)
+    assert "3RRR: C3, 3 elements" in outcome.out
+    assert outcome.code == (2 if missing else 0)
+    assert missing in outcome.err
+    for wrong in ("D3", "E8", "C0", "D"):
+        outcome = run("symmetry", "3RRR", "--group", wrong)
+        assert (outcome.code, outcome.out) == (2, "")
+        assert wrong in outcome.err
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])

@@ -197,7 +197,7 @@ def test_mapped_poses_are_symmetrically_observable(
 
 
 def _information(mechanism: pincal.Mechanism, poses: np.ndarray) -> float:
-    """Return det^(1/2n) of leg 1's information: one over the geometric mean of its errors."""
+    """Return det^(1/2n) of leg 1's information: one over the mean width of its ellipsoid."""
     demand = leg_demand(mechanism, "leg_1", poses)
     rows = noise_weighted(demand, mechanism, pincal.Noise())[:, 0]
     return float(np.exp(np.linalg.slogdet(rows.T @ rows)[1] / (2 * rows.shape[1])))
@@ -208,7 +208,7 @@ def test_orbits_gain_over_mapped_poses(
 ) -> None:
     """With 72 measured poses, every pose for every leg gains; choosing orbits gains more.
 
-    Errors (geometric mean of the Cramér-Rao bounds) fall by at least 1.48 and 1.6; with 8
+    The Cramér-Rao ellipsoid (mean of its principal axes) narrows by at least 1.48 and 1.6; with 8
     orbits, 24 poses in all, they come within 11 % of those of 72 mapped poses.
     """
     mechanism = pincal.load_mechanism("3RRR")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_total_orientation_with_tilt_and_torsion(
     hexapod: pincal.Mechanism, notes: pincal.Grid
 ) -> None:
     """14,477 cells as published, every one of which stays inside under the whole group."""
-    turns = pincal.Orientations.of(hexapod.platform, TILTS)
+    turns = pincal.Orientations.of(hexapod.platform, *TILTS)
     found = pincal.compute_workspace(hexapod, "total-orientation", notes, turns, NONE)
     assert found.count == 14_477
     assert found.measure == pytest.approx(5.791, abs=5e-4)
@@ -80,7 +81,7 @@ def test_total_orientation_with_tilt_and_torsion(
 def test_total_orientation_with_zyx_angles(hexapod: pincal.Mechanism, notes: pincal.Grid) -> None:
     """4.923 m² as published; y → −y survives, 9 % of the cells leave under 120°."""
     axes = [f"{name}=-0.6:0.6:0.1" for name in ("yaw", "pitch", "roll")]
-    turns = pincal.Orientations.of(hexapod.platform, axes)
+    turns = pincal.Orientations.of(hexapod.platform, *axes)
     found = pincal.compute_workspace(hexapod, "total-orientation", notes, turns, NONE)
     assert found.measure == pytest.approx(4.923, abs=5e-4)
     assert [str(e) for e in found.elements] == ["identity", "mirror at azimuth 0°"]
@@ -91,7 +92,7 @@ def test_total_orientation_with_zyx_angles(hexapod: pincal.Mechanism, notes: pin
 def test_total_orientation_equals_brute_force(hexapod: pincal.Mechanism) -> None:
     """The same positions as by leg lengths of every pose, at random positions."""
     positions = np.random.default_rng(0).uniform([-1.5, -1.5, 1.2], [1.5, 1.5, 2.6], (400, 3))
-    turns = pincal.Orientations.of(hexapod.platform, TILTS)
+    turns = pincal.Orientations.of(hexapod.platform, *TILTS)
     grid = pincal.Grid.of("x=0,1", "y=0,1", "z=1.8")
     test = pincal.compute_workspace(hexapod, "total-orientation", grid, turns, NONE).test
     expected = brute_force(hexapod, positions, turns.rotations)
@@ -111,7 +112,7 @@ def test_symmetry_changes_nothing_but_the_work(
         asked = pincal.default_samples(any_mechanism, 3000)
     else:
         asked = pincal.Grid.of(*(POLAR if grid == "polar" else CARTESIAN)[name])
-    turns = pincal.Orientations.of(platform, TURNS[name]) if TURNS[name] else None
+    turns = pincal.Orientations.of(platform, *TURNS[name]) if TURNS[name] else None
     given = None if kind == "constant-orientation" else turns
     arguments = (any_mechanism, kind, asked, given, margins)
     short = pincal.compute_workspace(*arguments)
@@ -128,7 +129,7 @@ def test_symmetry_changes_nothing_but_the_work(
 def test_group_of_the_set_not_of_the_mechanism_is_used(hexapod: pincal.Mechanism) -> None:
     """Elements that do not map grid or orientations onto themselves are left out."""
     grid = pincal.Grid.of(*POLAR["6UPS"])
-    one_sided = pincal.Orientations.of(hexapod.platform, ["tilt=0:0.3:0.1", "torsion=0,0.2"])
+    one_sided = pincal.Orientations.of(hexapod.platform, "tilt=0:0.3:0.1", "torsion=0,0.2")
     found = pincal.compute_workspace(hexapod, "total-orientation", grid, one_sided, NONE)
     assert [e.reflection for e in found.elements] == [False] * 3
     slanted = pincal.Orientations.from_rotations(Rotation.from_rotvec([0.2, 0.1, 0.0]))
@@ -196,7 +197,7 @@ def test_turns_of_a_universal_joint_are_limited_alike(
 def test_kinds_contain_each_other(hexapod: pincal.Mechanism) -> None:
     """Total orientation ⊂ constant orientation ⊂ reachable, each strictly here."""
     grid = pincal.Grid.of(*POLAR["6UPS"])
-    turns = pincal.Orientations.of(hexapod.platform, ["tilt=0:0.3:0.15"])
+    turns = pincal.Orientations.of(hexapod.platform, "tilt=0:0.3:0.15")
     every = pincal.compute_workspace(hexapod, "total-orientation", grid, turns)
     one = pincal.compute_workspace(hexapod, "constant-orientation", grid)
     some = pincal.compute_workspace(hexapod, "reachable", grid, turns)
@@ -338,7 +339,7 @@ def test_jobs_change_nothing(hexapod: pincal.Mechanism, monkeypatch: pytest.Monk
     """Two processes give the very set that one gives."""
     monkeypatch.setattr("pincal.workspace.region._CHUNK", 1 << 12)
     grid = pincal.Grid.of(*POLAR["6UPS"])
-    turns = pincal.Orientations.of(hexapod.platform, TURNS["6UPS"])
+    turns = pincal.Orientations.of(hexapod.platform, *TURNS["6UPS"])
     done: list[int] = []
     one = pincal.compute_workspace(hexapod, "total-orientation", grid, turns, progress=done.append)
     two = pincal.compute_workspace(hexapod, "total-orientation", grid, turns, jobs=2)
@@ -409,7 +410,7 @@ def test_grids_that_are_none_are_refused(axes: tuple[str, ...]) -> None:
 def test_wrong_questions_are_refused(kind: str, axes: list[str], message: str) -> None:
     """Kinds and orientations that do not fit raise."""
     mechanism = pincal.load_mechanism("3RRR")
-    turns = pincal.Orientations.of(mechanism.platform, axes) if axes else None
+    turns = pincal.Orientations.of(mechanism.platform, *axes) if axes else None
     with pytest.raises(pincal.WorkspaceError, match=message):
         pincal.compute_workspace(mechanism, kind, pincal.Grid.of(*POLAR["3RRR"]), turns)
 
@@ -418,11 +419,34 @@ def test_orientations_fit_the_platform() -> None:
     """A plane turns by phi, a point not at all, and ways are not mixed."""
     for name, axes in [("3RRR", ["tilt=0"]), ("5R", ["phi=0"]), ("6UPS", ["tilt=0", "yaw=0"])]:
         with pytest.raises(pincal.WorkspaceError, match="platform takes"):
-            pincal.Orientations.of(pincal.load_mechanism(name).platform, axes)
+            pincal.Orientations.of(pincal.load_mechanism(name).platform, *axes)
     platform = pincal.load_mechanism("6UPS").platform
     with pytest.raises(pincal.WorkspaceError, match="twice"):
-        pincal.Orientations.of(platform, ["tilt=0", "tilt=0.1"])
-    assert len(pincal.Orientations.of(platform, TILTS)) == 36 * 6 * 13 + 13  # one azimuth upright
+        pincal.Orientations.of(platform, "tilt=0", "tilt=0.1")
+    assert len(pincal.Orientations.of(platform, *TILTS)) == 36 * 6 * 13 + 13  # one azimuth upright
+
+
+def test_planar_platforms_stay_in_their_plane() -> None:
+    """Heights are refused, not counted."""
+    grid = pincal.Grid.of("x=0:1:0.1", "y=0:1:0.1", "z=0:1:0.1")
+    with pytest.raises(pincal.WorkspaceError, match="moves in a plane"):
+        pincal.compute_workspace(pincal.load_mechanism("3RRR"), "reachable", grid)
+
+
+def test_a_workspace_is_saved_and_shown(tmp_path: Path) -> None:
+    """A line of text, a file, and poses where there is one orientation."""
+    mechanism = pincal.load_mechanism("3RRR")
+    turn = pincal.Orientations.of(mechanism.platform, "phi=0.3")
+    grid = pincal.Grid.of(*CARTESIAN["3RRR"])
+    found = pincal.compute_workspace(mechanism, "constant-orientation", grid, turn)
+    assert str(found).startswith("constant-orientation workspace of 3RRR: 0.5")
+    found.save(tmp_path / "w.csv")
+    assert len((tmp_path / "w.csv").read_text().splitlines()) == found.count + 1
+    assert pincal.in_workspace(mechanism, found.poses()).all()
+    assert pincal.in_workspace(mechanism, found.poses() + np.array([0, 0, 1.5])).sum() == 0
+    several = pincal.compute_workspace(mechanism, "reachable", grid)
+    with pytest.raises(pincal.WorkspaceError, match="72 orientations are no poses"):
+        several.poses()
 
 
 def test_inscribed_circles_need_a_grid() -> None:

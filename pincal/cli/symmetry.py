@@ -11,7 +11,7 @@ from pincal.cli.app import Mech, app, stdout, working
 from pincal.errors import SymmetryError
 from pincal.model.files import load_mechanism
 from pincal.show.tables import symmetry_table
-from pincal.symmetry.detect import symmetry_group
+from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.workspace.sampling import sample_workspace
 
@@ -21,7 +21,7 @@ def symmetry(
     mech: Mech,
     group: Annotated[
         str | None,
-        typer.Option(metavar="D2n", help="Claim a dihedral group, such as D6: fail if it is not."),
+        typer.Option(metavar="D2n|Cn", help="Claim a group, such as D6 or C3: fail if it is not."),
     ] = None,
     tolerance: Annotated[
         float, typer.Option(min=0.0, help="Largest deviation, relative to a leg's size or [rad].")
@@ -33,26 +33,40 @@ def symmetry(
     sampled poses), and what breaks the elements that fail. With --group the exit code is 2
     if the mechanism lacks an element of that group.
     """
+    wanted = _parsed(group) if group is not None else None
     mechanism = load_mechanism(mech)
     found = symmetry_group(mechanism, tolerance)
     with working("checking readings on sampled poses"):
         off = found.equivariance(sample_workspace(mechanism, 300))
     stdout.print(symmetry_table(found, off))
-    if group is not None:
-        _claim(group, [str(element) for element in found.elements], found.breaks)
+    if wanted:
+        _claim(wanted, found)
 
 
-def _claim(group: str, present: list[str], breaks: tuple[object, ...]) -> None:
-    """Raise if rotations or mirrors of a dihedral group D_2n are missing."""
-    order = group[1:].lstrip("_")
-    if group[:1] not in ("D", "d") or not order.isdigit() or int(order) < 2 or int(order) % 2:
-        raise typer.BadParameter(f"--group {group}: expected D and twice n, such as D6 for n = 3")
-    n = int(order) // 2
-    wanted = [str(Element(2 * pi * k / n)) for k in range(n)]
-    missing = [text for text in wanted if text not in present]
-    mirrors = sum(text.startswith("mirror") for text in present)
-    if mirrors < n:
+def _parsed(group: str) -> tuple[int, bool]:
+    """Return the number of rotations of a claimed group, and whether it has mirrors."""
+    letter, order = group[:1].upper(), group[1:].lstrip("_")
+    least = {"D": 2, "C": 1}.get(letter, 0)
+    if not least or not order.isdigit() or int(order) < least or int(order) % least:
+        raise typer.BadParameter(
+            f"--group {group}: expected D and its order, twice the number of rotations, such as D6 "
+            "for three rotations and three mirrors; or C and the number of rotations, such as C3"
+        )
+    return int(order) // least, letter == "D"
+
+
+def _claim(wanted: tuple[int, bool], found: SymmetryGroup) -> None:
+    """Raise if elements of a claimed group are missing."""
+    n, mirrored = wanted
+    present = [str(element) for element in found.elements]
+    rotations = [str(Element(2 * pi * k / n)) for k in range(n)]
+    missing = [text for text in rotations if text not in present]
+    mirrors = sum(element.reflection for element in found.elements)
+    if mirrored and mirrors < n:
         missing.append(f"{n - mirrors} of {n} mirrors")
     if missing:
-        why = "; ".join(str(b) for b in breaks)
-        raise SymmetryError(f"not the group {group}: {', '.join(missing)} missing ({why})")
+        name = f"D{2 * n}" if mirrored else f"C{n}"
+        why = "; ".join(str(b) for b in found.breaks) or "nothing near suggests it"
+        raise SymmetryError(
+            f"not the group {name} but {found.name}: {', '.join(missing)} missing ({why})"
+        )

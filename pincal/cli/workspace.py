@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
 from pincal.cli.app import (
-    Count,
     Force,
     Mech,
     Seed,
@@ -30,16 +28,19 @@ from pincal.model.output import refuse_existing, writing
 from pincal.model.table import write_table
 from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.axes import Axis
-from pincal.workspace.box import default_grid, default_samples
+from pincal.workspace.box import closer_grid, default_grid, default_samples
 from pincal.workspace.criteria import Margins
 from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.orientations import Orientations
-from pincal.workspace.positions import Grid, Positions
+from pincal.workspace.positions import Positions
 from pincal.workspace.region import KINDS, Workspace, compute_workspace
 from pincal.workspace.sampling import sample_workspace
 
+if TYPE_CHECKING:  # drawing is imported where it is needed
+    from matplotlib.figure import Figure
+
 _POSITION_AXES = ("x", "y", "z", "radius", "bearing")
-_WRITTEN = 1_000_000  # positions looked at at a time
+_COUNT = 30_000
 
 Kind = Annotated[str, typer.Option(help=f"What to find: poses, {', '.join(KINDS)} or articular.")]
 AxisTexts = Annotated[
@@ -49,11 +50,15 @@ AxisTexts = Annotated[
         metavar="AXIS",
         help="Axis of the grid, as often as needed: 'x [mm]=-500:500:10' (low:high:step), "
         "'z=1.8', 'phi [deg]=0,20,40'. Positions: x, y or radius, bearing; z. Orientations: "
-        "phi; azimuth, tilt, torsion; rx, ry, rz; yaw, pitch, roll. Those not given: within reach.",
+        "phi; azimuth, tilt, torsion; rx, ry, rz; yaw, pitch, roll. "
+        "Those not given: what the legs reach.",
     ),
 ]
 MarginType1 = Annotated[
-    float, typer.Option(help="Least distance from type-1 singularities; a dyad's elbow sine.")
+    float | None,
+    typer.Option(
+        help="Least distance from type-1 singularities, a dyad's elbow sine [default: 0.23]."
+    ),
 ]
 MarginType2 = Annotated[
     float | None,
@@ -69,12 +74,14 @@ def workspace(
     output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
     kind: Kind = "poses",
     axis: AxisTexts = None,
-    count: Count = 30_000,
+    count: Annotated[
+        int | None, typer.Option(min=1, help="Number of poses (poses, articular) [default: 30000].")
+    ] = None,
     samples: Annotated[
         int | None, typer.Option(min=1, help="Ask at random positions instead of on a grid.")
     ] = None,
     seed: Seed = 0,
-    margin_type1: MarginType1 = 0.23,
+    margin_type1: MarginType1 = None,
     margin_type2: MarginType2 = None,
     no_margins: Annotated[
         bool, typer.Option("--no-margins", help="Only reach and joint limits count.")
@@ -83,7 +90,11 @@ def workspace(
         bool, typer.Option("--no-symmetry", help="Compute all, not a fundamental domain.")
     ] = False,
     connected: Annotated[
-        bool, typer.Option("--connected", help="Keep what hangs together with home's part.")
+        bool,
+        typer.Option(
+            "--connected",
+            help="Keep what hangs together, by position, with the part nearest to home.",
+        ),
     ] = False,
     inscribed: Annotated[
         bool, typer.Option("--inscribed", help="Find the largest circle or ball inside.")
@@ -108,47 +119,86 @@ def workspace(
 
     articular: poses and sensor readings over the workspace, with the check that permuted
     readings are reached too; --axis phi=0,0.4,0.6 adds workspaces of constant orientation.
+
+    Not given, axes hold what the legs reach, drawn close around what counts.
     """
+    regions = kind in KINDS
+    if not regions and kind not in ("poses", "articular"):
+        raise WorkspaceError(
+            f"--kind {kind}: unknown; expected poses, {', '.join(KINDS)} or articular"
+        )
+    _fitting(
+        kind,
+        {
+            "--axis": bool(axis) and kind == "poses",
+            "--picture": picture is not None and kind == "poses",
+            "--count": count is not None and regions,
+            "--samples": samples is not None and not regions,
+            "--no-symmetry": no_symmetry and not regions,
+            "--connected": connected and not regions,
+            "--inscribed": inscribed and not regions,
+            "--jobs": jobs != 1 and not regions,
+            "--scheduler": scheduler is not None and not regions,
+        },
+    )
+    if samples is not None and (connected or inscribed):
+        raise WorkspaceError("samples have no neighbours: --connected and --inscribed need a grid")
+    if no_margins and (margin_type1 is not None or margin_type2 is not None):
+        raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
     mechanism = load_mechanism(mech)
     for path in (output, picture):
         if path is not None:
             refuse_existing(path, force=force)
-    if picture is not None and picture.suffix.lower() not in (".svg", ".png", ".pdf"):
-        raise typer.BadParameter(f"--picture {picture}: expected a name in .svg, .png or .pdf")
-    least = Margins.none() if no_margins else Margins(margin_type1, margin_type2)
+    if picture is not None:
+        if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
+            raise typer.BadParameter(f"--picture {picture}: expected a name in .svg, .png or .pdf")
+        if picture.absolute() == output.absolute():
+            raise typer.BadParameter(f"--picture {picture}: is the output too")
+    type1 = Margins().type1 if margin_type1 is None else margin_type1
+    least = Margins.none() if no_margins else Margins(type1, margin_type2)
     axes = [Axis.parse(text) for text in axis or ()]
+    places = [one for one in axes if one.name in _POSITION_AXES]
+    turns = [one for one in axes if one.name not in _POSITION_AXES]
     if kind == "poses":
-        if axes or picture or inscribed or samples:
-            raise typer.BadParameter("--axis, --samples, --inscribed, --picture need a --kind")
-        _poses(mechanism, output, count, seed, least, force)
+        _poses(mechanism, output, count or _COUNT, seed, least, force)
     elif kind == "articular":
-        _articular(mechanism, output, axes, count, seed, least, picture, force)
+        _articular(mechanism, output, axes, count or _COUNT, seed, least, picture, force)
     else:
-        if kind not in KINDS:
+        if samples is not None and places:
             raise WorkspaceError(
-                f"--kind {kind}: unknown; expected poses, {', '.join(KINDS)} or articular"
+                f"--samples come from all that the legs reach, not on --axis {places[0].name}"
             )
-        positions: Positions
-        if samples is None:
-            positions = default_grid(mechanism, [a for a in axes if a.name in _POSITION_AXES])
+        orientations = Orientations.of(mechanism.platform, *turns) if turns else None
+
+        def compute(positions: Positions, text: str) -> Workspace:
+            with counting(text, positions.size) as done:
+                return compute_workspace(
+                    mechanism,
+                    kind,
+                    positions,
+                    orientations,
+                    least,
+                    symmetry=not no_symmetry,
+                    connected=connected,
+                    jobs=jobs,
+                    scheduler=scheduler,
+                    progress=done,
+                )
+
+        if samples is not None:
+            found = compute(default_samples(mechanism, samples, seed), f"{kind} workspace")
         else:
-            positions = default_samples(mechanism, samples, seed)
-        turns = [a for a in axes if a.name not in _POSITION_AXES]
-        orientations = Orientations.of(mechanism.platform, turns) if turns else None
-        with counting(f"{kind} workspace", positions.size) as done:
-            found = compute_workspace(
-                mechanism,
-                kind,
-                positions,
-                orientations,
-                least,
-                symmetry=not no_symmetry,
-                connected=connected,
-                jobs=jobs,
-                scheduler=scheduler,
-                progress=done,
-            )
+            found = compute(default_grid(mechanism, places), f"{kind} workspace")
+            closer = closer_grid(found, [one.name for one in places])
+            if closer is not None:
+                found = compute(closer, "closer around what counts")
         _report(found, output, inscribed, picture, force)
+
+
+def _fitting(kind: str, options: dict[str, bool]) -> None:
+    """Raise if options were given that a kind of workspace does not have."""
+    if wrong := [name for name, given in options.items() if given]:
+        raise typer.BadParameter(f"{', '.join(wrong)}: not for --kind {kind}")
 
 
 def _poses(
@@ -167,31 +217,25 @@ def _report(
     found: Workspace, output: Path, inscribed: bool, picture: Path | None, force: bool
 ) -> None:
     """Write the positions and the picture of a workspace, and print what it is."""
+    from pincal.show.workspace_plots import workspace_figure
     from pincal.show.workspace_tables import workspace_table
 
     circle = None
-    if inscribed:
+    if inscribed and found.count:
         with working("looking for the largest circle or ball inside"):
             circle = largest_inscribed(found)
-    names = ("x", "y", "z")[: found.test.mechanism.platform.units.count("m")]
-    columns = {f"{name} [m]": _column(found, place) for place, name in enumerate(names)}
-    write_table(output, columns, force=force)
-    stdout.print(workspace_table(found, circle))
+    found.save(output, force=force)
+    stdout.print(workspace_table(found, circle, wanted=inscribed))
     wrote(output)
     if picture is not None:
-        from pincal.show.workspace_plots import workspace_figure
-
-        with writing(picture, force=force) as scratch:
-            figure = workspace_figure(found, circle)
-            figure.savefig(scratch, format=picture.suffix[1:].lower(), dpi=150)
-        wrote(picture)
+        _draw(picture, workspace_figure(found, circle), force)
 
 
-def _column(found: Workspace, place: int) -> Iterator[float]:
-    """Yield one coordinate of the positions that count, a bounded number at a time."""
-    for begin in range(0, len(found.inside), _WRITTEN):
-        index = begin + np.flatnonzero(found.inside[begin : begin + _WRITTEN])
-        yield from found.asked.at(index)[:, place].tolist()
+def _draw(picture: Path, figure: Figure, force: bool) -> None:
+    """Write a picture in the format of its name."""
+    with writing(picture, force=force) as scratch:
+        figure.savefig(scratch, format=picture.suffix[1:].lower(), dpi=150)
+    wrote(picture)
 
 
 def _articular(
@@ -205,47 +249,46 @@ def _articular(
     force: bool,
 ) -> None:
     """Write poses and readings, over the whole workspace and at constant orientations."""
+    from pincal.show.workspace_plots import articular_figure
     from pincal.show.workspace_tables import articular_table
 
+    places = [one for one in axes if one.name in _POSITION_AXES]
+    turns = [one for one in axes if one.name not in _POSITION_AXES]
+    if places and not turns:
+        raise WorkspaceError("positions by --axis need orientations to ask there, such as phi=0.4")
+    grid = default_grid(mechanism, places)
+    single = Orientations.of(mechanism.platform, *turns).rotations if turns else []
     with counting("sampling the workspace", count) as done:
         spaces = {"all": sample_workspace(mechanism, count, seed, least, done)}
-    turns = [a for a in axes if a.name not in _POSITION_AXES]
-    grid = default_grid(mechanism, [a for a in axes if a.name in _POSITION_AXES])
-    for turn in turns:
-        for value in turn.values:
-            spaces[f"{turn.name} = {value:.6g} rad"] = _constant(
-                mechanism, grid, Axis(turn.name, np.array([value])), least
-            )
+    for rotation in single:
+        orientation = Orientations.from_rotations(rotation)
+        found = compute_workspace(mechanism, "constant-orientation", grid, orientation, least)
+        spaces[_named(mechanism, orientation)] = found.poses()
     readings = {name: articular_space(mechanism, poses) for name, poses in spaces.items()}
+    with working("solving the forward kinematics of permuted readings"):
+        checks = articular_symmetry(mechanism, spaces["all"][:2000], least)
+    table = articular_table(mechanism, readings, checks)
     platform = mechanism.platform
-    poses = np.concatenate(list(spaces.values()))
+    poses, values = (np.concatenate(list(parts.values())) for parts in (spaces, readings))
     columns: dict[str, list[str] | list[float]] = {
         "space": [name for name, poses in spaces.items() for _ in poses]
     }
-    for place, name in enumerate(platform.coordinates):
-        columns[f"{name} [{platform.units[place]}]"] = poses[:, place].tolist()
-    values = np.concatenate(list(readings.values()))
+    for place, (name, unit) in enumerate(zip(platform.coordinates, platform.units, strict=True)):
+        columns[f"{name} [{unit}]"] = poses[:, place].tolist()
     for place, leg in enumerate(mechanism.legs):
         columns[f"{leg.name} [{leg.reading_unit}]"] = values[:, place].tolist()
-    with working("solving the forward kinematics of permuted readings"):
-        checks = articular_symmetry(mechanism, spaces["all"][:2000], least)
     write_table(output, columns, force=force)
-    stdout.print(articular_table(mechanism, readings, checks))
+    stdout.print(table)
     wrote(output)
     if picture is not None:
-        from pincal.show.workspace_plots import articular_figure
-
-        with writing(picture, force=force) as scratch:
-            figure = articular_figure(mechanism, readings)
-            figure.savefig(scratch, format=picture.suffix[1:].lower(), dpi=150)
-        wrote(picture)
+        _draw(picture, articular_figure(mechanism, readings), force)
 
 
-def _constant(mechanism: Mechanism, grid: Grid, turn: Axis, least: Margins) -> np.ndarray:
-    """Return the poses of a constant orientation workspace, coordinates of shape (N, dof)."""
-    orientation = Orientations.of(mechanism.platform, [turn])
-    found = compute_workspace(mechanism, "constant-orientation", grid, orientation, least)
-    matrices = np.broadcast_to(np.eye(4), (found.count, 4, 4)).copy()
-    matrices[:, :3, :3] = orientation.rotations.as_matrix()[0]
-    matrices[:, :3, 3] = found.positions
-    return mechanism.platform.from_matrices(matrices)
+def _named(mechanism: Mechanism, orientation: Orientations) -> str:
+    """Return an orientation in the platform's coordinates, as text."""
+    platform = mechanism.platform
+    matrices = np.eye(4)[None].copy()
+    matrices[:, :3, :3] = orientation.rotations.as_matrix()
+    values = platform.from_matrices(matrices)[0] + 0.0
+    turns = zip(platform.coordinates, platform.units, values, strict=True)
+    return ", ".join(f"{name} = {value:.6g} rad" for name, unit, value in turns if unit == "rad")

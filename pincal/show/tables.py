@@ -148,5 +148,6 @@ def symmetry_table(group: SymmetryGroup, equivariance: float) -> Group:
         table.add_row(str(element), *(names[i] for i in permutation))
     lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
     lines += [f"broken: {text}" for text in group.breaks]
-    title = f"{group.mechanism.name}: {len(group.elements)} elements, nominal geometry and modes"
+    size = f"{group.name}, {len(group.elements)} elements"
+    title = f"{group.mechanism.name}: {size}, nominal geometry and modes"
     return titled(title, table, "\n".join(lines))

@@ -44,9 +44,17 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     if inscribed:
         handles.append(Patch(fill=False, edgecolor=COLOURS[1], label="largest inscribed"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-    unit = {1: "m", 2: "m²", 3: "m³"}[workspace.asked.dimension]
+    unit = ("", "m", "m²", "m³")[workspace.asked.dimension]
     name = workspace.test.mechanism.name
     size = f"{workspace.measure:.4g} ± {workspace.uncertainty:.2g} {unit}"
+    if not workspace.count:
+        size = "empty"
+    elif len(levels) > 1:
+        grid = workspace.asked
+        total = len(grid.axes[2].values) if isinstance(grid, Grid) else 0
+        size += f"; {len(levels)} of {total} heights"
+    elif not isinstance(workspace.asked, Grid) and workspace.asked.dimension == 3:
+        size += "; samples of all heights"
     figure.suptitle(f"{name}: {workspace.kind} workspace, {size}")
     return figure
 
@@ -86,7 +94,8 @@ def draw_workspace(
     for place, leg in enumerate(() if plain else workspace.test.mechanism.legs):
         base = leg.joints[0].placement.xyz
         axes.plot(*base[:2], MARKERS[place % len(MARKERS)], color="0.25", ms=6)
-        axes.annotate(leg.name, base[:2], xytext=(5, 5), textcoords="offset points", size=7)
+        if level is None:
+            axes.annotate(leg.name, base[:2], xytext=(5, 5), textcoords="offset points", size=7)
     if inscribed and abs(inscribed.centre[2] - (level or 0.0)) < inscribed.radius:
         height = inscribed.centre[2] - (level if level is not None else inscribed.centre[2])
         radius = float(np.sqrt(inscribed.radius**2 - height**2))
@@ -94,7 +103,7 @@ def draw_workspace(
         axes.add_patch(Circle(centre, radius, fill=False, ec=COLOURS[1], lw=2))
         axes.plot(*centre, "+", color=COLOURS[1])
     axes.set_title("" if level is None else f"z = {level:.4g} m", fontsize=9)
-    axes.margins(0.08)
+    axes.margins(0.12)
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.set_xlabel("x [m]")
@@ -108,7 +117,9 @@ def _levels(workspace: Workspace) -> list[float | None]:
     if not isinstance(grid, Grid) or len(grid.shape) < 3:
         return [None]
     counts = workspace.inside.reshape(grid.shape).any(axis=(0, 1))
-    heights = grid.axes[2].values[counts] if counts.any() else grid.axes[2].values[:1]
+    values = grid.axes[2].values
+    home = workspace.test.mechanism.platform.home_pose.translation[0, 2]
+    heights = values[counts] if counts.any() else values[[np.argmin(np.abs(values - home))]]
     pick = np.linspace(0, len(heights) - 1, min(_MOST_SLICES, len(heights))).round().astype(int)
     return [float(heights[i]) for i in pick]
 
@@ -127,15 +138,44 @@ def _cells(grid: Grid, index: NDArray[np.int64]) -> Array:
 
 
 def articular_figure(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figure:
-    """Return the plane of equal sums for each space of readings, and the first as a cloud.
+    """Return pictures of spaces of readings: three legs in the plane of equal sums and as a cloud.
+
+    Mechanisms with other numbers of legs are drawn by pairs of neighbouring legs.
 
     Args:
-        mechanism: A mechanism of three legs.
-        spaces: Readings by title, shape (N, 3); the first one is drawn as a cloud too.
+        mechanism: The mechanism.
+        spaces: Readings by title, shape (N, n_legs).
     """
+    if len(mechanism.legs) == 3:
+        return _plane_of_equal_sums(mechanism, spaces)
+    names, units = mechanism.leg_names, [leg.reading_unit for leg in mechanism.legs]
+    pairs = [(i, (i + 1) % len(names)) for i in range(len(names))]
+    if len(names) == 2:
+        pairs = pairs[:1]
+    columns = min(3, len(pairs))
+    rows = -(-len(pairs) // columns)
+    figure = Figure(figsize=(4.4 * columns, 4.2 * rows + 0.4), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes, (first, second) in zip(panels, pairs, strict=False):
+        for index, (title, readings) in enumerate(spaces.items()):
+            x, y = readings[:, first], readings[:, second]
+            colour = COLOURS[index % len(COLOURS)]
+            axes.plot(x, y, ".", ms=1.5, color=colour, label=title, rasterized=len(x) > _MANY)
+        axes.set_xlabel(f"{names[first]} [{units[first]}]")
+        axes.set_ylabel(f"{names[second]} [{units[second]}]")
+        axes.set_aspect("equal")
+    for axes in panels[len(pairs) :]:
+        axes.set_axis_off()
+    panels[0].legend(fontsize=8, markerscale=5)
+    figure.suptitle(f"{mechanism.name}: articular-variables space")
+    return figure
+
+
+def _plane_of_equal_sums(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figure:
+    """Return the plane of equal sums for each space, and the first as a cloud (3-RRR, Fig. 7)."""
     columns = min(3, len(spaces) + 1)
     rows = -(-(len(spaces) + 1) // columns)
-    figure = Figure(figsize=(4.4 * columns, 4.4 * rows), layout="constrained")
+    figure = Figure(figsize=(4.4 * columns, 4.4 * rows + 0.3), layout="constrained")
     unit = mechanism.legs[0].reading_unit
     cloud = figure.add_subplot(rows, columns, 1, projection="3d")
     title, readings = next(iter(spaces.items()))
@@ -149,12 +189,13 @@ def articular_figure(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figur
         colour = COLOURS[(place - 2) % len(COLOURS)]
         axes.plot(across, up, ".", ms=1.5, color=colour, rasterized=len(across) > _MANY)
         reach = 1.1 * float(np.abs([across, up]).max(initial=1e-9))
-        for k, name in enumerate(mechanism.leg_names):
+        for k in range(3):
             direction = np.array([np.cos(2 * np.pi * k / 3), np.sin(2 * np.pi * k / 3)])
             axes.plot(*(np.outer([0, reach], direction).T), "-", color="0.6", lw=0.8, zorder=0)
-            axes.annotate(name, tuple(reach * direction), size=7, color="0.3", ha="center")
+            axes.annotate(f"ψ{'₁₂₃'[k]}", tuple(reach * direction), size=8, ha="center")
         axes.set_aspect("equal")
-        axes.set(title=title, xlabel=f"[{unit}]", ylabel=f"[{unit}]")
+        across_label, up_label = "(2ψ₁ − ψ₂ − ψ₃)/√6", "(ψ₂ − ψ₃)/√2"
+        axes.set(title=title, xlabel=f"{across_label} [{unit}]", ylabel=f"{up_label} [{unit}]")
         axes.margins(0.1)
     figure.suptitle(f"{mechanism.name}: articular-variables space, plane ψ₁ + ψ₂ + ψ₃ = constant")
     return figure

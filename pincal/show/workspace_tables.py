@@ -18,8 +18,16 @@ from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
 
-def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) -> Group:
-    """Return what a workspace is: how large, in how many orientations, by which symmetry."""
+def workspace_table(
+    workspace: Workspace, inscribed: Inscribed | None = None, *, wanted: bool = False
+) -> Group:
+    """Return what a workspace is: how large, in how many orientations, by which symmetry.
+
+    Args:
+        workspace: The workspace.
+        inscribed: Its largest circle or ball.
+        wanted: Whether one was looked for.
+    """
     asked, test = workspace.asked, workspace.test
     name, unit = {1: ("length", "m"), 2: ("area", "m²"), 3: ("volume", "m³")}[asked.dimension or 1]
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
@@ -33,11 +41,11 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
     type2 = least.least_type2(test.mechanism)
     text = "none" if type2 == -np.inf else f"type 1 ≥ {least.type1:.3g}, type 2 ≥ {type2:.3g}"
     table.add_row("margins", text)
-    table.add_row(
-        "symmetry",
-        f"{workspace.computed:,} positions computed, the others by {len(workspace.elements)} "
-        f"elements: {', '.join(str(e) for e in workspace.elements)}",
-    )
+    table.add_row("symmetry", _by_symmetry(workspace))
+    if workspace.cut:
+        table.add_row("", "cut off by the edge of the grid: widen the axes to see the whole")
+    if inscribed is None and wanted:
+        table.add_row("largest inscribed", "none: no position counts")
     if inscribed:
         kept = len(asked.axes) if isinstance(asked, Grid) else 3
         centre = ", ".join(f"{v + 0.0:.4f}" for v in inscribed.centre[:kept].round(6))
@@ -49,6 +57,18 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
     return titled(f"{test.mechanism.name}: {workspace.kind} workspace", table)
 
 
+def _by_symmetry(workspace: Workspace) -> str:
+    """Return which elements were used, and which were not."""
+    used = ", ".join(str(e) for e in workspace.elements)
+    text = f"{workspace.computed:,} positions computed"
+    if len(workspace.elements) > 1:
+        text += f", the others by {len(workspace.elements)} elements: {used}"
+    if workspace.unused:
+        left = ", ".join(str(e) for e in workspace.unused)
+        text += f"; not used, or not a symmetry of these positions and orientations: {left}"
+    return text
+
+
 def articular_table(
     mechanism: Mechanism,
     spaces: Mapping[str, NDArray[np.float64]],
@@ -56,14 +76,16 @@ def articular_table(
 ) -> Group:
     """Return the extent of spaces of readings, and whether permuted readings are reached."""
     table = plain_table()
-    table.add_column("space", no_wrap=True)
-    table.add_column("poses", justify="right")
-    for leg in mechanism.legs:
-        table.add_column(escape(f"{leg.name} [{leg.reading_unit}]"), justify="right")
+    for name in ("space", "poses", "leg", "from", "to"):
+        numeric = name in ("poses", "from", "to")
+        table.add_column(name, justify="right" if numeric else "left", no_wrap=True)
     for name, readings in spaces.items():
-        low, high = readings.min(axis=0), readings.max(axis=0)
-        ends = (f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True))
-        table.add_row(name, f"{len(readings):,}", *ends)
+        heads = [name, f"{len(readings):,}"]
+        for leg, column in zip(mechanism.legs, readings.T, strict=True):
+            low, high = (column.min(), column.max()) if len(column) else (np.nan, np.nan)
+            ends = [f"{low:.3f}", escape(f"{high:.3f} [{leg.reading_unit}]")]
+            table.add_row(*heads, leg.name, *ends)
+            heads = ["", ""]
     lines = [
         f"{check.element}: {check.solved} of {check.asked} permuted readings solved, "
         f"{check.inside} in the workspace, at most {check.off:.2g} from the carried pose"

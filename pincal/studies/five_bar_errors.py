@@ -35,7 +35,7 @@ def parameters(
     """Compare the errors of the parameters (Table 2, Fig. 5), and return their means."""
     before = values(mechanism) - values(truth)
     means = {name: root_mean_square(found) for name, found in errors.items()}
-    bounds = {way.name: way.bound(truth, NOISE) for way in ways}
+    bounds = {way.name: np.sqrt(np.diagonal(way.bound(truth, NOISE))) for way in ways}
     draws = len(errors[ways[0].name])
     study.heading("Parameters before and after (Tables 2, 3, Fig. 5)")
     study.say(

@@ -131,9 +131,9 @@ def _workspaces(
     step = 0.06 if quick else 0.02
     sides = [f"{name}=-1.5:1.5:{step}" for name in "xy"]
     tilts = Orientations.of(
-        platform, ["azimuth [deg]=-170:180:10", "tilt=0:0.6:0.1", "torsion=-0.6:0.6:0.1"]
+        platform, "azimuth [deg]=-170:180:10", "tilt=0:0.6:0.1", "torsion=-0.6:0.6:0.1"
     )
-    zyx = Orientations.of(platform, [f"{n}=-0.6:0.6:0.1" for n in ("yaw", "pitch", "roll")])
+    zyx = Orientations.of(platform, *(f"{n}=-0.6:0.6:0.1" for n in ("yaw", "pitch", "roll")))
     section = Grid.of(*sides, "z=1.8")
     coarse = [f"{name}=-1.5:1.5:{0.15 if quick else 0.06}" for name in "xy"]
     space = Grid.of(*coarse, f"z=1:2.6:{0.2 if quick else 0.05}")
@@ -196,8 +196,7 @@ def _workspaces(
 def _savings(study: Study, mechanism: Mechanism, quick: bool) -> float:
     """Measure what symmetry saves, and return the factor in positions."""
     turns = Orientations.of(
-        mechanism.platform,
-        ["azimuth [deg]=-170:180:10", "tilt=0:0.6:0.05", "torsion=-0.6:0.6:0.05"],
+        mechanism.platform, "azimuth [deg]=-170:180:10", "tilt=0:0.6:0.05", "torsion=-0.6:0.6:0.05"
     )
     grids = {
         "x, y": Grid.of("x=-1.5:1.5:0.02", "y=-1.5:1.5:0.02", "z=1.8"),

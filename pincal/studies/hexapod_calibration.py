@@ -55,7 +55,9 @@ def calibration(
             identified = way.run(mechanism, truth, NOISE, machine).identified
             found[way.name].append(_errors(identified, truth, some))
     medians = {name: np.median(rows, axis=0) for name, rows in found.items()}
-    bounds = {way.name: float(np.sqrt((way.bound(mechanism, NOISE) ** 2).mean())) for way in ways}
+    bounds = {
+        way.name: float(np.sqrt(np.diagonal(way.bound(mechanism, NOISE)).mean())) for way in ways
+    }
     study.heading("Calibration by the symmetric protocol")
     study.say(
         f"""48 parameters, disturbed by σ = {SIGMA:g}; poses measured with

@@ -48,14 +48,14 @@ class Way:
         )
 
     def bound(self, truth: Mechanism, noise: Noise) -> Array:
-        """Return the Cramér-Rao bound of every parameter, standard deviations, shape (n,).
+        """Return the Cramér-Rao bound of the parameters, a covariance, shape (n, n).
 
         Of the rows that this way uses: exact data, whitened, as one fit of all legs that
         knows what noise they share unless each leg is alone.
         """
         exact = simulate(truth, truth, self.plan, Noise(0.0, 0.0, 0.0)).measurements
         result = calibrate(truth, exact, method=self.method, poses=self.poses, noise=noise)
-        return np.sqrt(np.diagonal(result.covariance))
+        return result.covariance
 
 
 def values(mechanism: Mechanism) -> Array:

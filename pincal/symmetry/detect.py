@@ -55,6 +55,12 @@ class SymmetryGroup:
     breaks: tuple[Break, ...]
     """Why the other candidates of the full dihedral group fail."""
 
+    @property
+    def name(self) -> str:
+        """Return the group's name: D_2n with its order 2n, or C_n of rotations only."""
+        n = sum(not element.reflection for element in self.elements)
+        return f"D{2 * n}" if len(self.elements) > n else f"C{n}"
+
     def carriers(self) -> tuple[Element, ...]:
         """Return G_C: for each leg, an element that carries leg 1 onto it (3-RRR paper, Eq. 7).
 

@@ -13,9 +13,11 @@ from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.axes import Axis
 from pincal.workspace.positions import Grid, Samples
+from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]
 _ACROSS = {2: 200, 3: 60}  # steps of a grid in the plane, in space, across the box
+_CLOSER = 0.8  # of the extent, below which another look is worth while
 _AROUND = {2: 360, 3: 72}  # bearings of a polar grid, at least
 
 
@@ -63,6 +65,36 @@ def default_grid(mechanism: Mechanism, given: Iterable[str | Axis] = ()) -> Grid
         defaults["z"] = _across("z", low[2], high[2], step)
     missing = [axis for name, axis in defaults.items() if name not in names]
     return Grid.of(*axes, *missing)
+
+
+def closer_grid(found: Workspace, given: Iterable[str]) -> Grid | None:
+    """Return a grid of as many values around what counts, or None if that is no closer.
+
+    Args:
+        found: A workspace on a grid.
+        given: Names of axes that stay as they are.
+    """
+    grid, stay = found.asked, set(given)
+    if not isinstance(grid, Grid) or not found.count:
+        return None
+    cells = found.inside.reshape(grid.shape)
+    axes, closer = [], False
+    for place, axis in enumerate(grid.axes):
+        others = tuple(other for other in range(cells.ndim) if other != place)
+        some = axis.values[cells.any(axis=others)]
+        if axis.name in stay or axis.full_turn or len(axis.values) < 2:
+            axes.append(axis)
+            continue
+        low, high = float(some[0]) - 2 * axis.step, float(some[-1]) + 2 * axis.step
+        if axis.name == "radius" and low <= axis.step:
+            step = high / len(axis.values)
+            axes.append(
+                Axis("radius", step * (np.arange(len(axis.values), dtype=np.float64) + 0.5))
+            )
+        else:
+            axes.append(Axis(axis.name, np.linspace(low, high, len(axis.values))))
+        closer |= high - low < _CLOSER * float(np.ptp(axis.values))
+    return Grid(tuple(axes)) if closer else None
 
 
 def default_samples(mechanism: Mechanism, count: int, seed: int = 0) -> Samples:

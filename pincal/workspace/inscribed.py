@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree, QhullError, Voronoi
 
 from pincal.errors import WorkspaceError
-from pincal.workspace.neighbours import edges
+from pincal.workspace.neighbours import at_edge, edges
 from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
@@ -55,7 +55,7 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
         raise WorkspaceError("the workspace is empty: no circle fits into it")
     kept = [0, 1, 2] if len(grid.shape) == 3 and grid.shape[2] > 1 else [0, 1]
     inner, points = _pairs(workspace, grid)
-    edge = _edge_of_grid(workspace, grid)
+    edge = at_edge(grid, workspace.inside)
     moved = np.zeros(len(points), dtype=bool)
     apart = np.linalg.norm(points - inner, axis=1)
     for _ in range(_ROUNDS):
@@ -95,24 +95,6 @@ def _bisected(workspace: Workspace, inner: Array, outer: Array) -> Array:
         counts = workspace.test(middle)[:, None]
         inner, outer = np.where(counts, middle, inner), np.where(counts, outer, middle)
     return outer
-
-
-def _edge_of_grid(workspace: Workspace, grid: Grid) -> Array:
-    """Return where cells that count end the grid, half a step beyond, shape (M, 3)."""
-    numbers = np.arange(grid.size).reshape(grid.shape)
-    found = [np.empty((0, 3))]
-    for place, axis in enumerate(grid.axes):
-        if len(axis.values) < 2 or axis.full_turn:
-            continue
-        for end, sign in ((0, -1.0), (-1, 1.0)):
-            index = numbers.take(end, place).ravel()
-            index = index[workspace.inside[index]]
-            coordinates = [a.values[i] for a, i in zip(grid.axes, grid.split(index), strict=True)]
-            coordinates[place] = coordinates[place] + sign * axis.step / 2
-            if axis.name == "radius" and sign < 0 and axis.values[0] <= axis.step:
-                continue  # the centre is no edge
-            found.append(grid.cartesian(coordinates))
-    return np.concatenate(found)
 
 
 def _emptiest(points: Array, kept: list[int], workspace: Workspace) -> tuple[Array, float]:

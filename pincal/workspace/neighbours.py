@@ -30,6 +30,25 @@ def edges(grid: Grid, inside: Mask) -> Indices:
     return np.concatenate(found)
 
 
+def at_edge(grid: Grid, inside: Mask) -> Array:
+    """Return where positions that count end the grid, half a step beyond, shape (M, 3), [m]."""
+    cells = inside.reshape(grid.shape)
+    found = [np.empty((0, 3))]
+    for place, axis in enumerate(grid.axes):
+        n = len(axis.values)
+        if n < 2 or axis.full_turn:
+            continue
+        for end, sign in ((0, -1.0), (n - 1, 1.0)):
+            if axis.name == "radius" and sign < 0 and axis.values[0] <= axis.step:
+                continue  # the centre is no edge
+            where = np.argwhere(cells.take([end], place))
+            where[:, place] = end
+            coordinates = [a.values[i] for a, i in zip(grid.axes, where.T, strict=True)]
+            coordinates[place] = coordinates[place] + sign * axis.step / 2
+            found.append(grid.cartesian(coordinates))
+    return np.concatenate(found)
+
+
 def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
     """Return the positions that count and hang together with the one nearest to home, (N,).
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -56,15 +55,15 @@ class Orientations:
     def everywhere(cls, platform: Platform) -> Orientations:
         """Return orientations all round: every 5° in a plane, every 30° in space."""
         if platform.kind == "planar":
-            return cls.of(platform, [_round("phi", _PLANE_STEP)])
+            return cls.of(platform, _round("phi", _PLANE_STEP))
         if platform.kind == "spatial":
             tilt = Axis.spaced("tilt", 0.0, np.pi, _SPACE_STEP)
             around = [_round(name, _SPACE_STEP) for name in ("azimuth", "torsion")]
-            return cls.of(platform, [tilt, *around])
+            return cls.of(platform, tilt, *around)
         return cls.home(platform)
 
     @classmethod
-    def of(cls, platform: Platform, axes: Sequence[str | Axis]) -> Orientations:
+    def of(cls, platform: Platform, *axes: str | Axis) -> Orientations:
         """Return the orientations of a grid, in one of the ways to write them.
 
         Axes that are not given stay at 0, but an azimuth beside a tilt goes round in steps

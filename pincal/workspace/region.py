@@ -10,19 +10,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.kinematics.reach import Turned
+from pincal.kinematics.closure import LegClosure
 from pincal.model.mechanism import Mechanism
+from pincal.model.table import write_table
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.workspace.chunks import run
-from pincal.workspace.criteria import Criteria, Margins, criteria_of
-from pincal.workspace.neighbours import edges, part_around
+from pincal.workspace.criteria import Margins
+from pincal.workspace.neighbours import at_edge, edges, part_around
 from pincal.workspace.orientations import Orientations
+from pincal.workspace.position_test import PositionTest
 from pincal.workspace.positions import Carrier, Grid, Indices, Positions, Samples, representatives
 
 Array = NDArray[np.float64]
@@ -31,96 +34,7 @@ KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
 _CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
 _CLOSED = 1 << 18  # where loops are closed
 _POSITIONS = 1 << 17  # positions looked at at a time, at most
-_BLOCK = 1 << 17  # pairs of position and orientation in memory at a time
-_FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
 _EXACT = 1e-9  # tolerance of symmetry: elements must not change what counts
-
-
-@dataclass(frozen=True)
-class PositionTest:
-    """Tells which positions are reached in any, or in every, orientation of a set."""
-
-    mechanism: Mechanism
-    orientations: Orientations
-    every: bool
-    least: Margins
-
-    @cached_property
-    def _criteria(self) -> Criteria:
-        return criteria_of(self.mechanism, self.least)
-
-    def __reduce__(self) -> tuple[type[PositionTest], tuple[object, ...]]:
-        """Pickle what is given, not what is cached: it goes to other processes often."""
-        return PositionTest, (self.mechanism, self.orientations, self.every, self.least)
-
-    @property
-    def in_closed_form(self) -> bool:
-        """Whether no loop needs to be closed to tell."""
-        return self._criteria.in_closed_form
-
-    def __call__(self, positions: Array) -> Mask:
-        """Return which positions, shape (N, 3), count."""
-        size = max(1, _BLOCK // len(self.orientations))
-        inside = np.empty(len(positions), dtype=bool)
-        decide = self._all if self.every else self._any
-        for begin in range(0, len(positions), size):
-            rows = slice(begin, begin + size)
-            inside[rows] = decide(positions[rows])
-        return inside
-
-    @cached_property
-    def _turns(self) -> tuple[Array, list[Turned]]:
-        """Orientations as matrices, shape (O, 3, 3), and each leg's point turned by them.
-
-        Those that are likely to decide come first: the far ones if every one must be reached.
-        """
-        rotations = self.orientations.rotations
-        home = self.mechanism.platform.home_pose.rotation[0]
-        far = (home.inv() * rotations).magnitude()
-        R = rotations.as_matrix()[np.argsort(-far if self.every else far, kind="stable")]
-        return R, [reach.turned(R) for reach in self._criteria.reaches]
-
-    def _all(self, positions: Array) -> Mask:
-        """Return which positions are reached in every orientation; a leg that fails ends it."""
-        R, arms = self._turns
-        alive = np.arange(len(positions))
-        for reach, arm in zip(self._criteria.reaches, arms, strict=True):
-            alive = alive[reach.holds_all(positions[alive], arm)]
-        inside = np.zeros(len(positions), dtype=bool)
-        if not self.in_closed_form:
-            possible = np.ones((len(alive), len(R)), dtype=bool)
-            alive = alive[self._by_closing(positions[alive], possible)]
-        inside[alive] = True
-        return inside
-
-    def _any(self, positions: Array) -> Mask:
-        """Return which positions are reached in some orientation."""
-        R, arms = self._turns
-        """Return which pairs every leg with a closed form reaches, shape (P, O)."""
-        possible = np.ones((len(positions), len(R)), dtype=bool)
-        for reach, arm in zip(self._criteria.reaches, arms, strict=True):
-            rows = np.flatnonzero(possible.any(axis=1))
-            possible[rows] &= reach.holds_each(positions[rows], arm)
-        if self.in_closed_form:
-            return np.asarray(possible.any(axis=1))
-        return self._by_closing(positions, possible)
-
-    def _by_closing(self, positions: Array, possible: Mask) -> Mask:
-        """Return which positions count, by closing the legs at possible pairs, shape (P,)."""
-        R, _ = self._turns
-        decided = np.zeros(len(positions), dtype=bool)  # failed if every, else reached
-        begin, width = 0, _FIRST
-        while begin < len(R) and not decided.all():
-            columns = slice(begin, begin + width)
-            open_rows = np.flatnonzero(~decided)
-            row, column = np.nonzero(possible[open_rows, columns])
-            row, column = open_rows[row], column + begin
-            matrices = np.broadcast_to(np.eye(4), (len(row), 4, 4)).copy()
-            matrices[:, :3, 3], matrices[:, :3, :3] = positions[row], R[column]
-            deciding = self._criteria(matrices) != self.every
-            decided[row[deciding]] = True
-            begin, width = begin + width, 8 * width
-        return decided != self.every
 
 
 @dataclass(frozen=True)
@@ -147,7 +61,7 @@ class _Task:
         return np.packbits(inside).tobytes()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Workspace:
     """Positions that count, of a grid or of samples."""
 
@@ -159,6 +73,8 @@ class Workspace:
     """Which positions count, by number, shape (n_asked,); not writable."""
     elements: tuple[Element, ...]
     """Elements of the mechanism's group that were used, the identity first."""
+    unused: tuple[Element, ...]
+    """Elements that do not map positions or orientations onto themselves, or were not wanted."""
     computed: int
     """Number of positions that were computed; the others follow by symmetry."""
 
@@ -176,6 +92,11 @@ class Workspace:
         """Return which positions, by number, are of the fundamental domain that was computed."""
         found = [self.asked.carrier(element) for element in self.elements]
         return representatives([carrier for carrier in found if carrier], index) == index
+
+    @cached_property
+    def cut(self) -> bool:
+        """Whether positions that count lie at the edge of the grid: there may be more beyond."""
+        return isinstance(self.asked, Grid) and len(at_edge(self.asked, self.inside)) > 0
 
     @cached_property
     def apart(self) -> int:
@@ -202,8 +123,8 @@ class Workspace:
     def uncertainty(self) -> float:
         """By how much ``measure`` may be off.
 
-        On a grid at most, half a cell along the whole edge (usually far less); with samples
-        the half width of the 95 % interval.
+        On a grid at most, half a cell along the whole edge, of what lies on the grid (see
+        ``cut``); with samples the half width of the 95 % interval.
         """
         if isinstance(self.asked, Grid):
             return float(self.asked.measures(edges(self.asked, self.inside).ravel()).sum() / 4)
@@ -213,6 +134,43 @@ class Workspace:
         share = self.count / len(self.inside)
         whole = float(self.asked.measures(np.zeros(1, np.int64))[0] * len(self.inside))
         return 1.96 * whole * float(np.sqrt(share * (1 - share) / orbits))
+
+    def poses(self) -> Array:
+        """Return the poses of a constant orientation workspace, coordinates of shape (count, dof).
+
+        Raises:
+            WorkspaceError: the workspace asked for more than one orientation.
+        """
+        rotations = self.test.orientations.rotations
+        if len(rotations) != 1:
+            raise WorkspaceError(f"positions in {len(rotations)} orientations are no poses")
+        matrices = np.broadcast_to(np.eye(4), (self.count, 4, 4)).copy()
+        matrices[:, :3, :3], matrices[:, :3, 3] = rotations.as_matrix()[0], self.positions
+        return self.test.mechanism.platform.from_matrices(matrices)
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the positions that count to a CSV file: x [m], y [m] and, in space, z [m].
+
+        Raises:
+            FileError: the file exists and ``force`` is not set, or cannot be written.
+        """
+        names = ("x", "y", "z")[: self.test.mechanism.platform.units.count("m")]
+        columns = {f"{name} [m]": self._column(place) for place, name in enumerate(names)}
+        write_table(path, columns, force=force)
+
+    def _column(self, place: int) -> Iterator[float]:
+        """Yield one coordinate of the positions that count, a bounded number at a time."""
+        for begin, end in _chunks(len(self.inside), _POSITIONS):
+            index = begin + np.flatnonzero(self.inside[begin:end])
+            yield from self.asked.at(index)[:, place].tolist()
+
+    def __repr__(self) -> str:
+        """Return the workspace in a line."""
+        unit = ("", "m", "m²", "m³")[self.asked.dimension]
+        return (
+            f"{self.kind} workspace of {self.test.mechanism.name}: {self.measure:.5g} ± "
+            f"{self.uncertainty:.2g} {unit}, {self.count:,} of {self.asked.size:,} positions"
+        )
 
 
 def compute_workspace(
@@ -254,6 +212,7 @@ def compute_workspace(
             cannot be run as asked.
     """
     asked = _asked(mechanism, kind, orientations)
+    _check_positions(mechanism, positions)
     if connected and not isinstance(positions, Grid):
         raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
     every = kind != "reachable"
@@ -261,6 +220,7 @@ def compute_workspace(
     if symmetry:
         group = symmetry_group(mechanism, _EXACT).elements
         elements = tuple(e for e in group if positions.carrier(e) and asked.maps(e))
+    unused = tuple(e for e in symmetry_group(mechanism, _EXACT).elements if e not in elements)
     task = _Task(PositionTest(mechanism, asked, every, least or Margins()), positions, elements)
     task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
     most = _CHUNK if task.test.in_closed_form else min(_CHUNK, _CLOSED)
@@ -281,7 +241,7 @@ def compute_workspace(
     if connected and isinstance(positions, Grid) and inside.any():
         inside = part_around(positions, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
-    return Workspace(kind, task.test, positions, inside, elements, computed)
+    return Workspace(kind, task.test, positions, inside, elements, unused, computed)
 
 
 def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orientations:
@@ -292,7 +252,13 @@ def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orien
     if given is not None:
         if kind == "constant-orientation" and len(given) != 1:
             raise WorkspaceError(
-                f"a constant-orientation workspace has one orientation; got {len(given)}"
+                f"a constant-orientation workspace has one orientation; got {len(given)}. An "
+                "azimuth that is not given beside a tilt goes all round: give it too"
+            )
+        if kind == "dexterous" and platform.kind in ("planar", "spatial"):
+            raise WorkspaceError(
+                "a dexterous workspace asks for every orientation there is; of a choice of "
+                "orientations it is a total-orientation workspace"
             )
         return given
     if kind == "total-orientation" and platform.kind in ("planar", "spatial"):
@@ -303,6 +269,23 @@ def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orien
     if kind == "constant-orientation":
         return Orientations.home(platform)
     return Orientations.everywhere(platform)
+
+
+def _check_positions(mechanism: Mechanism, positions: Positions) -> None:
+    """Raise if positions leave the plane of the platform, or are of another scale."""
+    ends = positions.at(np.array([0, positions.size - 1]))
+    if mechanism.platform.units.count("m") < 3 and ends[:, 2].any():
+        raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
+    if isinstance(positions, Grid):
+        legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+        across = 2 * max(leg.reach for leg in legs)
+        for axis in positions.axes:
+            if axis.name != "bearing" and axis.step > across:
+                raise WorkspaceError(
+                    f"axis {axis.name!r} has steps of {axis.step:g} m, more than the legs of "
+                    f"{mechanism.name!r} reach across ({across:.3g} m); is it in another unit, "
+                    f"such as '{axis.name} [mm]=…'?"
+                )
 
 
 def _chunks(size: int, step: int) -> Iterator[tuple[int, int]]:
