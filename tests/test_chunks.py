@@ -57,7 +57,7 @@ def cluster() -> Iterator[Any]:
     """A cluster of two worker processes on this machine."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
     ) as local:
         yield local
 
@@ -131,3 +131,23 @@ def test_wrong_numbers_of_jobs_are_refused(jobs: int) -> None:
     """At least one, or one a core."""
     with pytest.raises(pincal.WorkspaceError, match="expected at least 1"):
         list(run(Slow(), CHUNKS, jobs))
+
+
+def test_a_cluster_without_workers_is_refused_and_one_that_loses_them_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No waiting for ever: at the start, and when the last worker has gone."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("pincal.workspace.chunks._PATIENCE", 0.5)
+    with distributed.LocalCluster(
+        n_workers=0, processes=True, threads_per_worker=1, dashboard_address=":0"
+    ) as empty:
+        with pytest.raises(pincal.WorkspaceError, match="has no workers"):
+            list(run(Slow(), CHUNKS, scheduler=empty.scheduler_address))
+        empty.scale(1)
+        empty.wait_for_workers(1)
+        results = run(Slow(0.2), CHUNKS, scheduler=empty.scheduler_address)
+        next(results)
+        empty.scale(0)
+        with pytest.raises(pincal.WorkspaceError, match="workers of the Dask cluster are gone"):
+            list(results)

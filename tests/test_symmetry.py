@@ -225,3 +225,58 @@ def test_limits_break_a_symmetry_too() -> None:
     assert [str(e) for e in group.elements] == ["identity", "mirror at azimuth 0°"]
     assert "limits of joint" in group.breaks[0].quantity
     assert group.breaks[0].deviation == pytest.approx(0.1)
+
+
+def five_bar(**changes: object) -> pincal.Leg:
+    """Return leg 1 of the five-bar without joint limits, with changes of its fields."""
+    leg = pincal.load_mechanism("5R").legs[0]
+    joints = tuple(
+        replace(joint, lower=-2 * np.pi, upper=2 * np.pi) if joint.kind != "fixed" else joint
+        for joint in leg.joints
+    )
+    return replace(leg, **({"joints": joints} | changes))
+
+
+@pytest.mark.parametrize(("part", "change"), [("gain", 1.5), ("offset", 0.5), ("zero", 0.25)])
+def test_constants_of_the_sensor_break_a_symmetry(part: str, change: float) -> None:
+    """They are no parameters, yet readings follow them."""
+    leg = five_bar(
+        sensor=pincal.Sensor("shoulder", form="reading", gain=1.0, offset=0.0),
+        parameters=tuple(p for p in five_bar().parameters if p[0] not in ("k", "gamma")),
+    )
+    platform = pincal.Platform("point", (0.0, 1.1))
+    exact = pincal.generate("c", leg, (pincal.Element(0.0), pincal.mirror(np.pi / 2)), platform)
+    assert pincal.symmetry_group(exact).name == "D2"
+    second = exact.legs[1]
+    value = getattr(second.sensor, part) + change
+    changed = replace(second, sensor=replace(second.sensor, **{part: value}))
+    group = pincal.symmetry_group(replace(exact, legs=(exact.legs[0], changed)))
+    assert group.name == "C1"
+    broken = [b for b in group.breaks if b.quantity == f"{part} of the sensor"]
+    assert broken[0].deviation == pytest.approx(change)
+
+
+def test_a_coaxial_five_bar_has_its_mirror() -> None:
+    """Legs that start in the same place are told apart by the side on which they bend."""
+    leg = five_bar().with_parameters({"A_x": 0.0, "l": 0.5, "L": 1.2})
+    platform = pincal.Platform("point", (0.0, 1.1))
+    elements = (pincal.Element(0.0), pincal.mirror(np.pi / 2))
+    group = pincal.symmetry_group(pincal.generate("coaxial", leg, elements, platform))
+    assert [str(e) for e in group.elements] == ["identity", "mirror at azimuth 90°"]
+    assert group.permutations == ((0, 1), (1, 0))
+
+
+def test_legs_above_each_other_do_not_repeat_elements() -> None:
+    """Three legs at one azimuth have the identity and one mirror, each once."""
+    first = pincal.load_mechanism("6UPS").legs[0].with_parameters({"beta": 0.0, "beta_b": 0.0})
+    legs = tuple(
+        replace(
+            first.with_parameters({"alpha": np.pi / 2 - 0.2 * index}),
+            name=f"leg_{index + 1}",
+            point=replace(first.point, name=f"point_{index + 1}"),
+        )
+        for index in range(3)
+    )
+    platform = pincal.Platform("translational", (0.0, 0.0, 2.0))
+    group = pincal.symmetry_group(pincal.Mechanism("stack", platform, legs))
+    assert [str(e) for e in group.elements] == ["identity", "mirror at azimuth 0°"]

@@ -24,6 +24,7 @@ CHUNK = 8192
 _NEWTON_STEPS = 15
 _ATTEMPTS = 6
 _LARGEST_LAST_STEP = 1e-4  # [rad] and [m], where the gap is already small
+_EDGE = 1e-12  # [rad], at limits
 _SMALL = 1e-11  # of the leg's size: the step after that reaches rounding error
 
 
@@ -50,8 +51,22 @@ def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
     if not (closed | ~possible).all():
         joints, closed = _search(leg, matrices, joints, closed, possible)
         closure = leg.evaluate(np.where(closed[:, None], joints, leg.leg.home), matrices)
+    joints = _within_limits(leg, joints)
     reached = closed & (mode_sign(closure) == home_mode(leg.leg, leg.platform))
     return ClosedLeg(np.where(reached[:, None], joints, np.nan), reached, closure)
+
+
+def _within_limits(leg: LegClosure, joints: Array) -> Array:
+    """Return joints with full turns added where that brings them within their limits."""
+    for place, joint in enumerate(leg.leg.moving):
+        if joint.kind == "revolute" and joint.limited:
+            own = joints[:, place]
+            with np.errstate(invalid="ignore"):  # where the leg does not close
+                turned = joint.lower + (own - joint.lower + _EDGE) % (2 * np.pi) - _EDGE
+                outside = (own < joint.lower - _EDGE) | (own > joint.upper + _EDGE)
+                fits = outside & (turned <= joint.upper + _EDGE)
+            joints[:, place] = np.where(fits, turned, own)
+    return joints
 
 
 def _search(

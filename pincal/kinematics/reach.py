@@ -20,7 +20,6 @@ from pincal.kinematics.closed_forms import (
     universal_geometry,
 )
 from pincal.kinematics.closure import LegClosure
-from pincal.model.leg import Joint
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -117,10 +116,13 @@ def reach_of(closure: LegClosure, least_type1: float = 0.0) -> Reach | None:
 def _dyad(closure: LegClosure, least_type1: float) -> Reach:
     """Return the ring of a dyad: |cos of the elbow| ≤ √(1 − margin²)."""
     dyad = dyad_geometry(closure)
+    exact = not any(joint.limited for joint in closure.leg.moving)
+    if closure.leg.active != 0:  # the grip of a driven elbow is another quantity
+        exact &= least_type1 == 0.0
+        least_type1 = 0.0
     largest = np.sqrt(1.0 - least_type1**2)
     middle, swing = dyad.a**2 + dyad.b**2, 2 * dyad.a * dyad.b * largest
     low, high = np.sqrt(max(middle - swing, 0.0)), np.sqrt(middle + swing)
-    exact = all(_free(joint) for joint in closure.leg.moving)
     point = closure.targets(np.eye(4)[None])[0]
     centre = np.array([dyad.shoulder.real, dyad.shoulder.imag, point[2]])  # heights do not count
     return _reach(closure, point, centre, (low, high), [], exact)
@@ -134,10 +136,9 @@ def _universal(closure: LegClosure, least_type1: float) -> Reach:
     low, high = sorted((form.forth * slide.lower, form.forth * slide.upper))
     planes: list[Array] = []
     exact = least_type1 <= 1.0 - SLACK  # a slide along the leg always has full grip
-    if not _free(first):
+    if first.limited:
         # with C, S = r cos q₁, r sin q₁: sin(q₁ − lower) ≥ 0 and sin(upper − q₁) ≥ 0
         exact &= first.upper - first.lower <= np.pi + SLACK
-        exact &= first.lower >= first.home - np.pi and first.upper <= first.home + np.pi
         C, S = form.side * form.forth * form.e3, -form.side * form.forth * form.e2
         planes = [
             S * np.cos(first.lower) - C * np.sin(first.lower),
@@ -145,19 +146,14 @@ def _universal(closure: LegClosure, least_type1: float) -> Reach:
         ]
         if np.allclose(planes[0], planes[1], rtol=0.0, atol=SLACK):
             planes = planes[:1]
-    middle = 0.0 if form.side > 0 else np.pi
-    home = leg.home[1] + form.delta
-    middle += 2 * np.pi * np.round((home - middle) / (2 * np.pi))  # q₂ + δ is within ± π/2 of it
-    exact &= second.lower + form.delta <= middle - np.pi / 2 + SLACK
-    exact &= second.upper + form.delta >= middle + np.pi / 2 - SLACK
+    if second.limited:  # q₂ + δ lies within ± π/2 of the side's middle, give or take full turns
+        middle = 0.0 if form.side > 0 else np.pi
+        centre = (second.lower + second.upper) / 2 + form.delta
+        middle += 2 * np.pi * np.round((centre - middle) / (2 * np.pi))
+        exact &= second.lower + form.delta <= middle - np.pi / 2 + SLACK
+        exact &= second.upper + form.delta >= middle + np.pi / 2 - SLACK
     point = closure.targets(np.eye(4)[None])[0]
     return _reach(closure, point, form.centre, (low, high), planes if exact else [], exact)
-
-
-def _free(joint: Joint) -> bool:
-    """Return whether a joint may turn to every angle that inverse kinematics gives."""
-    around = joint.home - joint.lower, joint.upper - joint.home
-    return min(around) >= np.pi - SLACK
 
 
 def _reach(

@@ -55,9 +55,8 @@ def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
     rng = np.random.default_rng(0)
     low, high = [], []
     for joint in leg.moving:
-        turn = np.pi if joint.kind == "revolute" else np.inf
-        low.append(max(joint.lower, joint.home - turn))
-        high.append(min(joint.upper, joint.home + turn))
+        low.append(joint.lower if joint.limited else joint.home - np.pi)
+        high.append(joint.upper if joint.limited else joint.home + np.pi)
     joints = rng.uniform(low, high, (_SAMPLES, len(leg.moving)))
     poses = np.broadcast_to(platform.home_pose.as_matrix(), (_SAMPLES, 4, 4))
     keep = mode_sign(closure.evaluate(joints, poses)) == home_mode(leg, platform)

@@ -33,6 +33,12 @@ class Joint:
     home: float = 0.0
     """Position in the home configuration, [rad] or [m]; fixes the working mode."""
 
+    @property
+    def limited(self) -> bool:
+        """Whether the limits bar some position: a range of a full turn or more bars none."""
+        turns = self.kind == "revolute" and self.upper - self.lower >= 2 * np.pi
+        return self.kind != "fixed" and not turns
+
 
 @dataclass(frozen=True)
 class Leg:

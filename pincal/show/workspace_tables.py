@@ -39,7 +39,8 @@ def workspace_table(
     table.add_row("orientations", f"{every} {len(test.orientations):,}")
     least = test.least
     type2 = least.least_type2(test.mechanism)
-    text = "none" if type2 == -np.inf else f"type 1 ≥ {least.type1:.3g}, type 2 ≥ {type2:.3g}"
+    sides = "both sides of type 2" if type2 == -np.inf else f"type 2 ≥ {type2:.3g}"
+    text = f"type 1 ≥ {least.type1:.3g}, {sides}"
     table.add_row("margins", text)
     table.add_row("symmetry", _by_symmetry(workspace))
     if workspace.cut:
@@ -50,7 +51,9 @@ def workspace_table(
         kept = len(asked.axes) if isinstance(asked, Grid) else 3
         centre = ", ".join(f"{v + 0.0:.4f}" for v in inscribed.centre[:kept].round(6))
         body = "ball" if asked.dimension == 3 else "circle"
-        touches = "; it touches the edge of the grid" if inscribed.at_edge else ""
+        loose = inscribed.bound > 1.001 * inscribed.radius
+        touches = f"; none is larger than {inscribed.bound:.4f} m" if loose else ""
+        touches += "; it touches the edge of the grid" if inscribed.at_edge else ""
         table.add_row(
             f"largest {body}", f"radius {inscribed.radius:.4f} m around ({centre}) m{touches}"
         )

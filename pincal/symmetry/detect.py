@@ -23,6 +23,7 @@ from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import Element, wrapped
 
 Array = NDArray[np.float64]
+_SAME = 1e-9  # [rad]
 _NEARLY = 0.1  # of the base's radius: a symmetry meant, though not kept
 
 
@@ -112,7 +113,7 @@ def symmetry_group(mechanism: Mechanism, tolerance: float = 1e-6) -> SymmetryGro
     """
     legs = [canonical(leg) for leg in mechanism.legs]
     elements, permutations, breaks = [], [], []
-    for element in _candidates(legs):
+    for element in _candidates(mechanism, legs):
         permutation, broken = _permutation(mechanism, legs, element, tolerance)
         if broken is None:
             elements.append(element)
@@ -122,12 +123,26 @@ def symmetry_group(mechanism: Mechanism, tolerance: float = 1e-6) -> SymmetryGro
     return SymmetryGroup(mechanism, tuple(elements), tuple(permutations), tuple(breaks))
 
 
-def _candidates(legs: list[Leg]) -> list[Element]:
-    """Return a rotation and a mirror for each leg that leg 1 might be carried to."""
-    first = _azimuth(legs[0])
-    turns = [Element(wrapped(_azimuth(leg) - first)) for leg in legs]
-    mirrors = [Element(wrapped(_azimuth(leg) + first), reflection=True) for leg in legs]
-    return [e for e in turns if abs(e.angle) > 1e-9 or e is turns[0]] + mirrors
+def _candidates(mechanism: Mechanism, legs: list[Leg]) -> list[Element]:
+    """Return a rotation and a mirror for each leg that an off-axis leg might be carried to.
+
+    If all legs start on the axis, a mirror can only be one that leaves home where it is.
+    """
+    x, y, _ = mechanism.platform.home_pose.translation[0]
+    azimuths = [azimuth for leg in legs if (azimuth := _azimuth(leg)) is not None]
+    azimuths = azimuths or [float(np.arctan2(y, x))]
+    first = azimuths[0]
+    turns = [Element(0.0), *(Element(wrapped(azimuth - first)) for azimuth in azimuths)]
+    mirrors = [Element(wrapped(azimuth + first), reflection=True) for azimuth in azimuths]
+    found: list[Element] = []
+    for element in turns + mirrors:
+        if not any(_same(element, other) for other in found):
+            found.append(element)
+    return found
+
+
+def _same(a: Element, b: Element) -> bool:
+    return a.reflection == b.reflection and abs(wrapped(a.angle - b.angle)) < _SAME
 
 
 def _nearly_maps_bases(element: Element, legs: list[Leg]) -> bool:
@@ -138,20 +153,20 @@ def _nearly_maps_bases(element: Element, legs: list[Leg]) -> bool:
     return bool((apart.min(axis=1) <= _NEARLY * size).all())
 
 
-def _azimuth(leg: Leg) -> float:
-    """Return the azimuth of a leg's base, or of its platform point if the base is central."""
+def _azimuth(leg: Leg) -> float | None:
+    """Return the azimuth of a leg's base, or of its platform point; None if both are central."""
     for joint in (leg.joints[0], leg.point):
         x, y, _ = joint.placement.xyz
         if np.hypot(x, y) > 0.0:
             return float(np.arctan2(y, x))
-    return 0.0
+    return None
 
 
 def _permutation(
     mechanism: Mechanism, legs: list[Leg], element: Element, tolerance: float
 ) -> tuple[tuple[int, ...], Break | None]:
     """Return where an element carries the legs, and what breaks it if something does."""
-    permutation = []
+    permutation: list[int] = []
     for leg in legs:
         try:
             carried = carry(leg, element, leg.name, leg.point.name)
@@ -164,13 +179,22 @@ def _permutation(
             + np.linalg.norm(np.subtract(carried.point.placement.xyz, other.point.placement.xyz))
             for other in legs
         ]
-        index = int(np.argmin(distances))
-        difference = _difference(carried, legs[index], mechanism, tolerance)
-        if difference:
-            return (), Break(element, legs[index].name, *difference)
-        permutation.append(index)
-    if len(set(permutation)) != len(legs):
-        return (), Break(element, legs[0].name, "leg onto which two legs are carried")
+        order = np.argsort(distances, kind="stable")
+        near = [i for i in order if distances[i] <= distances[order[0]] + tolerance]
+        differences = {
+            int(i): _difference(carried, legs[i], mechanism, tolerance)
+            for i in near
+            if i not in permutation
+        }
+        fitting = [i for i, difference in differences.items() if difference is None]
+        if not fitting:  # of legs in the same place, the first tells
+            index = int(near[0])
+            difference = differences.get(index) or _difference(
+                carried, legs[index], mechanism, tolerance
+            )
+            broken = difference or ("leg onto which two legs are carried", None)
+            return (), Break(element, legs[index].name, *broken)
+        permutation.append(fitting[0])
     return tuple(permutation), None
 
 
@@ -200,12 +224,22 @@ def _difference(
         return "working mode (the side on which the leg bends)", None
     if (carried.sensor.form, carried.sensor.direction) != (leg.sensor.form, leg.sensor.direction):
         return "form or direction of the sensor", None
-    shift = abs(wrapped(carried.sensor.zero - leg.sensor.zero))
-    if shift > tolerance:
-        return "zero of the sensor", shift
+    if carried.active != leg.active:
+        return "active joint", None
+    turning = leg.reading_unit == "rad"
+    gains, offsets = zip(
+        *(one.sensor.constants(one.nominal_by_name) for one in (carried, leg)), strict=True
+    )
+    if abs(gains[0] - gains[1]) > tolerance:
+        return "gain of the sensor", abs(gains[0] - gains[1])
+    zeros = (carried.sensor.zero, leg.sensor.zero)
+    for what, (first, second) in (("offset", offsets), ("zero", zeros)):
+        shift = abs(wrapped(first - second) if turning else first - second)
+        if shift > tolerance * (1.0 if turning else size):
+            return f"{what} of the sensor", shift
     for a, b in zip(carried.moving, leg.moving, strict=True):
-        if min(a.upper - a.lower, b.upper - b.lower) >= 2 * np.pi and a.kind == "revolute":
-            continue  # goes all round, wherever that is counted from
+        if not (a.limited or b.limited):
+            continue
         ends = (a.lower - b.lower, a.upper - b.upper)
         shift = max(abs(wrapped(end) if a.kind == "revolute" else end) for end in ends)
         if not shift <= 2 * tolerance * (size if a.kind == "prismatic" else 1.0):

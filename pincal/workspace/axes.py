@@ -25,7 +25,7 @@ DIMENSIONS = {
 TURNING = ("bearing", "phi", "azimuth", "torsion", "yaw", "roll")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Axis:
     """Values of one coordinate."""
 

@@ -6,9 +6,9 @@ is run again by another one, and counts once however often it was run.
 
 from __future__ import annotations
 
+import itertools
 import socket
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
@@ -19,6 +19,7 @@ from pincal.errors import WorkspaceError
 Chunk: TypeAlias = tuple[int, int]
 Task: TypeAlias = Callable[[int, int], bytes]
 _WAIT = 5.0  # for a scheduler to answer, [s]
+_PATIENCE = 10.0  # until workers are looked for, [s]
 _AHEAD = 4  # chunks handed to each core of a cluster at a time
 
 
@@ -61,9 +62,12 @@ def _on_cluster(task: Task, chunks: list[Chunk], scheduler: str) -> Iterator[tup
             "a Dask cluster needs the package distributed: python -m pip install 'pincal[cluster]'"
         ) from error
     _reach(scheduler)
-    client: Any = distributed.Client(  # type: ignore[no-untyped-call]
-        scheduler, timeout=_WAIT, set_as_default=False
-    )
+    try:
+        client: Any = distributed.Client(  # type: ignore[no-untyped-call]
+            scheduler, timeout=_WAIT
+        )
+    except (OSError, ValueError, TypeError, TimeoutError) as error:
+        raise WorkspaceError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     with client:
         cores = sum(client.nthreads().values())
         if not cores:
@@ -71,7 +75,7 @@ def _on_cluster(task: Task, chunks: list[Chunk], scheduler: str) -> Iterator[tup
                 f"the Dask scheduler at {scheduler} has no workers; start some with 'dask worker "
                 f"{scheduler} --nthreads 1 --nworkers 2'"
             )
-        yield from _collect(client, distributed.as_completed, task, chunks, _AHEAD * cores)
+        yield from _collect(client, distributed.wait, task, chunks, _AHEAD * cores)
 
 
 def _reach(scheduler: str) -> None:
@@ -89,26 +93,33 @@ def _reach(scheduler: str) -> None:
 
 
 def _collect(
-    client: Any, as_completed: Any, task: Task, chunks: list[Chunk], ahead: int
+    client: Any, wait: Any, task: Task, chunks: list[Chunk], ahead: int
 ) -> Iterator[tuple[Chunk, bytes]]:
-    """Yield results as they come, with so many chunks handed out at a time."""
+    """Yield results as they come, with so many chunks handed out at a time.
+
+    Raises:
+        WorkspaceError: a chunk fails, or all workers are gone.
+    """
     waiting = iter(chunks)
-
-    def hand_out() -> Iterator[Future[tuple[Chunk, bytes]]]:
-        for chunk in waiting:
-            yield client.submit(_numbered, task, chunk, pure=False)
+    pending: set[Any] = set()
+    while True:
+        more = itertools.islice(waiting, ahead - len(pending))
+        pending |= {client.submit(_numbered, task, chunk, pure=False) for chunk in more}
+        if not pending:
             return
-
-    futures = as_completed([f for _ in range(ahead) for f in hand_out()], loop=client.loop)
-    for future in futures:
         try:
-            result = future.result()
-        except Exception as error:  # whatever a worker raised
-            raise WorkspaceError(
-                f"a chunk of work failed on the cluster: {type(error).__name__}: {error}. The "
-                "workers need the same version of pincal"
-            ) from error
-        future.release()
-        yield result
-        for more in hand_out():
-            futures.add(more)
+            done = wait(pending, timeout=_PATIENCE, return_when="FIRST_COMPLETED").done
+        except TimeoutError:
+            if not client.nthreads():
+                raise WorkspaceError("all workers of the Dask cluster are gone") from None
+            continue
+        for future in done:
+            try:
+                result = future.result()
+            except Exception as error:  # whatever a worker raised
+                raise WorkspaceError(
+                    f"a chunk of work failed on the cluster: {type(error).__name__}: {error}. "
+                    "Workers need the same version of pincal, and memory enough"
+                ) from error
+            yield result
+        pending -= done

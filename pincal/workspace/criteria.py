@@ -22,6 +22,7 @@ from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_SINGULAR = 1e-9  # determinant that is zero but for rounding errors
 _GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
 
 
@@ -61,6 +62,11 @@ class Criteria:
         self.mechanism = mechanism
         self.least = least or Margins()
         self._type2 = self.least.least_type2(mechanism)
+        if self._type2 > -np.inf and abs(home_determinant(mechanism)) < _SINGULAR:
+            raise WorkspaceError(
+                f"the home pose of {mechanism.name!r} is at a type-2 singularity, so it does not "
+                "say which side is meant; move home, or count poses on both sides (--no-margins)"
+            )
         self._legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
         found = [reach_of(leg, self.least.type1) for leg in self._legs]
         self.reaches: tuple[Reach, ...] = tuple(reach for reach in found if reach)
@@ -85,10 +91,11 @@ class Criteria:
         closed = [close(leg, matrices) for leg in self._legs]
         with np.errstate(invalid="ignore"):
             for leg, one in zip(self._legs, closed, strict=True):
-                low, high = np.array([(j.lower, j.upper) for j in leg.leg.moving]).T
                 slack = SLACK * max(1.0, leg.size)
                 inside &= one.reached
-                inside &= ((one.joints >= low - slack) & (one.joints <= high + slack)).all(axis=1)
+                for joint, value in zip(leg.leg.moving, one.joints.T, strict=True):
+                    if joint.limited:
+                        inside &= (value >= joint.lower - slack) & (value <= joint.upper + slack)
             closures = [one.closure for one in closed]
             least = max(self.least.type1 - SLACK, _GRIP)
             inside &= (drive_margins(closures) >= least).all(axis=1)

@@ -1,14 +1,16 @@
 """The largest circle or ball inside a workspace, from points on its boundary.
 
 The centre of the largest circle that holds none of some points is a vertex of their
-Voronoi diagram. The points are first the cells next to the workspace; those near the
-circle are then moved to the boundary, by bisection towards their neighbour that counts,
-and rim positions that do not count are added, until neither changes the circle.
+Voronoi diagram; no circle free of these points is larger. The points are first the cells
+next to the workspace; those near the circle are then moved to the boundary, by bisection
+towards their neighbour that counts, and so are rim positions that do not count. What
+remains free around the centre is a circle inside; it is done when that comes near the
+bound.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,20 +24,20 @@ from pincal.workspace.region import Workspace
 Array = NDArray[np.float64]
 _BISECTIONS = 14  # to 1e-4 of a step
 _ROUNDS = 60
-_RIM = 1 - 1e-3  # of the radius: where every position must count
+_NEAR = 1e-4  # of the radius: how near to the bound is near enough
 _RIM_POSITIONS = {2: 500, 3: 2000}
 
 
 @dataclass(frozen=True)
 class Inscribed:
-    """Largest circle (in a plane) or ball (in space) in which every position counts."""
+    """Largest circle (in a plane) or ball (in space) in which every position asked counts."""
 
     centre: Array
     """Shape (3,), base frame, [m]."""
     radius: float
     """[m]."""
-    checked: int
-    """Number of positions that were asked on its rim; all count."""
+    bound: float
+    """Radius that no circle free of the boundary points exceeds, [m]."""
     at_edge: bool
     """Whether it touches the edge of the grid: the workspace may hold a larger one."""
 
@@ -49,34 +51,49 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
     grid = workspace.asked
     if not isinstance(grid, Grid) or grid.dimension < 2:
         raise WorkspaceError("an inscribed circle or ball needs a grid with two or three axes")
-    if grid.polar and (grid.dimension < 3) != (len(grid.shape) < 3 or grid.shape[2] == 1):
-        raise WorkspaceError("an inscribed circle needs values of both radius and bearing")
+    kept = _kept_axes(grid)
     if not workspace.count:
         raise WorkspaceError("the workspace is empty: no circle fits into it")
-    kept = [0, 1, 2] if len(grid.shape) == 3 and grid.shape[2] > 1 else [0, 1]
     inner, points = _pairs(workspace, grid)
     edge = at_edge(grid, workspace.inside)
     moved = np.zeros(len(points), dtype=bool)
     apart = np.linalg.norm(points - inner, axis=1)
+    best, bound = None, np.inf
     for _ in range(_ROUNDS):
         centre, radius = _emptiest(np.concatenate((points, edge)), kept, workspace)
+        bound = min(bound, radius)
+        if best is not None and best.radius >= (1 - _NEAR) * bound:
+            break
         distance = np.linalg.norm((points - centre)[:, kept], axis=1)
         near = np.flatnonzero(~moved & (distance - apart <= radius))
-        if len(near):
-            points[near] = _bisected(workspace, inner[near], points[near])
-            moved[near] = True
-            continue
-        rim = _rim(centre, _RIM * radius, kept)
+        points[near] = _bisected(workspace, inner[near], points[near])
+        moved[near] = True
+        rim = _rim(centre, radius, kept)
         bad = rim[~workspace.test(rim)]
-        if not len(bad):
-            to_edge = np.linalg.norm((edge - centre)[:, kept], axis=1).min(initial=np.inf)
-            return Inscribed(centre, radius, len(rim), bool(to_edge <= radius * (1 + 1e-9)))
         within = np.broadcast_to(centre, bad.shape)
         points = np.concatenate((points, _bisected(workspace, within, bad)))
         inner = np.concatenate((inner, within))
         moved = np.append(moved, np.ones(len(bad), dtype=bool))
         apart = np.append(apart, np.zeros(len(bad)))
-    raise WorkspaceError("the workspace is too ragged for this grid; take smaller steps")
+        free = np.linalg.norm((points - centre)[:, kept], axis=1).min(initial=radius)
+        if best is None or free > best.radius:
+            to_edge = np.linalg.norm((edge - centre)[:, kept], axis=1).min(initial=np.inf)
+            best = Inscribed(centre, float(min(free, radius)), bound, bool(to_edge <= free))
+    if best is None:
+        raise WorkspaceError("no circle fits between the cells that count; take smaller steps")
+    return replace(best, bound=max(bound, best.radius))
+
+
+def _kept_axes(grid: Grid) -> list[int]:
+    """Return which of x, y, z vary.
+
+    Raises:
+        WorkspaceError: a radius or a bearing alone.
+    """
+    several = [n > 1 for n in grid.shape]
+    if grid.polar and several[0] != several[1]:
+        raise WorkspaceError("an inscribed circle needs values of both radius and bearing")
+    return [place for place, varies in enumerate(several) if varies]
 
 
 def _pairs(workspace: Workspace, grid: Grid) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,7 +25,7 @@ _SPACE_STEP = np.radians(30.0)
 _SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Orientations:
     """Distinct orientations ``R_base_platform``."""
 
@@ -43,7 +44,10 @@ class Orientations:
     def from_rotations(cls, rotations: Rotation) -> Orientations:
         """Return the distinct ones of some orientations."""
         quaternions = np.atleast_2d(rotations.as_quat(canonical=True))
-        _, first = np.unique(quaternions.round(9), axis=0, return_index=True)
+        rounded = quaternions.round(9) + 0.0
+        leading = np.argmax(rounded[:, ::-1] != 0.0, axis=1)  # half a turn is written in two ways
+        rounded *= np.sign(rounded[np.arange(len(rounded)), 3 - leading])[:, None]
+        _, first = np.unique(rounded + 0.0, axis=0, return_index=True)
         return cls(quaternions[np.sort(first)])
 
     @classmethod
@@ -88,7 +92,7 @@ class Orientations:
         if "tilt" in values and "azimuth" not in values:
             values["azimuth"] = _round("azimuth", np.radians(10.0)).values
         lists = [values.get(name, np.zeros(1)) for name in columns]
-        if np.prod([len(v) for v in lists], dtype=np.int64) > _MOST:
+        if math.prod(len(v) for v in lists) > _MOST:
             raise WorkspaceError(f"more than {_MOST:,} orientations; take larger steps")
         grid = np.stack(np.meshgrid(*lists, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls.from_rotations(rotation_of(way, grid))

@@ -82,7 +82,6 @@ class PositionTest:
     def _any(self, positions: Array) -> Mask:
         """Return which positions are reached in some orientation."""
         R, arms = self._turns
-        """Return which pairs every leg with a closed form reaches, shape (P, O)."""
         possible = np.ones((len(positions), len(R)), dtype=bool)
         for reach, arm in zip(self._criteria.reaches, arms, strict=True):
             rows = np.flatnonzero(possible.any(axis=1))

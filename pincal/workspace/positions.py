@@ -7,6 +7,7 @@ the lowest number of an orbit stands for it, so that these form a fundamental do
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,6 +25,9 @@ Indices = NDArray[np.int64]
 #: Takes numbers of positions to those of their images.
 Carrier: TypeAlias = Callable[[Indices], Indices]
 _SAME = 1e-9  # of an axis' size
+_EVEN = 1e-6  # of a step
+_MOST = 1_000_000_000  # positions of a grid, a byte each
+_MOST_SAMPLES = 10_000_000
 
 
 class Positions(Protocol):
@@ -47,7 +51,7 @@ class Positions(Protocol):
         """Return what an element does to the numbers, or None if the set does not map."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grid:
     """Grid of positions: ``x, y`` or ``radius, bearing``, and ``z``."""
 
@@ -60,6 +64,20 @@ class Grid:
                 "a grid of positions has the axes x, y (or radius, bearing) and, in space, z, "
                 f"each once; got {', '.join(names) or 'none'}"
             )
+        for axis in self.axes:
+            steps = np.diff(axis.values)
+            if len(steps) and np.ptp(steps) > _EVEN * axis.step:
+                raise WorkspaceError(
+                    f"axis {axis.name!r} of positions is not evenly spaced; each value stands for "
+                    "a cell of one step"
+                )
+            if axis.name == "bearing" and axis.step * len(axis.values) > 2 * np.pi * (1 + _EVEN):
+                raise WorkspaceError(
+                    "axis 'bearing' goes round more than once, or its step does not divide the "
+                    "full turn; expected for example 'bearing [deg]=0:360:5'"
+                )
+        if self.size > _MOST:
+            raise WorkspaceError(f"a grid of {self.size:.3g} positions; at most {_MOST:.0e}")
 
     @classmethod
     def of(cls, *axes: str | Axis) -> Grid:
@@ -83,7 +101,7 @@ class Grid:
     @property
     def size(self) -> int:
         """Number of positions."""
-        return int(np.prod(self.shape, dtype=np.int64))
+        return math.prod(self.shape)
 
     @property
     def dimension(self) -> int:
@@ -126,11 +144,11 @@ class Grid:
             turned = element.azimuth(0.0) + (-1.0 if element.reflection else 1.0) * second.values
             images = [first.values, turned]
         else:
-            Q = np.where(np.abs(element.matrix) < _SAME, 0.0, element.matrix)
+            Q = element.matrix.round()
+            if np.abs(element.matrix - Q).max() > _SAME:  # only quarter turns and such
+                return None
             swap = bool(Q[0, 0] == 0.0)
             a, b = (Q[0, 1], Q[1, 0]) if swap else (Q[0, 0], Q[1, 1])
-            if abs(abs(a) - 1.0) > _SAME or abs(abs(b) - 1.0) > _SAME:
-                return None
             # images of the values that come to stand on this axis, in their own order
             images = [
                 a * (second if swap else first).values,
@@ -183,11 +201,13 @@ class Samples:
     """Group in whose orbits positions come."""
 
     def __post_init__(self) -> None:
-        if self.count < 1 or not self.radius > 0.0 or self.height[1] < self.height[0]:
+        finite = np.isfinite([self.radius, *self.height]).all()
+        ordered = self.radius > 0.0 and self.height[0] <= self.height[1]
+        if not (1 <= self.count <= _MOST_SAMPLES and finite and ordered and self.elements):
             raise WorkspaceError(
                 f"{self.count} samples in a cylinder of radius {self.radius:g}, height "
-                f"{self.height[0]:g} to {self.height[1]:g}: expected at least one, a positive "
-                "radius, and the lower end first"
+                f"{self.height[0]:g} to {self.height[1]:g}: expected 1 to {_MOST_SAMPLES:,}, a "
+                "positive radius, and the lower end first"
             )
 
     @property

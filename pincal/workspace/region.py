@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.singularity import margins
 from pincal.model.mechanism import Mechanism
 from pincal.model.table import write_table
 from pincal.symmetry.detect import symmetry_group
@@ -61,7 +62,7 @@ class _Task:
         return np.packbits(inside).tobytes()
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Workspace:
     """Positions that count, of a grid or of samples."""
 
@@ -127,7 +128,9 @@ class Workspace:
         ``cut``); with samples the half width of the 95 % interval.
         """
         if isinstance(self.asked, Grid):
-            return float(self.asked.measures(edges(self.asked, self.inside).ravel()).sum() / 4)
+            along = self.asked.measures(edges(self.asked, self.inside).ravel()).sum() / 4
+            one = self.asked.measures(np.array([self.asked.size - 1]))[0]  # may have been missed
+            return float(max(along, one))
         orbits = (
             len(self.inside) / len(self.asked.elements) if isinstance(self.asked, Samples) else 1
         )
@@ -216,12 +219,14 @@ def compute_workspace(
     if connected and not isinstance(positions, Grid):
         raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
     every = kind != "reachable"
+    task_least = least or Margins()
     elements: tuple[Element, ...] = (Element(0.0),)
     if symmetry:
         group = symmetry_group(mechanism, _EXACT).elements
-        elements = tuple(e for e in group if positions.carrier(e) and asked.maps(e))
+        kept = _keep_side(mechanism, group, task_least)
+        elements = tuple(e for e in kept if positions.carrier(e) and asked.maps(e))
     unused = tuple(e for e in symmetry_group(mechanism, _EXACT).elements if e not in elements)
-    task = _Task(PositionTest(mechanism, asked, every, least or Margins()), positions, elements)
+    task = _Task(PositionTest(mechanism, asked, every, task_least), positions, elements)
     task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
     most = _CHUNK if task.test.in_closed_form else min(_CHUNK, _CLOSED)
     size = max(1, min(_POSITIONS, most // len(asked)))
@@ -269,6 +274,24 @@ def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orien
     if kind == "constant-orientation":
         return Orientations.home(platform)
     return Orientations.everywhere(platform)
+
+
+def _keep_side(
+    mechanism: Mechanism, group: tuple[Element, ...], least: Margins
+) -> tuple[Element, ...]:
+    """Return the elements that keep home on its side of type-2 singularities.
+
+    An element that permutes legs oddly turns the determinant's sign over, which the margin
+    looks at, unless home is where it was.
+    """
+    platform = mechanism.platform
+    if least.least_type2(mechanism) == -np.inf:
+        return group
+    home = np.array([platform.home])
+    images = np.concatenate([element.poses(platform, home) for element in group])
+    with np.errstate(invalid="ignore"):
+        same = margins(mechanism, images).type2 > 0.0
+    return tuple(element for element, ok in zip(group, same, strict=True) if ok)
 
 
 def _check_positions(mechanism: Mechanism, positions: Positions) -> None:

@@ -108,7 +108,7 @@ def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
         if not closed.reached[0]:
             return start + f"{leg.name} does not reach it on the side where it bends at home"
         for joint, value in zip(leg.moving, closed.joints[0], strict=True):
-            if not joint.lower <= value <= joint.upper:
+            if joint.limited and not joint.lower <= value <= joint.upper:
                 return start + (
                     f"joint {joint.name!r} of {leg.name} is at {value:.4g} there, beyond its "
                     f"limits {joint.lower:.4g} to {joint.upper:.4g}"
