@@ -100,14 +100,15 @@ def test_hexapod(folders: dict[str, Path]) -> None:
 
 
 def test_the_same_seed_gives_the_same_files(folders: dict[str, Path], tmp_path: Path) -> None:
-    """Byte for byte, pictures aside; another seed gives others."""
+    """Byte for byte, pictures aside."""
     first = contents(folders["5R"])
-    for seed, same in ((0, True), (1, False)):
-        done("study", "5R", "--quick", "--seed", seed, "-o", tmp_path / str(seed))
-        again = contents(tmp_path / str(seed))
-        assert set(again) == set(first)
-        text = [name for name in first if name.endswith((".md", ".csv"))]
-        assert all(first[name] == again[name] for name in text) == same
+    done("study", "5R", "--quick", "-o", tmp_path / "again")
+    again = contents(tmp_path / "again")
+    assert set(again) == set(first)
+    text = [name for name in first if name.endswith((".md", ".csv"))]
+    assert len(text) > 10
+    for name in text:
+        assert first[name] == again[name], name
 
 
 def test_wrong_studies_are_refused(tmp_path: Path) -> None:
