@@ -12,6 +12,7 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
+from pincal.experiment.forecast import Forecast, PlatformError, forecast
 from pincal.experiment.observability import (
     Identifiability,
     Indices,
@@ -22,7 +23,7 @@ from pincal.experiment.observability import (
 from pincal.experiment.selection import Selection, select_poses
 from pincal.experiment.simulation import Accuracy, Simulation, accuracy, disturb, simulate
 from pincal.identification.calibrate import calibrate
-from pincal.identification.expected import ExpectedError, expected_error
+from pincal.identification.expected import expected_error
 from pincal.identification.result import CalibrationResult
 from pincal.identification.result_files import read_result
 from pincal.kinematics.derivatives import identification_jacobian
@@ -70,8 +71,8 @@ __all__ = [
     "Axis",
     "CalibrationResult",
     "Element",
-    "ExpectedError",
     "FileError",
+    "Forecast",
     "ForwardSolution",
     "Grid",
     "Identifiability",
@@ -92,6 +93,7 @@ __all__ = [
     "Placement",
     "Plan",
     "Platform",
+    "PlatformError",
     "Samples",
     "Selection",
     "Sensor",
@@ -113,6 +115,7 @@ __all__ = [
     "disturb",
     "equal_sums",
     "expected_error",
+    "forecast",
     "forward",
     "generate",
     "identifiability",

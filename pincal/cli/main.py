@@ -5,12 +5,30 @@ from __future__ import annotations
 import io
 import sys
 
-from pincal.cli import calibration, experiment, kinematics, mechanisms, study, symmetry, workspace
+from pincal.cli import (
+    calibration,
+    experiment,
+    identifiability,
+    kinematics,
+    mechanisms,
+    study,
+    symmetry,
+    workspace,
+)
 from pincal.cli.app import app, stderr
 from pincal.errors import PincalError
 
 # as people come to need them
-_GROUPS = (mechanisms, symmetry, kinematics, workspace, experiment, calibration, study)
+_GROUPS = (
+    mechanisms,
+    symmetry,
+    kinematics,
+    workspace,
+    experiment,
+    identifiability,
+    calibration,
+    study,
+)
 app.registered_commands.sort(
     key=lambda command: [group.__name__ for group in _GROUPS].index(
         command.callback.__module__ if command.callback else ""

@@ -84,12 +84,13 @@ class Identifiability:
         """Whether every parameter is determined."""
         return self.rank == self.n_params
 
-    def in_words(self, where: str) -> str:
+    def in_words(self, where: str = "") -> str:
         """Return what is not determined, in words: ``l and L of leg_2 move together``."""
+        whose = f" of {where}" if where else ""
         return "; ".join(
-            f"{group[0]} of {where} has no effect"
+            f"{group[0]}{whose} has no effect"
             if len(group) == 1
-            else f"{', '.join(group[:-1])} and {group[-1]} of {where} move together"
+            else f"{', '.join(group[:-1])} and {group[-1]}{whose} move together"
             for group in self.groups
         )
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 from rich import box
 from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from pincal.experiment.forecast import Forecast, PlatformError
 from pincal.experiment.selection import Selection
 from pincal.experiment.simulation import Accuracy
 from pincal.identification.result import CalibrationResult
@@ -151,3 +153,48 @@ def symmetry_table(group: SymmetryGroup, equivariance: float) -> Group:
     size = f"{group.name}, {len(group.elements)} elements"
     title = f"{group.mechanism.name}: {size}, nominal geometry and modes"
     return titled(title, table, "\n".join(lines))
+
+
+def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group:
+    """Return what a plan will tell: standard errors by parameter and leg, and what they mean."""
+    mechanism = found.mechanism
+    table = plain_table()
+    table.add_column("parameter")
+    table.add_column("unit")
+    for name in mechanism.leg_names:
+        table.add_column(f"± {name}", justify="right")
+    errors: dict[str, dict[str, float]] = {}
+    place = 0
+    for leg in mechanism.legs:
+        own = found.std[place : place + len(leg.parameters)]
+        errors[leg.name] = dict(zip(leg.parameter_names, own.tolist(), strict=True))
+        place += len(leg.parameters)
+    units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
+    for name, unit in units.items():
+        shown, factor = _SHOWN[unit]
+        cells = [errors[leg].get(name) for leg in mechanism.leg_names]
+        table.add_row(
+            name,
+            shown,
+            *("" if v is None else f"{factor * v:.4g}" if v < np.inf else "—" for v in cells),
+        )
+    rank = found.rank
+    measured = ", ".join(found.measured) or "nothing"
+    lines = [f"rank {rank.rank} of {rank.n_params}"]
+    if rank.complete:
+        lines[0] += f", condition {rank.condition:.3g}"
+    else:
+        lines.append(f"not determined (—): {rank.in_words()}")
+    lines.append(
+        f"platform over the workspace: {_amount(error.position, 'mm')}"
+        + (f", {_amount(error.orientation, 'mrad')}" if "rad" in mechanism.platform.units else "")
+        + ", root mean square"
+    )
+    if found.poses < planned:
+        lines.append(f"{planned - found.poses} of {planned} poses are out of reach")
+    title = f"{mechanism.name}: standard errors from {found.poses} poses, measured: {measured}"
+    return titled(title, table, "\n".join(lines))
+
+
+def _amount(value: float, unit: str) -> str:
+    return f"{1e3 * value:.4g} {unit}" if value < np.inf else f"not determined [{unit}]"

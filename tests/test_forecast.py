@@ -1,0 +1,168 @@
+"""Forecasts: the bound that calibrations reach, for any part of the pose that is measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import done, run
+
+import pincal
+
+NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
+
+
+@pytest.fixture(scope="module")
+def poses() -> dict[str, np.ndarray]:
+    """Some poses of each bundled mechanism."""
+    return {
+        name: pincal.sample_workspace(pincal.load_mechanism(name), 40, seed=0)
+        for name in ("5R", "3RRR", "6UPS")
+    }
+
+
+def readings(mechanism: pincal.Mechanism, values: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return the readings of a mechanism with other parameters, shape (N, n_legs)."""
+    parts = np.split(values, np.cumsum([len(leg.parameters) for leg in mechanism.legs])[:-1])
+    changed = mechanism.with_parameters(dict(zip(mechanism.leg_names, parts, strict=True)))
+    return pincal.inverse(changed, poses).readings
+
+
+def fisher(mechanism: pincal.Mechanism, poses: np.ndarray, measured: list[int]) -> np.ndarray:
+    """Return the information of the parameters, every pose an unknown, by central differences.
+
+    The pose enters with its own measurements, and is eliminated by the Schur complement.
+    """
+    start, h = np.concatenate([leg.nominal for leg in mechanism.legs]), 1e-6
+    shifts = h * np.eye(len(start))
+    ahead = [readings(mechanism, start + d, poses) for d in shifts]
+    behind = [readings(mechanism, start - d, poses) for d in shifts]
+    by_parameter = np.subtract(ahead, behind).transpose(1, 2, 0) / (2 * h)
+    shifts = h * np.eye(mechanism.platform.dof)
+    ahead = [readings(mechanism, start, poses + d) for d in shifts]
+    behind = [readings(mechanism, start, poses - d) for d in shifts]
+    by_pose = np.subtract(ahead, behind).transpose(1, 2, 0) / (2 * h)
+    prior = np.zeros(mechanism.platform.dof)
+    prior[measured] = NOISE.of_poses(mechanism)[measured] ** -2
+    weight = NOISE.reading**-2
+    total = np.zeros((len(start), len(start)))
+    for P, X in zip(by_parameter, by_pose, strict=True):
+        own, cross = weight * X.T @ X + np.diag(prior), weight * P.T @ X
+        total += weight * P.T @ P - cross @ np.linalg.solve(own, cross.T)
+    return total
+
+
+@pytest.mark.parametrize(
+    ("name", "measured"),
+    [("5R", "x,y"), ("5R", "x"), ("3RRR", "x,y,phi"), ("3RRR", "x,y"), ("3RRR", "y,phi")],
+)
+def test_information_equals_that_of_latent_poses(
+    poses: dict[str, np.ndarray], name: str, measured: str
+) -> None:
+    """Schur complement of a Fisher matrix by differences of inverse kinematics alone."""
+    mechanism = pincal.load_mechanism(name)
+    some = poses[name][:20]
+    found = pincal.forecast(mechanism, some, NOISE, measured.split(","))
+    rows = [mechanism.platform.freedoms.index(m) for m in measured.split(",")]
+    expected = fisher(mechanism, some, rows)
+    scale = np.sqrt(np.diagonal(expected))
+    values, axes = np.linalg.eigh(expected / np.outer(scale, scale))
+    n_lost = found.rank.n_params - found.rank.rank
+    lost = np.arange(len(values)) < n_lost
+    if not n_lost:
+        covariance = np.linalg.inv(expected)
+        np.testing.assert_allclose(found.std, np.sqrt(np.diagonal(covariance)), rtol=1e-3)
+    else:
+        assert values[n_lost - 1] < 1e-2 * values[n_lost]  # what differences leave of zero
+        kept = axes[:, ~lost] / scale[:, None]
+        variance = (kept**2 / values[~lost]).sum(axis=1)
+        told = np.isfinite(found.std)
+        assert told.any()
+        np.testing.assert_allclose(found.std[told], np.sqrt(variance[told]), rtol=1e-2)
+
+
+@pytest.mark.parametrize("name", ["5R", "3RRR", "6UPS"])
+def test_full_poses_give_the_covariance_of_the_calibration(
+    poses: dict[str, np.ndarray], name: str
+) -> None:
+    """Of all legs together, on exact data: parameters and platform alike."""
+    mechanism = pincal.load_mechanism(name)
+    exact = pincal.simulate(
+        mechanism, mechanism, pincal.Plan(poses[name]), pincal.Noise(0.0, 0.0, 0.0)
+    ).measurements
+    result = pincal.calibrate(mechanism, exact, method="together", poses="all", noise=NOISE)
+    found = pincal.forecast(mechanism, poses[name], NOISE)
+    assert found.rank.complete
+    np.testing.assert_allclose(found.covariance, result.covariance, rtol=1e-6, atol=1e-18)
+    one = found.platform_error(poses[name])
+    other = pincal.expected_error(result, poses[name])
+    assert one.position == pytest.approx(other.position, rel=1e-6)
+    assert one.orientation == pytest.approx(other.orientation, rel=1e-6)
+
+
+def test_what_positions_alone_do_not_tell(poses: dict[str, np.ndarray]) -> None:
+    """The platform's frame may turn: platform azimuths move together, positions stay known."""
+    mechanism = pincal.load_mechanism("3RRR")
+    found = pincal.forecast(mechanism, poses["3RRR"], NOISE, ["x", "y"])
+    assert found.rank.rank == 23
+    words = "beta_b (leg_1), beta_b (leg_2) and beta_b (leg_3) move together"
+    assert found.rank.in_words() == words
+    names = [name for leg in mechanism.legs for name in leg.parameter_names]
+    assert [n for n, s in zip(names, found.std, strict=True) if s == np.inf] == ["beta_b"] * 3
+    error = found.platform_error(poses["3RRR"])
+    assert 0 < error.position < np.inf
+    assert error.orientation == np.inf
+    assert found.poses_for(1e-4, poses["3RRR"]) < np.inf
+    hexapod = pincal.load_mechanism("6UPS")
+    found = pincal.forecast(hexapod, poses["6UPS"], NOISE, ["x", "y", "z"])
+    assert found.rank.rank == 45  # three turns of the platform's frame
+
+
+def test_errors_fall_with_the_root_of_the_poses(poses: dict[str, np.ndarray]) -> None:
+    """As many poses as are said bring the error to what is wanted."""
+    mechanism = pincal.load_mechanism("3RRR")
+    some = poses["3RRR"]
+    one = pincal.forecast(mechanism, some, NOISE)
+    four = pincal.forecast(mechanism, np.tile(some, (4, 1)), NOISE)
+    np.testing.assert_allclose(four.std, one.std / 2, rtol=1e-9)
+    now = one.platform_error(some).position
+    assert one.poses_for(now / 2.001, some) == pytest.approx(4 * len(some), abs=1)
+    assert one.poses_for(1.0, some) == 8  # never fewer than the parameters need
+    with pytest.raises(pincal.MeasurementError, match="more than 0"):
+        one.poses_for(0.0, some)
+
+
+@pytest.mark.parametrize(
+    ("measured", "noise", "message"),
+    [
+        (["q"], NOISE, "no freedom 'q'"),
+        ([], NOISE, "leaves no equation"),
+        (None, pincal.Noise(0.0, 0.0, 0.0), "no noise at all"),
+    ],
+)
+def test_wrong_questions_are_refused(
+    poses: dict[str, np.ndarray], measured: list[str] | None, noise: pincal.Noise, message: str
+) -> None:
+    """Unknown freedoms, nothing measured, nothing uncertain."""
+    with pytest.raises(pincal.MeasurementError, match=message):
+        pincal.forecast(pincal.load_mechanism("3RRR"), poses["3RRR"], noise, measured)
+
+
+def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
+    """Standard errors by leg, rank, what moves together, and the poses for an accuracy."""
+    mechanism = pincal.load_mechanism("3RRR")
+    plan = tmp_path / "plan.csv"
+    pincal.write_poses(plan, mechanism, pincal.Plan(poses["3RRR"]))
+    noise = ["--noise-position", 1e-4, "--noise-orientation", 2e-4, "--noise-reading", 3e-5]
+    outcome = done("identifiability", "3RRR", plan, *noise, "--accuracy", 1e-5)
+    assert "rank 24 of 24" in outcome.out
+    assert "for 0.01 mm: " in outcome.out
+    std = pincal.forecast(mechanism, poses["3RRR"], NOISE).std
+    assert f"{1e3 * std[0]:.4g}" in outcome.out
+    outcome = done("identifiability", "3RRR", plan, "--measure", "position", "--accuracy", 1e-5)
+    assert "beta_b (leg_1), beta_b (leg_2) and beta_b (leg_3) move together" in outcome.out
+    assert "not determined [mrad]" in outcome.out
+    outcome = done("identifiability", "5R", "--measure", "x", "--count", 30)
+    assert "measured: x" in outcome.out
+    assert run("identifiability", "3RRR", "--measure", "nothing").code == 2
