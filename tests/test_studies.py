@@ -117,7 +117,7 @@ def test_wrong_studies_are_refused(tmp_path: Path) -> None:
     for line, word in (
         (["study", "delta", "-o", tmp_path / "a"], "5R, 3RRR, 6UPS"),
         (["study", "5R", "--force", "-o", tmp_path / "mine"], "not a folder that pincal wrote"),
-        (["study", "all", "-o", tmp_path / "none"], "make it first"),
+        (["study", "all", "-o", tmp_path / "none" / "all"], "does not exist"),
     ):
         outcome = run(*line)
         assert outcome.code == 2

@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from pincal.cli.app import Force, Seed, app, output_option, stderr, working, wrote
-from pincal.errors import FileError
 from pincal.model.output import refuse_existing
 
 
@@ -30,17 +29,17 @@ def study(
     """Compute the figures and tables of a paper anew, and what it lacks.
 
     5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical workspace, and
-    the calibration that its paper leaves as future work. FOLDER gets study.md, tables as
+    beyond its paper the calibration. FOLDER gets study.md, tables as
     CSV and Markdown, figures as SVG and PNG; with 'all' one folder for each. The same seed
     gives the same text and tables; times are in figures only.
     """
-    from pincal.studies.catalogue import STUDIES, run_study
+    from pincal.studies.catalogue import STUDIES, named, run_study
     from pincal.studies.study import write_page
 
-    names = list(STUDIES) if name == "all" else [name]
+    names = list(STUDIES) if name == "all" else [named(name)]
     folders = [output / one for one in names] if name == "all" else [output]
     if name == "all" and not output.is_dir():
-        raise FileError(f"{output} is not a folder; make it first, each study gets its own in it")
+        refuse_existing(output, force=False).mkdir()
     for folder in folders:
         refuse_existing(folder, force=force, folder=True)
     if page is not None:

@@ -29,8 +29,19 @@ def run_study(
     Raises:
         MechanismError: there is no study of that name.
     """
-    if name not in STUDIES:
-        raise MechanismError(f"no study of {name!r}; expected one of {', '.join(STUDIES)}")
+    name = named(name)
     study = STUDIES[name](seed, quick, tell)
-    study.command += f" --seed {seed}" * bool(seed) + " --quick" * quick
+    study.command += f" --seed {seed}" * bool(seed) + " --quick" * quick + " -o FOLDER"
     return study
+
+
+def named(name: str) -> str:
+    """Return the name of a study as it is written here, whatever its case.
+
+    Raises:
+        MechanismError: there is no study of that name.
+    """
+    found = [one for one in STUDIES if one.lower() == name.lower()]
+    if not found:
+        raise MechanismError(f"no study of {name!r}; expected {', '.join(STUDIES)} or all")
+    return found[0]

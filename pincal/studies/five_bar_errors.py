@@ -35,15 +35,15 @@ def parameters(
     """Compare the errors of the parameters (Table 2, Fig. 5), and return their means."""
     before = values(mechanism) - values(truth)
     means = {name: root_mean_square(found) for name, found in errors.items()}
-    bounds = {way.name: np.sqrt(np.diagonal(way.bound(truth, NOISE))) for way in ways}
+    bounds = {way.name: np.sqrt(np.diagonal(way.bound(mechanism, truth, NOISE))) for way in ways}
     draws = len(errors[ways[0].name])
     study.heading("Parameters before and after (Tables 2, 3, Fig. 5)")
     study.say(
         f"""Real parameters as in Table 2, noise 1e-4 on positions [m] and readings [rad], {draws}
-        draws
-        of the noise. The error is the root mean square over all twelve parameters and draws; ± is
-        its standard error. The bound is Cramér and Rao's for the rows used: no unbiased estimator
-        is better. Before calibration the error is {np.sqrt((before**2).mean()):.2e}."""
+        draws of the noise. The error is the root mean square over all twelve parameters, in m, rad
+        and 1 alike, and over draws; ± is its standard error. The bound is Cramér and Rao's for
+        the postures that the legs use: no unbiased estimator is better. Before calibration the
+        error is {np.sqrt((before**2).mean()):.2e}."""
     )
     columns: dict[str, list[Cell]] = {
         "way": [way.name for way in ways],
@@ -52,9 +52,11 @@ def parameters(
             int(way.plan.serves("leg_1").sum()) if way.poses == "own" else len(way.plan.poses)
             for way in ways
         ],
-        "error": [means[way.name][0] for way in ways],
-        "±": [means[way.name][1] for way in ways],
-        "Cramér-Rao bound": [float(np.sqrt((bounds[w.name] ** 2).mean())) for w in ways],
+        "error [m, rad, 1]": [means[way.name][0] for way in ways],
+        "± [m, rad, 1]": [means[way.name][1] for way in ways],
+        "Cramér-Rao bound [m, rad, 1]": [
+            float(np.sqrt((bounds[w.name] ** 2).mean())) for w in ways
+        ],
     }
     study.table("table_3_parameter_errors", "Error of the parameters by way.", columns)
     names = [f"{n} ({leg.name})" for leg in mechanism.legs for n in leg.parameter_names]
@@ -86,7 +88,7 @@ def bars_by_parameter(
     bounds: dict[str, Array],
 ) -> Figure:
     """Return Fig. 5: bars by parameter, on a logarithmic scale."""
-    shown = [ways[0], ways[1], ways[6]]
+    shown = [ways[0], ways[1], ways[7]]
     figure = Figure(figsize=(12, 4.6), layout="constrained")
     axes = figure.subplots()
     place, width = np.arange(len(names)), 0.2
@@ -139,14 +141,17 @@ def maps(
     study.heading("Position error over the circle (Fig. 6)")
     study.table(
         "fig_6_position_errors",
-        f"Position error of the end-effector over the circle, root mean square of {kept} draws.",
+        f"""Position error of the end-effector over {100 * INSIDE:.0f} % of the circle's radius,
+        root
+        mean square of {kept} draws (before: of the one machine); the largest is over the
+        circle.""",
         {
             "way": list(table),
-            "mean [mm]": [1e3 * float(np.sqrt((m**2).mean())) for m in table.values()],
+            "root mean square [mm]": [1e3 * float(np.sqrt((m**2).mean())) for m in table.values()],
             "largest [mm]": [1e3 * float(m.max()) for m in table.values()],
         },
     )
-    shown = {name: maps[name] for name in list(found)[:2] + list(found)[6:7]}
+    shown = {name: maps[name] for name in list(found)[:2] + list(found)[7:8]}
     figure = Figure(figsize=(13, 4.2), layout="constrained")
     top = 1e3 * max(float(m.max()) for m in shown.values())
     bottom = 1e3 * min(float(m.min()) for m in shown.values())
@@ -164,7 +169,8 @@ def maps(
     figure.colorbar(image, ax=panels, label="position error, root mean square [mm]")
     study.figure(
         "fig_6_error_maps",
-        "Fig. 6: local position error after calibration over the maximal inscribed workspace",
+        "Fig. 6: local position error after calibration over the maximal inscribed "
+        "workspace, less 5 %",
         figure,
     )
 
@@ -191,6 +197,6 @@ def costs(study: Study, mechanism: Mechanism, ways: list[Way], seconds: dict[str
     )
     study.figure(
         "table_3_times",
-        "Table 3: time to choose postures, and to identify once",
+        "Table 3: time to choose postures, and to simulate and identify once",
         times_figure(seconds),
     )

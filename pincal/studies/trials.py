@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
 from pincal.experiment.selection import Protocol, Selection, select_poses
@@ -34,10 +35,11 @@ class Way:
     residual: Residual = "joint"
 
     def run(
-        self, mechanism: Mechanism, truth: Mechanism, noise: Noise, seed: int
+        self, mechanism: Mechanism, truth: Mechanism, noise: Noise, seed: SeedSequence
     ) -> CalibrationResult:
         """Return the calibration of a true mechanism, measured with noise."""
-        data = simulate(mechanism, truth, self.plan, noise, seed).measurements
+        rng = np.random.default_rng(seed)
+        data = simulate(mechanism, truth, self.plan, noise, rng).measurements
         return calibrate(
             mechanism,
             data,
@@ -47,15 +49,50 @@ class Way:
             noise=noise,
         )
 
-    def bound(self, truth: Mechanism, noise: Noise) -> Array:
+    def bound(
+        self,
+        mechanism: Mechanism,
+        truth: Mechanism,
+        noise: Noise,
+        method: Method = "together",
+    ) -> Array:
         """Return the Cramér-Rao bound of the parameters, a covariance, shape (n, n).
 
-        Of the rows that this way uses: exact data, whitened, as one fit of all legs that
-        knows what noise they share unless each leg is alone.
+        Of the poses that each leg uses, where the true mechanism goes when the nominal one
+        commands them. Together, it is the bound of the data; leg by leg, of estimators that do
+        not see the noise which legs share.
         """
-        exact = simulate(truth, truth, self.plan, Noise(0.0, 0.0, 0.0)).measurements
-        result = calibrate(truth, exact, method=self.method, poses=self.poses, noise=noise)
-        return result.covariance
+        exact = simulate(mechanism, truth, self.plan, Noise(0.0, 0.0, 0.0)).measurements
+        return calibrate(truth, exact, method=method, poses=self.poses, noise=noise).covariance
+
+
+def trial_seeds(seed: int, count: int) -> list[tuple[SeedSequence, SeedSequence]]:
+    """Return, for each trial, independent seeds of the machine and of the noise."""
+    trials = SeedSequence(seed).spawn(count)
+    return [tuple(trial.spawn(2)) for trial in trials]  # type: ignore[misc]
+
+
+def compared(first: tuple[float, float], second: tuple[float, float], draws: int) -> str:
+    """Return in words whether a first mean is smaller than a second, by their standard errors."""
+    apart = (second[0] - first[0]) / np.hypot(first[1], second[1])
+    if abs(apart) < 2.0:
+        return f"not told apart by {draws} draws ({apart:+.1f} standard errors)"
+    return f"{'smaller' if apart > 0 else 'larger'} by {abs(apart):.1f} standard errors"
+
+
+def paired(first: Array, second: Array) -> tuple[float, float, str]:
+    """Return the mean ratio of paired errors, its 95 % half width, and which is better in words.
+
+    Args:
+        first: Errors of a first way by machine, shape (n,).
+        second: Errors of a second way for the same machines, shape (n,).
+    """
+    logs = np.log(second / first)
+    half = 1.96 * float(logs.std(ddof=1)) / np.sqrt(len(logs))
+    ratio = float(np.exp(logs.mean()))
+    if abs(logs.mean()) <= half:
+        return ratio, ratio * half, f"not told apart by {len(logs)} machines"
+    return ratio, ratio * half, "better" if logs.mean() > 0 else "worse"
 
 
 def values(mechanism: Mechanism) -> Array:
@@ -64,7 +101,7 @@ def values(mechanism: Mechanism) -> Array:
 
 
 def parameter_errors(
-    way: Way, mechanism: Mechanism, truth: Mechanism, noise: Noise, seeds: Sequence[int]
+    way: Way, mechanism: Mechanism, truth: Mechanism, noise: Noise, seeds: Sequence[SeedSequence]
 ) -> tuple[Array, list[Mechanism]]:
     """Return identified less true parameters, shape (n_seeds, n), and the identified ones."""
     found = [way.run(mechanism, truth, noise, seed).identified for seed in seeds]
