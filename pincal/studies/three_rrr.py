@@ -280,4 +280,4 @@ def _against(
 def _against_papers(after: dict[str, Array], name: str) -> str:
     """Return how a way's position errors compare with the paper's, machine by machine."""
     ratio, half, words = paired(after[name][:, 0], after[PAPERS][:, 0])
-    return f"position {words}: {ratio:.2f} ± {half:.2f} times less error"
+    return f"position {words}: the paper's error is {ratio:.2f} ± {half:.2f} times as large"
