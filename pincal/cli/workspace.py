@@ -32,14 +32,13 @@ from pincal.workspace.box import closer_grid, default_grid, default_samples
 from pincal.workspace.criteria import Margins
 from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.orientations import Orientations
-from pincal.workspace.positions import Positions
+from pincal.workspace.positions import POSITION_AXES, Positions
 from pincal.workspace.region import KINDS, Workspace, compute_workspace
 from pincal.workspace.sampling import sample_workspace
 
 if TYPE_CHECKING:  # drawing is imported where it is needed
     from matplotlib.figure import Figure
 
-_POSITION_AXES = ("x", "y", "z", "radius", "bearing")
 _COUNT = 30_000
 
 Kind = Annotated[str, typer.Option(help=f"What to find: poses, {', '.join(KINDS)} or articular.")]
@@ -157,12 +156,12 @@ def workspace(
     type1 = Margins().type1 if margin_type1 is None else margin_type1
     least = Margins.none() if no_margins else Margins(type1, margin_type2)
     axes = [Axis.parse(text) for text in axis or ()]
-    places = [one for one in axes if one.name in _POSITION_AXES]
-    turns = [one for one in axes if one.name not in _POSITION_AXES]
+    places = [one for one in axes if one.name in POSITION_AXES]
+    turns = [one for one in axes if one.name not in POSITION_AXES]
     if kind == "poses":
         _poses(mechanism, output, count or _COUNT, seed, least, force)
     elif kind == "articular":
-        _articular(mechanism, output, axes, count or _COUNT, seed, least, picture, force)
+        _articular(mechanism, output, (places, turns), count or _COUNT, seed, least, picture, force)
     else:
         if samples is not None and places:
             raise WorkspaceError(
@@ -241,7 +240,7 @@ def _draw(picture: Path, figure: Figure, force: bool) -> None:
 def _articular(
     mechanism: Mechanism,
     output: Path,
-    axes: list[Axis],
+    axes: tuple[list[Axis], list[Axis]],
     count: int,
     seed: int,
     least: Margins,
@@ -252,8 +251,7 @@ def _articular(
     from pincal.show.workspace_plots import articular_figure
     from pincal.show.workspace_tables import articular_table
 
-    places = [one for one in axes if one.name in _POSITION_AXES]
-    turns = [one for one in axes if one.name not in _POSITION_AXES]
+    places, turns = axes
     if places and not turns:
         raise WorkspaceError("positions by --axis need orientations to ask there, such as phi=0.4")
     grid = default_grid(mechanism, places)

@@ -133,7 +133,8 @@ def forecast(
             "some measurements carry no noise at all; give standard deviations above zero for what "
             "is measured, and for readings where positions are measured in part"
         ) from error
-    rows = _whitened(factor, free @ by_parameter).reshape(-1, by_parameter.shape[2])
+    rows = np.asarray(np.linalg.solve(factor, free @ by_parameter))
+    rows = rows.reshape(-1, by_parameter.shape[2])
     if not rows.size:
         raise MeasurementError(
             f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
@@ -141,26 +142,20 @@ def forecast(
             "platform"
         )
     names = [f"{name} ({leg.name})" for leg in mechanism.legs for name in leg.parameter_names]
-    covariance, lost = _inverse(rows)
     rank = identifiability(rows, names)
+    covariance, lost = _inverse(rows, rank.rank)
     return Forecast(mechanism, int(ok.sum()), kept, free.shape[1], rank, covariance, lost)
 
 
-def _whitened(factor: Array, rows: Array) -> Array:
-    """Return L⁻¹ A for batches of triangular L, shape (N, k, k), and A, shape (N, k, n)."""
-    return np.asarray(np.linalg.solve(factor, rows))
-
-
-def _inverse(rows: Array) -> tuple[Array, Array]:
+def _inverse(rows: Array, rank: int) -> tuple[Array, Array]:
     """Return the pseudo-inverse of the information of rows, and the directions it lacks."""
     n = rows.shape[1]
     scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0.0] = 1.0
-    found = identifiability(rows, [str(i) for i in range(n)])
     _, s, axes = np.linalg.svd(rows / scale, full_matrices=len(rows) < n)
     axes = axes / scale  # directions in parameters
-    kept = axes[: found.rank] / s[: found.rank, None]
-    lost, _ = np.linalg.qr((axes[found.rank :]).T) if found.rank < n else (np.empty((n, 0)), None)
+    kept = axes[:rank] / s[:rank, None]
+    lost, _ = np.linalg.qr(axes[rank:].T) if rank < n else (np.empty((n, 0)), None)
     return kept.T @ kept, lost
 
 

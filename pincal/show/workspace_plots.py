@@ -44,9 +44,8 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     if inscribed:
         handles.append(Patch(fill=False, edgecolor=COLOURS[1], label="largest inscribed"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-    unit = ("", "m", "m²", "m³")[workspace.asked.dimension]
     name = workspace.test.mechanism.name
-    size = f"{workspace.measure:.4g} ± {workspace.uncertainty:.2g} {unit}"
+    size = f"{workspace.measure:.4g} ± {workspace.uncertainty:.2g} {workspace.unit}"
     if not workspace.count:
         size = "empty"
     elif len(levels) > 1:

@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pincal.experiment.selection import Protocol
-from pincal.experiment.simulation import disturb
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import draw_observability
@@ -15,10 +14,10 @@ from pincal.studies.study import Study
 from pincal.studies.trials import (
     Way,
     choose,
+    machines,
     platform_rms,
     root_mean_square,
     times_figure,
-    trial_seeds,
     values,
 )
 
@@ -38,7 +37,7 @@ def calibration(
     study: Study, mechanism: Mechanism, poses: Array, seed: int, quick: bool
 ) -> dict[str, Array]:
     """Calibrate by the symmetric protocol; return errors by way and machine, shape (n, 3)."""
-    machines = 2 if quick else 20
+    count = 2 if quick else 20
     selections, seconds = choose(mechanism, poses, CHOICES, NOISE, seed, quick)
     plans = {name: one.plan for name, one in selections.items()}
     own = plans["symmetric, 24 a leg"]
@@ -56,8 +55,7 @@ def calibration(
     }
     squares: dict[str, list[float]] = {way.name: [] for way in ways}
     lost = 0
-    for machine, noise in trial_seeds(seed, machines):
-        truth = disturb(mechanism, SIGMA, np.random.default_rng(machine))
+    for truth, noise in machines(mechanism, SIGMA, seed, count):
         found["before"].append(_errors(mechanism, truth, some))
         for way in ways:
             result = way.run(mechanism, truth, NOISE, noise)
@@ -71,7 +69,7 @@ def calibration(
     study.say(
         f"""48 parameters, disturbed by σ = {SIGMA:g} (m, rad and 1); poses measured with
         {1e6 * NOISE.position:.0f} µm and {1e6 * NOISE.orientation:.0f} µrad, legs with
-        {1e6 * NOISE.reading:.0f} µm. {machines} machines, of which {lost} calibrations did not
+        {1e6 * NOISE.reading:.0f} µm. {count} machines, of which {lost} calibrations did not
         converge; errors of the platform over {len(some)} poses of the workspace, root mean square
         over poses and machines. The bound is Cramér and Rao's for each machine: leg by leg, or
         of all legs where they are identified together."""

@@ -7,13 +7,13 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.experiment.simulation import disturb, platform_errors
+from pincal.experiment.simulation import platform_errors
 from pincal.identification.calibrate import Method
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import COLOURS, HATCHES
 from pincal.studies.study import Cell, Study
-from pincal.studies.trials import Way, platform_rms, trial_seeds
+from pincal.studies.trials import Way, machines, platform_rms
 from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ def measure_accuracies(
     ways: list[Way],
     poses: Array,
     seed: int,
-    machines: int,
+    count: int,
     quick: bool,
 ) -> dict[str, Array]:
     """Compare the platform's errors before and after (Fig. 10), by machine."""
@@ -68,21 +68,20 @@ def measure_accuracies(
         name: [] for name in ("before", *(way.name for way in ways))
     }
     lost = 0
-    trials = trial_seeds(seed, machines)
-    for machine, noise in trials:
-        truth = disturb(mechanism, SIGMA, np.random.default_rng(machine))
+    trials = machines(mechanism, SIGMA, seed, count)
+    for truth, noise in trials:
         rows["before"].append(platform_rms(mechanism, truth, some))
         for way in ways:
             result = way.run(mechanism, truth, NOISE, noise)
             lost += not result.converged
             rows[way.name].append(platform_rms(result.identified, truth, some))
     after = {name: np.array(values) for name, values in rows.items()}
-    truth = disturb(mechanism, SIGMA, np.random.default_rng(trials[0][0]))
-    one = ways[0].run(mechanism, truth, NOISE, trials[0][1]).identified
+    truth, noise = trials[0]
+    one = ways[0].run(mechanism, truth, NOISE, noise).identified
     whole = [platform_rms(model, truth, poses) for model in (mechanism, one)]
     study.heading("Accuracy of the platform (Fig. 10)")
     study.say(
-        f"""{machines} machines, parameters disturbed by σ = {SIGMA:g} m, rad and 1, noise of Eq.
+        f"""{count} machines, parameters disturbed by σ = {SIGMA:g} m, rad and 1, noise of Eq.
         23. Root
         mean square over {len(some):,} of the poses, as median of the machines with the middle half.
         {lost} calibrations did not converge. For the first machine, over all {len(poses):,}
@@ -126,8 +125,7 @@ def draw_maps(
     study: Study, mechanism: Mechanism, way: Way, planes: dict[float, Workspace], seed: int
 ) -> None:
     """Map the position error of one machine before and after (Fig. 11)."""
-    machine, noise = trial_seeds(seed, 1)[0]
-    truth = disturb(mechanism, SIGMA, np.random.default_rng(machine))
+    truth, noise = machines(mechanism, SIGMA, seed, 1)[0]
     identified = way.run(mechanism, truth, NOISE, noise).identified
     figure = Figure(figsize=(13, 7.6), layout="constrained")
     panels = figure.subplots(2, len(planes), sharex=True, sharey=True)

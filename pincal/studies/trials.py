@@ -13,7 +13,7 @@ from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
 from pincal.experiment.selection import Protocol, Selection, select_poses
-from pincal.experiment.simulation import accuracy, simulate
+from pincal.experiment.simulation import accuracy, disturb, simulate
 from pincal.identification.calibrate import Method, calibrate
 from pincal.identification.residuals import Residual
 from pincal.identification.result import CalibrationResult
@@ -70,6 +70,16 @@ def trial_seeds(seed: int, count: int) -> list[tuple[SeedSequence, SeedSequence]
     """Return, for each trial, independent seeds of the machine and of the noise."""
     trials = SeedSequence(seed).spawn(count)
     return [tuple(trial.spawn(2)) for trial in trials]  # type: ignore[misc]
+
+
+def machines(
+    mechanism: Mechanism, sigma: float, seed: int, count: int
+) -> list[tuple[Mechanism, SeedSequence]]:
+    """Return true mechanisms, parameters disturbed by sigma, each with the seed of its noise."""
+    return [
+        (disturb(mechanism, sigma, np.random.default_rng(machine)), noise)
+        for machine, noise in trial_seeds(seed, count)
+    ]
 
 
 def compared(first: tuple[float, float], second: tuple[float, float], draws: int) -> str:

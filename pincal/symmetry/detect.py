@@ -23,7 +23,6 @@ from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import Element, wrapped
 
 Array = NDArray[np.float64]
-_SAME = 1e-9  # [rad]
 _NEARLY = 0.1  # of the base's radius: a symmetry meant, though not kept
 
 
@@ -136,13 +135,9 @@ def _candidates(mechanism: Mechanism, legs: list[Leg]) -> list[Element]:
     mirrors = [Element(wrapped(azimuth + first), reflection=True) for azimuth in azimuths]
     found: list[Element] = []
     for element in turns + mirrors:
-        if not any(_same(element, other) for other in found):
+        if not any(element.equals(other) for other in found):
             found.append(element)
     return found
-
-
-def _same(a: Element, b: Element) -> bool:
-    return a.reflection == b.reflection and abs(wrapped(a.angle - b.angle)) < _SAME
 
 
 def _nearly_maps_bases(element: Element, legs: list[Leg]) -> bool:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
+_SAME = 1e-9  # [rad]
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,11 @@ class Element:
     def inverse(self) -> Element:
         """Return the element that undoes this one."""
         return self if self.reflection else Element(wrapped(-self.angle))
+
+    def equals(self, other: Element) -> bool:
+        """Return whether two elements are the same but for rounding errors."""
+        same = abs(wrapped(self.angle - other.angle)) <= _SAME
+        return self.reflection == other.reflection and same
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
         """Return where poses go, coordinates of shape (N, dof): r → Q r, R → Q R Qᵀ."""

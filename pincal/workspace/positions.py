@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.symmetry.elements import Element, wrapped
+from pincal.symmetry.elements import Element
 from pincal.workspace.axes import Axis
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 #: Takes numbers of positions to those of their images.
 Carrier: TypeAlias = Callable[[Indices], Indices]
+POSITION_AXES = ("x", "y", "radius", "bearing", "z")
 _SAME = 1e-9  # of an axis' size
 _EVEN = 1e-6  # of a step
 _MOST = 1_000_000_000  # positions of a grid, a byte each
@@ -83,10 +84,9 @@ class Grid:
     def of(cls, *axes: str | Axis) -> Grid:
         """Return a grid from axes or their texts, in any order: ``"x=-1:1:0.1"``."""
         parsed = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in axes]
-        order = ("x", "y", "radius", "bearing", "z")
-        if unknown := [axis.name for axis in parsed if axis.name not in order]:
-            raise WorkspaceError(f"axis {unknown[0]!r} is not one of positions: {order}")
-        return cls(tuple(sorted(parsed, key=lambda axis: order.index(axis.name))))
+        if unknown := [axis.name for axis in parsed if axis.name not in POSITION_AXES]:
+            raise WorkspaceError(f"axis {unknown[0]!r} is not one of positions: {POSITION_AXES}")
+        return cls(tuple(sorted(parsed, key=lambda axis: POSITION_AXES.index(axis.name))))
 
     @property
     def polar(self) -> bool:
@@ -238,7 +238,7 @@ class Samples:
         table = []
         for own in self.elements:
             target = element.after(own)
-            same = [i for i, e in enumerate(self.elements) if _equal(e, target)]
+            same = [i for i, e in enumerate(self.elements) if e.equals(target)]
             if not same:
                 return None
             table.append(same[0])
@@ -260,18 +260,22 @@ class Samples:
         return np.stack((r * np.cos(bearing), r * np.sin(bearing), low + (high - low) * h), axis=1)
 
 
-def _equal(a: Element, b: Element) -> bool:
-    return a.reflection == b.reflection and abs(wrapped(a.angle - b.angle)) <= _SAME
-
-
-def representatives(carriers: Sequence[Carrier], index: Indices) -> Indices:
-    """Return the lowest number in the orbit of each position, shape (N,).
+def representatives(
+    positions: Positions, elements: Sequence[Element]
+) -> Callable[[Indices], Indices]:
+    """Return what takes numbers of positions to the lowest numbers of their orbits.
 
     Args:
-        carriers: What the elements of a group do to the numbers.
-        index: Numbers of positions, shape (N,).
+        positions: The positions.
+        elements: Elements of a group that maps them onto themselves.
     """
-    lowest = index
-    for carrier in carriers:
-        lowest = np.minimum(lowest, carrier(index))
+    found = [positions.carrier(element) for element in elements]
+    carriers = [carrier for carrier in found if carrier]
+
+    def lowest(index: Indices) -> Indices:
+        result = index
+        for carrier in carriers:
+            result = np.minimum(result, carrier(index))
+        return result
+
     return lowest

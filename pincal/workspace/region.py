@@ -50,13 +50,12 @@ class _Task:
         return _Task, (self.test, self.positions, self.elements)
 
     @cached_property
-    def carriers(self) -> list[Carrier]:
-        found = [self.positions.carrier(element) for element in self.elements]
-        return [carrier for carrier in found if carrier]
+    def lowest(self) -> Carrier:
+        return representatives(self.positions, self.elements)
 
     def __call__(self, begin: int, end: int) -> bytes:
         index = np.arange(begin, end)
-        own = index[representatives(self.carriers, index) == index]
+        own = index[self.lowest(index) == index]
         inside = np.zeros(end - begin, dtype=bool)
         inside[own - begin] = self.test(self.positions.at(own))
         return np.packbits(inside).tobytes()
@@ -91,8 +90,7 @@ class Workspace:
 
     def representative(self, index: Indices) -> Mask:
         """Return which positions, by number, are of the fundamental domain that was computed."""
-        found = [self.asked.carrier(element) for element in self.elements]
-        return representatives([carrier for carrier in found if carrier], index) == index
+        return representatives(self.asked, self.elements)(index) == index
 
     @cached_property
     def cut(self) -> bool:
@@ -119,6 +117,11 @@ class Workspace:
             for begin, end in _chunks(len(self.inside), _POSITIONS)
         )
         return float(sum(parts))
+
+    @property
+    def unit(self) -> str:
+        """Unit of ``measure``; empty for a single position."""
+        return ("", "m", "m²", "m³")[self.asked.dimension]
 
     @cached_property
     def uncertainty(self) -> float:
@@ -169,10 +172,9 @@ class Workspace:
 
     def __repr__(self) -> str:
         """Return the workspace in a line."""
-        unit = ("", "m", "m²", "m³")[self.asked.dimension]
         return (
             f"{self.kind} workspace of {self.test.mechanism.name}: {self.measure:.5g} ± "
-            f"{self.uncertainty:.2g} {unit}, {self.count:,} of {self.asked.size:,} positions"
+            f"{self.uncertainty:.2g} {self.unit}, {self.count:,} of {self.asked.size:,} positions"
         )
 
 
@@ -219,14 +221,14 @@ def compute_workspace(
     if connected and not isinstance(positions, Grid):
         raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
     every = kind != "reachable"
-    task_least = least or Margins()
+    least = least or Margins()
+    group = symmetry_group(mechanism, _EXACT).elements
     elements: tuple[Element, ...] = (Element(0.0),)
     if symmetry:
-        group = symmetry_group(mechanism, _EXACT).elements
-        kept = _keep_side(mechanism, group, task_least)
+        kept = _keep_side(mechanism, group, least)
         elements = tuple(e for e in kept if positions.carrier(e) and asked.maps(e))
-    unused = tuple(e for e in symmetry_group(mechanism, _EXACT).elements if e not in elements)
-    task = _Task(PositionTest(mechanism, asked, every, task_least), positions, elements)
+    unused = tuple(e for e in group if e not in elements)
+    task = _Task(PositionTest(mechanism, asked, every, least), positions, elements)
     task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
     most = _CHUNK if task.test.in_closed_form else min(_CHUNK, _CLOSED)
     size = max(1, min(_POSITIONS, most // len(asked)))
@@ -240,7 +242,7 @@ def compute_workspace(
             progress(min(done * size, positions.size))
     for begin, end in _chunks(positions.size, _POSITIONS):
         index = np.arange(begin, end)
-        lowest = representatives(task.carriers, index)
+        lowest = task.lowest(index)
         computed += int(np.count_nonzero(lowest == index))
         inside[begin:end] = inside[lowest]
     if connected and isinstance(positions, Grid) and inside.any():
