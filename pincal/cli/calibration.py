@@ -18,7 +18,8 @@ from pincal.identification.calibrate import calibrate as identify
 from pincal.identification.expected import expected_error
 from pincal.identification.result import CalibrationResult
 from pincal.model.files import load_mechanism
-from pincal.model.measurements import Measurements, Noise, read_measurements, read_poses
+from pincal.model.measurement_files import read_measurements, read_poses
+from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing
 from pincal.show.tables import accuracy_table, legs_table, result_table

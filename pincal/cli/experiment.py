@@ -15,7 +15,8 @@ from pincal.experiment.selection import Protocol, select_poses
 from pincal.experiment.simulation import disturb as disturbed
 from pincal.experiment.simulation import simulate as simulated
 from pincal.model.files import load_mechanism, write_mechanism
-from pincal.model.measurements import Noise, read_poses, write_measurements, write_poses
+from pincal.model.measurement_files import read_poses, write_measurements, write_poses
+from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing, writing
 from pincal.show.tables import selection_table

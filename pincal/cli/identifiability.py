@@ -12,7 +12,8 @@ from pincal.cli.app import Mech, Seed, app, stdout, working
 from pincal.cli.experiment import NoiseOrientation, NoisePosition, NoiseReading
 from pincal.experiment.forecast import forecast
 from pincal.model.files import load_mechanism
-from pincal.model.measurements import Noise, read_poses
+from pincal.model.measurement_files import read_poses
+from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.tables import forecast_table
 from pincal.workspace.sampling import sample_workspace

@@ -22,7 +22,8 @@ from pincal.cli.app import (
 )
 from pincal.errors import WorkspaceError
 from pincal.model.files import load_mechanism
-from pincal.model.measurements import Plan, write_poses
+from pincal.model.measurement_files import write_poses
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing, writing
 from pincal.model.table import write_table

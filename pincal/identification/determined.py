@@ -8,86 +8,84 @@ poses by their own noise makes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.experiment.observability import identifiability
-from pincal.identification.problem import Problem
-from pincal.model.leg import Leg
+from pincal.identification.problem import Linear, Problem
+from pincal.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 _CLEARLY = 3.0  # times what noise makes
 _TAKES_PART = 0.1  # of the largest entry of a direction
 
 
-def leg_jacobian(problem: Problem, whitener: Array, parameters: Array, index: int) -> Array:
-    """Return the whitened Jacobian of one leg at the poses it uses, shape (n_rows, n_params)."""
-    J = problem.jacobian(parameters)[:, index, problem.columns[index]]
-    return (whitener[:, index, index, None] * J)[problem.used[:, index]]
-
-
-def check_rank(problem: Problem, whitener: Array, parameters: Array) -> list[tuple[int, float]]:
-    """Return rank and condition of each leg's whitened Jacobian.
+def check_rank(problem: Problem, unknowns: Unknowns, linear: Linear) -> list[tuple[int, float]]:
+    """Return rank and condition of each leg's part of the whitened Jacobian.
 
     Raises:
         ObservabilityError: a parameter is not determined; the message names it.
         MeasurementError: a derivative does not exist at some pose.
     """
-    found = []
-    for index, leg in enumerate(problem.legs):
-        own = leg_jacobian(problem, whitener, parameters, index)
-        if not np.isfinite(own).all():
-            raise MeasurementError(
-                f"{leg.name}: a residual or its derivative is not finite at some measured pose; "
-                "the leg may be folded or stretched there"
-            )
-        one = identifiability(own, leg.parameter_names)
-        if not one.complete:
-            raise ObservabilityError(
-                f"the measured poses leave parameters undetermined: {one.in_words(leg.name)} "
-                f"(rank {one.rank} of {one.n_params}). Measure poses that tell them apart, or make "
-                "one of them a constant in mechanism.yaml"
-            )
-        found.append((one.rank, one.condition))
-    return found
+    J = linear.jacobian.reshape(-1, linear.jacobian.shape[2])
+    if not np.isfinite(J).all():
+        names = [leg.name for leg in problem.legs]
+        raise MeasurementError(
+            f"{', '.join(names)}: a residual or its derivative is not finite at some measured "
+            "pose; a leg may be folded or stretched there"
+        )
+    _, prior = unknowns.prior_rows(unknowns.start)
+    all_ = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
+    if not all_.complete:
+        raise ObservabilityError(
+            f"the measured poses leave parameters undetermined: {all_.in_words()} "
+            f"(rank {all_.rank} of {all_.n_params}). Measure poses that tell them apart, or fix "
+            "one of them, or make it a constant in mechanism.yaml"
+        )
+    own = (
+        identifiability(J[:, columns], leg.parameter_names)
+        for leg, columns in zip(problem.legs, problem.columns, strict=True)
+    )
+    return [(one.rank, one.condition) for one in own]
 
 
 def check_information(
-    problem: Problem, shaken: Problem, parameters: Array, scale: float = 1.0
+    problem: Problem, unknowns: Unknowns, linear: Linear, scale: float = 1.0
 ) -> None:
     """Raise if some direction in parameter space is told by the noise of the poses only.
 
     Args:
-        problem: The problem at the measured poses.
-        shaken: The same at these poses, shaken by their noise once more.
-        parameters: Where to look, shape (n_params,).
+        problem: The problem.
+        unknowns: What is free.
+        linear: Residuals and derivatives where to look.
         scale: By how much the noise is larger than the shaking.
 
     Raises:
         ObservabilityError: there is one; the message names the parameters that take part.
     """
-    whitener = problem.whitener(parameters)
-    for index, leg in enumerate(problem.legs):
-        own = leg_jacobian(problem, whitener, parameters, index)
-        difference = leg_jacobian(shaken, whitener, parameters, index) - own
-        lengths = np.linalg.norm(own, axis=0)
-        _, information, directions = np.linalg.svd(own / lengths, full_matrices=False)
-        made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
-        hollow = directions[information < _CLEARLY * made]
-        if len(hollow):
-            raise ObservabilityError(_in_words(leg, hollow))
+    shaken = problem.linearise(problem.shaken(linear)).comparable()
+    here, T = linear.comparable(), unknowns.map
+    _, prior = unknowns.prior_rows(unknowns.start)
+    own = np.concatenate(((here @ T).reshape(-1, T.shape[1]), prior))
+    difference = ((shaken - here) @ T).reshape(-1, T.shape[1])
+    lengths = np.linalg.norm(own, axis=0)
+    _, information, directions = np.linalg.svd(own / lengths, full_matrices=False)
+    made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
+    hollow = directions[information < _CLEARLY * made]
+    if len(hollow):
+        raise ObservabilityError(_in_words(unknowns.free_labels, hollow))
 
 
-def _in_words(leg: Leg, hollow: Array) -> str:
+def _in_words(names: Sequence[str], hollow: Array) -> str:
     size = np.abs(hollow).max(axis=0)
     named = [
-        name
-        for name, part in zip(leg.parameter_names, size, strict=True)
-        if part > _TAKES_PART * size.max()
+        name for name, part in zip(names, size, strict=True) if part > _TAKES_PART * size.max()
     ]
     return (
-        f"the measured poses tell {', '.join(named)} of {leg.name} apart by their noise only. "
-        "Measure poses that differ more (in orientation above all), or make one of these "
-        "parameters a constant in mechanism.yaml"
+        f"the measured poses tell {', '.join(named)} apart by their noise only. "
+        "Measure poses that differ more (in orientation above all), or fix one of these "
+        "parameters, or make it a constant in mechanism.yaml"
     )

@@ -1,25 +1,31 @@
 """The fit of one problem: search, refinement with renewed weights, covariance.
 
-A first search at the nominal weights (Levenberg-Marquardt) is followed by Gauss-Newton
-steps that renew the weights until no step is left (feasible generalised least squares),
-so at the optimum Jᵀ W r = 0 with W at the optimum.
+A damped search (Levenberg-Marquardt) comes near; Gauss-Newton steps that renew all weights go
+on until no step is left (feasible generalised least squares), so at the optimum Jᵀ W r = 0
+with W at the optimum.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from pincal.identification.determined import check_information, check_rank
-from pincal.identification.problem import Problem
+from pincal.identification.losses import Loss, outlying, robust_scale
+from pincal.identification.problem import Linear, Problem, State
+from pincal.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
-_PRECISION = 1e-8  # of cost and step in the first search
+_NEAR = 0.1  # of a standard error: the search ends
+_STALLS = 1e-12  # relative fall of the cost at which the search ends
+_STEPS = 300  # of the search
 _STANDS = 1e-8  # of a standard error: no step is left, with the weights renewed
+_STANDS_ROBUST = 1e-6  # weights of rows follow their residuals: convergence is slower
 _ROUNDS = 30
+_LARGEST_DAMPING = 1e10
 
 
 @dataclass(frozen=True)
@@ -27,12 +33,17 @@ class Fit:
     """Optimum of a problem, and what is known about it."""
 
     problem: Problem
-    start: Array
-    """Nominal parameters, shape (n_params,)."""
-    parameters: Array
-    """Identified parameters, shape (n_params,)."""
+    unknowns: Unknowns
+    first: Linear
+    """Residuals at the start."""
+    last: Linear
+    """Residuals at the optimum."""
+    weights: Array
+    """Of the rows, 1 without a robust loss, shape (N,)."""
+    scale: float
+    """Of the noise, as a robust loss estimates it; 1 without."""
     covariance: Array
-    """Shape (n_params, n_params); scaled by χ² if the noise was assumed."""
+    """Of all unknowns, shape (n, n); scaled by χ² if the noise was assumed."""
     ranks: list[tuple[int, float]]
     """Rank and condition of each leg."""
     chi2: float
@@ -41,44 +52,62 @@ class Fit:
     converged: bool
     message: str
 
+    @property
+    def parameters(self) -> Array:
+        """Identified parameters of the legs, shape (n_params,)."""
+        return self.last.state.parameters
 
-def fit(problem: Problem, shaken: Problem, *, weighted: bool, known: bool) -> Fit:
-    """Return the least-squares fit of a problem, from the nominal parameters.
+
+def fit(
+    problem: Problem,
+    unknowns: Unknowns,
+    *,
+    known: bool,
+    loss: Loss | None = None,
+    kept: NDArray[np.bool_] | None = None,
+    start: State | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> Fit:
+    """Return the least-squares fit of a problem.
 
     Args:
         problem: Residuals of some legs.
-        shaken: The same with poses shaken by their noise; tells what noise alone makes.
-        weighted: Whitened residuals, or unweighted ones.
+        unknowns: What is free, and priors.
         known: Whether the scale of the noise is known.
+        loss: A robust loss, or none.
+        kept: Rows that take part, shape (N,); all if not given.
+        start: Where the search starts; the nominal parameters if not given.
+        tell: Called with what is being done.
 
     Raises:
         ObservabilityError: parameters are not determined, or by the noise only.
         MeasurementError: residuals that do not exist, or have no noise.
     """
-    start = np.concatenate([leg.nominal for leg in problem.legs])
-    whitener = problem.whitener(start)
-    check_rank(problem, whitener, start)
+    system = _System(problem, unknowns, known, loss, kept)
+    first = problem.linearise(start or problem.start(unknowns.start[: problem.columns[-1].stop]))
+    check_rank(problem, unknowns, first)
     if known:
-        check_information(problem, shaken, start)
-    parameters, evaluations = _minimise(problem, whitener if weighted else None, start)
-    for _ in range(_ROUNDS):
-        whitener = problem.whitener(parameters)
-        ranks = check_rank(problem, whitener, parameters)
-        covariance = _covariance(problem, whitener, parameters, weighted=weighted)
-        step = _gauss_newton_step(problem, whitener if weighted else None, parameters)
-        decrement = float(np.abs(step / np.sqrt(np.diagonal(covariance))).max())
-        if decrement <= _STANDS:
+        check_information(problem, unknowns, first)
+    linear, evaluations = _search(system, first, tell)
+    stands = _STANDS if loss is None else _STANDS_ROBUST
+    for _ in range(_ROUNDS if loss is None else 10 * _ROUNDS):
+        weights, scale = system.weights(linear)
+        step, std = system.step(linear, weights)
+        decrement = float(np.abs(step / std).max())
+        if decrement <= stands:
             break
-        parameters = parameters + step
+        linear = problem.linearise(problem.moved(linear, unknowns.map @ step))
         evaluations += 1
-    converged = decrement <= _STANDS
-    white = weighed(problem.values(parameters)[:, :, None], whitener, problem.used)[:, 0]
-    dof = len(white) - problem.n_params
-    chi2 = float(white @ white)
+    ranks = check_rank(problem, unknowns, linear)
+    chi2, dof = system.chi2(linear, weights)
+    covariance = system.covariance(linear, weights, scale)
+    converged = decrement <= stands
     if not known:
-        scale = float(np.sqrt(chi2 / dof)) if converged else 1.0
-        check_information(problem, shaken, parameters if converged else start, scale)
-        covariance = covariance * chi2 / dof
+        size = float(np.sqrt(chi2 / dof)) if loss is None else scale
+        check_information(
+            problem, unknowns, linear if converged else first, size if converged else 1.0
+        )
+        covariance = covariance * size**2
     message = (
         f"converged after {evaluations} evaluations"
         if converged
@@ -86,51 +115,156 @@ def fit(problem: Problem, shaken: Problem, *, weighted: bool, known: bool) -> Fi
         f"{decrement:.2g} standard errors"
     )
     return Fit(
-        problem, start, parameters, covariance, ranks, chi2, dof, evaluations, converged, message
+        problem=problem,
+        unknowns=unknowns,
+        first=first,
+        last=linear,
+        weights=weights,
+        scale=scale,
+        covariance=covariance,
+        ranks=ranks,
+        chi2=chi2,
+        degrees_of_freedom=dof,
+        evaluations=evaluations,
+        converged=converged,
+        message=message,
     )
 
 
-def weighed(values: Array, weigh: Array | None, used: NDArray[np.bool_]) -> Array:
-    """Return values of shape (N, m, k) times weights (N, m, m), the rows in use: (n_rows, k)."""
-    return (values if weigh is None else weigh @ values)[used]
+@dataclass(frozen=True)
+class _System:
+    """The weighted rows of a problem and its priors, in the free unknowns."""
+
+    problem: Problem
+    unknowns: Unknowns
+    known: bool
+    loss: Loss | None
+    kept: NDArray[np.bool_] | None
+
+    def weights(self, linear: Linear) -> tuple[Array, float]:
+        """Return the weight of each row, shape (N,), and the scale of the noise."""
+        kept = np.ones(len(linear.white)) if self.kept is None else self.kept.astype(float)
+        if self.loss is None:
+            return kept, 1.0
+        own = kept > 0
+        equations = linear.equations[own]
+        share = 1.0 - self.unknowns.map.shape[1] / max(equations.sum(), 1)
+        scale = robust_scale(linear.squares[own], equations, max(share, 0.1))
+        scale = max(scale, 1.0 if self.known else 1e-300)
+        return kept * self.loss.weights(linear.squares / scale**2, linear.equations), scale
+
+    def stacked(self, linear: Linear, weights: Array) -> tuple[Array, Array]:
+        """Return the Jacobian in the free unknowns and the residuals, priors included."""
+        value, jacobian = linear.minimised
+        return self._with_priors(value, jacobian, weights, linear.state)
+
+    def step(self, linear: Linear, weights: Array, damping: float = 0.0) -> tuple[Array, Array]:
+        """Return the step of the free unknowns, and their standard errors, shape (n_free,)."""
+        step, std = _step(*self.stacked(linear, weights), damping)
+        if linear.root is not None:  # the step of what is minimised, errors of what is white
+            white = self._with_priors(linear.white, linear.jacobian, weights, linear.state)
+            _, std = _step(*white)
+        return step, std
+
+    def _with_priors(
+        self, value: Array, jacobian: Array, weights: Array, state: State
+    ) -> tuple[Array, Array]:
+        rows = weights > 0.0
+        root = np.sqrt(weights[rows])[:, None]
+        J = (root[:, :, None] * jacobian[rows]).reshape(-1, jacobian.shape[2]) @ self.unknowns.map
+        r, J_prior = self.unknowns.prior_rows(self._all(state))
+        return np.concatenate((J, J_prior)), np.concatenate(((root * value[rows]).ravel(), r))
+
+    def _all(self, state: State) -> Array:
+        """Return the parameters with zeros for the external unknowns, which have no priors."""
+        n = len(self.unknowns.names)
+        return np.concatenate((state.parameters, np.zeros(n - len(state.parameters))))
+
+    def cost(self, linear: Linear, weights: Array) -> float:
+        """Return what is minimised."""
+        squares = linear.squares if linear.root is None else (linear.minimised[0] ** 2).sum(axis=1)
+        prior, _ = self.unknowns.prior_rows(self._all(linear.state))
+        return float(weights @ squares + prior @ prior)
+
+    def chi2(self, linear: Linear, weights: Array) -> tuple[float, int]:
+        """Return χ² and the degrees of freedom of rows in use and priors."""
+        prior, _ = self.unknowns.prior_rows(self._all(linear.state))
+        own = weights > 0.0
+        equations = int(linear.equations[own].sum()) + len(prior)
+        chi2 = float(weights[own] @ linear.squares[own] + prior @ prior)
+        return chi2, equations - self.unknowns.map.shape[1]
+
+    def covariance(self, linear: Linear, weights: Array, scale: float) -> Array:
+        """Return the covariance of all unknowns, shape (n, n).
+
+        Whitened least squares: (Jᵀ V⁻¹ J)⁻¹. Unweighted: (JᵀJ)⁻¹ Jᵀ V J (JᵀJ)⁻¹, with V the
+        modelled covariance of the residuals. Robust: the rows that are not outliers, inflated.
+        """
+        T = self.unknowns.map
+        if self.loss is not None:
+            rows = (weights > 0.0) & ~outlying(linear.squares / scale**2, linear.equations)
+            inflation = self.loss.inflation(int(np.median(linear.equations[rows])))
+        else:
+            rows, inflation = weights > 0.0, 1.0
+        white, _ = self._with_priors(
+            linear.white, linear.jacobian, rows.astype(float), linear.state
+        )
+        if linear.root is None:
+            return inflation * T @ _inverse_gram(white) @ T.T
+        plain, _ = self.stacked(linear, rows.astype(float))
+        bread = _inverse_gram(plain)
+        J = (linear.root.transpose(0, 2, 1) @ linear.minimised[1])[rows] @ T
+        meat = J.reshape(-1, T.shape[1])
+        return inflation * T @ bread @ (meat.T @ meat) @ bread @ T.T
 
 
-def _minimise(problem: Problem, weigh: Array | None, start: Array) -> tuple[Array, int]:
-    """Return the parameters of least squares at fixed weights, and the number of evaluations.
+def _search(
+    system: _System, linear: Linear, tell: Callable[[str], None] | None
+) -> tuple[Linear, int]:
+    """Return residuals near the optimum, and the number of evaluations.
 
-    Levenberg-Marquardt (MINPACK) stops where the cost no longer falls, half the digits short.
+    Levenberg-Marquardt. Weights are renewed at each state; a step is judged with those that it
+    was made with.
     """
-    solution = least_squares(
-        lambda p: weighed(problem.values(p)[:, :, None], weigh, problem.used)[:, 0],
-        start,
-        jac=lambda p: weighed(problem.jacobian(p), weigh, problem.used),
-        method="lm",
-        x_scale="jac",
-        **dict.fromkeys(("ftol", "xtol", "gtol"), _PRECISION),
-    )
-    return solution.x, int(solution.nfev)
+    problem, T = system.problem, system.unknowns.map
+    damping, growth, evaluations = 1e-6, 10.0, 1
+    while evaluations < _STEPS and damping < _LARGEST_DAMPING:
+        weights, _ = system.weights(linear)
+        cost = system.cost(linear, weights)
+        if tell and evaluations % 5 == 0:
+            tell(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
+        held = linear.damped(damping)
+        step, std = system.step(held, weights, damping)
+        trial = problem.linearise(problem.moved(held, T @ step))
+        evaluations += 1
+        fall = cost - system.cost(trial, weights)
+        if np.isfinite(fall) and fall >= 0.0:
+            linear, damping, growth = trial, max(0.1 * damping, 1e-12), 10.0
+            if np.abs(step / std).max() <= _NEAR or fall <= _STALLS * cost:
+                break
+        else:
+            damping, growth = damping * growth, 2.0 * growth
+    return linear, evaluations
 
 
-def _gauss_newton_step(problem: Problem, weigh: Array | None, parameters: Array) -> Array:
-    r = weighed(problem.values(parameters)[:, :, None], weigh, problem.used)[:, 0]
-    J = weighed(problem.jacobian(parameters), weigh, problem.used)
+def _step(J: Array, r: Array, damping: float = 0.0) -> tuple[Array, Array]:
+    """Return the least-squares step and the standard errors that J gives, each of shape (n,).
+
+    Args:
+        J: Jacobian, shape (m, n).
+        r: Residuals, shape (m,).
+        damping: Relative to the squares of the columns.
+    """
+    n = J.shape[1]
     scale = np.linalg.norm(J, axis=0)
-    return np.asarray(-np.linalg.lstsq(J / scale, r, rcond=None)[0] / scale)
-
-
-def _covariance(problem: Problem, whitener: Array, parameters: Array, *, weighted: bool) -> Array:
-    """Return the covariance of the estimate.
-
-    Whitened least squares: (Jᵀ V⁻¹ J)⁻¹. Unweighted: (JᵀJ)⁻¹ Jᵀ V J (JᵀJ)⁻¹, with V the
-    modelled covariance of the residuals.
-    """
-    J = problem.jacobian(parameters)
-    if weighted:
-        return _inverse_gram(weighed(J, whitener, problem.used))
-    bread = _inverse_gram(J[problem.used])
-    spread = problem.covariance(parameters)
-    meat = np.einsum("nip,nij,njq->pq", J, spread, J)
-    return bread @ meat @ bread
+    scale[scale == 0.0] = 1.0
+    triangle = np.asarray(np.linalg.qr(np.column_stack((J / scale, r)), mode="r"))
+    R, right = triangle[:n, :n], triangle[:n, n]
+    std = np.linalg.norm(np.linalg.pinv(R), axis=1) / scale
+    if damping > 0.0:
+        R = np.concatenate((R, np.sqrt(damping) * np.eye(n)))
+        right = np.concatenate((right, np.zeros(n)))
+    return -np.linalg.lstsq(R, right, rcond=None)[0] / scale, std
 
 
 def _inverse_gram(J: Array) -> Array:

@@ -148,6 +148,6 @@ def _gap(mechanism: Mechanism, index: int, poses: Array, readings: Array) -> flo
     """Return the median closure residual of a leg at its nominal parameters, over its size."""
     leg, platform = mechanism.legs[index], mechanism.platform
     matrices = platform.transforms(poses).as_matrix()
-    residual = LegResidual(leg, platform, matrices, readings[:, index], "closure")
-    values = np.abs(residual(leg.nominal).value)
+    found, _ = LegResidual(leg, platform, readings[:, index])(leg.nominal, matrices)
+    values = np.abs(found.value)
     return float(np.median(np.nan_to_num(values, nan=np.inf))) / LegClosure(leg, platform).size

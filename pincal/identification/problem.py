@@ -1,18 +1,21 @@
-"""The least-squares problem of one leg, or of all legs together, on whitened residuals.
+"""The least-squares problem of some legs whose poses were measured in full.
 
-Residuals of different legs at one pose share that pose's noise. Their covariance at
-each pose, Σ = X Σ_x Xᵀ + diag(∂e/∂ψ)² σ_ψ², is modelled from the residuals' own derivatives
+Residuals of different legs at one pose share that pose's noise. Their covariance at each
+pose, Σ = X Σ_x Xᵀ + diag(∂e/∂ψ)² σ_ψ², is modelled from the residuals' own derivatives
 and removed by its Cholesky factor. With one leg this is one weight a row.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.experiment.external import NOTHING, External
 from pincal.identification.residuals import LegResidual
 from pincal.kinematics.derivatives import Demand
 from pincal.model.leg import Leg
@@ -21,72 +24,212 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-class Problem:
-    """Residuals of some legs at N poses, stacked, as a function of their parameters."""
+@dataclass(frozen=True)
+class State:
+    """Values of everything that is unknown."""
+
+    parameters: Array
+    """Of the legs, shape (n_params,)."""
+    matrices: Array
+    """Poses ``T_base_platform``, shape (N, 4, 4)."""
+    joints: tuple[Array | None, ...]
+    """Joint positions of each leg, shape (N, n_joints); None before the first evaluation."""
+    external: External
+    """Unknowns outside the mechanism."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Residuals and derivatives at a state: k rows at each of N poses, in all n unknowns."""
+
+    state: State
+    demands: list[Demand]
+    white: Array
+    """Residuals in standard deviations, shape (N, k)."""
+    jacobian: Array
+    """Their derivatives, shape (N, k, n)."""
+    equations: NDArray[np.intp]
+    """How many equations each pose gives, shape (N,)."""
+    root: Array | None = None
+    """If residuals are minimised unweighted: root of their covariance, shape (N, k, k)."""
+
+    @property
+    def squares(self) -> Array:
+        """Sum of the squared residuals of each pose in standard deviations, shape (N,)."""
+        return np.einsum("nk,nk->n", self.white, self.white)
+
+    @property
+    def minimised(self) -> tuple[Array, Array]:
+        """What is minimised, and its derivatives, shapes (N, k) and (N, k, n)."""
+        if self.root is None:
+            return self.white, self.jacobian
+        return (self.root @ self.white[:, :, None])[:, :, 0], self.root @ self.jacobian
+
+    @property
+    def plain(self) -> Array:
+        """Each measured quantity's residual in standard deviations, shape (N, r)."""
+        return self.white
+
+    def damped(self, damping: float) -> Linear:  # noqa: ARG002
+        """Return the same with poses held back, if they are unknown."""
+        return self
+
+    def comparable(self) -> Array:
+        """Return the Jacobian in rows that do not turn from state to state, (N, k, n)."""
+        return self.jacobian
+
+
+@dataclass(frozen=True)
+class LegRows:
+    """Residuals of one leg as people read them."""
+
+    value: Array
+    """Shape (N,)."""
+    sigma: Array
+    """Their modelled standard deviations, shape (N,)."""
+    unit: str
+
+
+class Problem(Protocol):
+    """Residuals of some legs at N poses as a function of all unknowns."""
+
+    @property
+    def legs(self) -> Sequence[Leg]:
+        """Legs whose parameters are identified, in order."""
+
+    @property
+    def columns(self) -> Sequence[slice]:
+        """Parameters of each leg among the unknowns."""
+
+    @property
+    def used(self) -> Mask:
+        """Which row serves which leg, shape (N, n_legs)."""
+
+    @property
+    def row_names(self) -> Sequence[str]:
+        """What the columns of ``Linear.plain`` are residuals of."""
+
+    def start(self, parameters: Array) -> State:
+        """Return the state from which the search starts."""
+
+    def linearise(self, state: State) -> Linear:
+        """Return residuals and derivatives at a state."""
+
+    def moved(self, linear: Linear, step: Array) -> State:
+        """Return the state after a step of all unknowns, shape (n,)."""
+
+    def shaken(self, linear: Linear) -> State:
+        """Return a state with poses shaken once more by what is not known about them."""
+
+    def leg_residual(self, linear: Linear, index: int) -> LegRows:
+        """Return what a leg misses at each pose."""
+
+
+def leg_columns(legs: Sequence[Leg]) -> list[slice]:
+    """Return the parameters of each leg among those of all."""
+    ends = np.cumsum([len(leg.parameters) for leg in legs])
+    return [slice(int(e) - len(g.parameters), int(e)) for e, g in zip(ends, legs, strict=True)]
+
+
+class MeasuredPoses:
+    """Residuals of some legs at measured poses, stacked and whitened."""
 
     def __init__(
         self,
         residuals: Sequence[LegResidual],
+        coordinates: Array,
         used: Mask,
-        sigma_poses: Array,
+        pose_roots: Array,
         sigma_readings: Array,
+        *,
+        weighted: bool = True,
     ) -> None:
         """Hold the residuals and the standard deviations behind them.
 
         Args:
             residuals: One for each leg.
+            coordinates: Measured poses, shape (N, dof).
             used: Which poses serve which leg, shape (N, n_legs).
-            sigma_poses: Standard deviations of the coordinates, shape (N, dof).
+            pose_roots: Roots L of the covariances L Lᵀ of the measured poses, as twists in base
+                axes, shape (N, dof, dof).
             sigma_readings: Standard deviations of the readings, shape (N, n_legs).
+            weighted: Whether whitened residuals are minimised, or plain ones.
         """
         self.residuals = residuals
         self.used = used
-        self._sigma_poses = sigma_poses
+        self.legs = [residual.leg for residual in residuals]
+        self.columns = leg_columns(self.legs)
+        self._coordinates = coordinates
+        self._pose_roots = pose_roots
         self._sigma_readings = sigma_readings
-        sizes = [len(r.leg.parameters) for r in residuals]
-        ends = np.cumsum(sizes)
-        self.columns = [slice(int(e - n), int(e)) for e, n in zip(ends, sizes, strict=True)]
-        self.n_params = int(ends[-1])
-        self._cache: tuple[Array, list[Demand]] | None = None
+        self._weighted = weighted
+        self.row_names = [f"closure of {leg.name}" for leg in self.legs]
 
-    @property
-    def legs(self) -> list[Leg]:
-        """Legs whose parameters are identified, in order."""
-        return [residual.leg for residual in self.residuals]
+    def start(self, parameters: Array) -> State:
+        """Return the state of measured poses."""
+        platform = self.residuals[0].platform
+        matrices = platform.transforms(self._coordinates).as_matrix()
+        return State(parameters, matrices, (None,) * len(self.legs), NOTHING)
 
-    def demands(self, parameters: Array) -> list[Demand]:
-        """Return residual and derivatives of each leg; the last call's are kept."""
-        if self._cache is None or not np.array_equal(self._cache[0], parameters):
-            parts = [r(parameters[c]) for r, c in zip(self.residuals, self.columns, strict=True)]
-            self._cache = (parameters.copy(), parts)
-        return self._cache[1]
-
-    def values(self, parameters: Array) -> Array:
-        """Return the residuals, not weighted, shape (N, n_legs); zero where not used."""
-        parts = self.demands(parameters)
-        return np.where(self.used, np.concatenate([p.value for p in parts], axis=1), 0.0)
-
-    def jacobian(self, parameters: Array) -> Array:
-        """Return ∂residual/∂parameter, shape (N, n_legs, n_params); zero where not used."""
-        parts = self.demands(parameters)
-        full = np.zeros((*self.used.shape, self.n_params))
-        for index, (part, columns) in enumerate(zip(parts, self.columns, strict=True)):
-            full[:, index, columns] = np.where(self.used[:, index, None], part.parameter[:, 0], 0.0)
-        return full
-
-    def covariance(self, parameters: Array) -> Array:
-        """Return the modelled covariance of the residuals at each pose, shape (N, m, m).
-
-        Rows and columns that are not used are those of the identity.
+    def linearise(self, state: State) -> Linear:
+        """Return residuals and derivatives at a state.
 
         Raises:
-            MeasurementError: some residual has no noise.
+            MeasurementError: a residual that does not exist or has no noise; legs whose
+                residuals at a pose are dependent.
         """
-        parts = self.demands(parameters)
-        X = np.concatenate([p.pose for p in parts], axis=1) * self._sigma_poses[:, None, :]
+        found = [
+            residual(state.parameters[columns], state.matrices, joints)
+            for residual, columns, joints in zip(
+                self.residuals, self.columns, state.joints, strict=True
+            )
+        ]
+        demands = [demand for demand, _ in found]
+        values = np.where(self.used, np.concatenate([d.value for d in demands], axis=1), 0.0)
+        jacobian = np.zeros((*self.used.shape, len(state.parameters)))
+        for index, (demand, columns) in enumerate(zip(demands, self.columns, strict=True)):
+            own = self.used[:, index, None]
+            jacobian[:, index, columns] = np.where(own, demand.parameter[:, 0], 0.0)
+        root = self._root(demands)
+        whitener = np.linalg.inv(root)
+        return Linear(
+            replace(state, joints=tuple(joints for _, joints in found)),
+            demands,
+            np.asarray((whitener @ values[:, :, None])[:, :, 0]),
+            np.asarray(whitener @ jacobian),
+            self.used.sum(axis=1),
+            None if self._weighted else root,
+        )
+
+    def moved(self, linear: Linear, step: Array) -> State:
+        """Return the state after a step of the parameters, shape (n_params,)."""
+        return replace(linear.state, parameters=linear.state.parameters + step)
+
+    def shaken(self, linear: Linear) -> State:
+        """Return the state with poses shaken once more by their noise."""
+        shake = np.random.default_rng(0).standard_normal(self._pose_roots.shape[:2])
+        twists = (self._pose_roots @ shake[:, :, None])[:, :, 0]
+        platform = self.residuals[0].platform
+        return replace(linear.state, matrices=platform.displaced(linear.state.matrices, twists))
+
+    def leg_residual(self, linear: Linear, index: int) -> LegRows:
+        """Return a leg's closure or joint residual at each pose."""
+        demand = linear.demands[index]
+        by_pose = (demand.pose @ self._pose_roots)[:, 0]
+        by_reading = demand.reading[:, 0] * self._sigma_readings[:, index]
+        sigma = np.sqrt(np.einsum("ni,ni->n", by_pose, by_pose) + by_reading**2)
+        unit = "m" if self._weighted else self.legs[index].reading_unit
+        return LegRows(demand.value[:, 0], sigma, unit)
+
+    def _root(self, demands: list[Demand]) -> Array:
+        """Return Cholesky factors of the residuals' covariance at each pose, shape (N, m, m).
+
+        Rows and columns that are not used are those of the identity.
+        """
+        X = np.concatenate([d.pose for d in demands], axis=1) @ self._pose_roots
         covariance = X @ X.transpose(0, 2, 1)
-        by_reading = np.concatenate([p.reading for p in parts], axis=1) * self._sigma_readings
-        m = len(parts)
+        by_reading = np.concatenate([d.reading for d in demands], axis=1) * self._sigma_readings
+        m = len(demands)
         covariance[:, range(m), range(m)] += by_reading**2
         together = self.used[:, :, None] & self.used[:, None, :]
         covariance = np.where(together, covariance, 0.0)
@@ -97,19 +240,10 @@ class Problem:
                 "position, orientation or reading (only their ratios matter to the estimate)"
             )
         covariance[:, range(m), range(m)] = np.where(self.used, diagonal, 1.0)
-        return covariance
-
-    def whitener(self, parameters: Array) -> Array:
-        """Return the inverse Cholesky factors of the covariance, shape (N, m, m).
-
-        Raises:
-            MeasurementError: the residuals at a pose are dependent.
-        """
         try:
-            factor = np.linalg.cholesky(self.covariance(parameters))
+            return np.asarray(np.linalg.cholesky(covariance))
         except np.linalg.LinAlgError as error:
             raise MeasurementError(
                 "the legs' residuals at a pose are dependent: with more legs than freedoms "
                 "the readings need noise of their own (--noise-reading), or use --method per-leg"
             ) from error
-        return np.linalg.inv(factor)

@@ -1,9 +1,9 @@
-"""Residuals of one leg at measured poses: closure (default) and joint.
+"""Residuals of one leg at poses and readings: closure (default) and joint.
 
-The closure residual is Nᵀ c at the measured pose and reading, passive joints chosen to
-minimise |c|: for a planar dyad, the platform point's distance from the elbow less L. It
-exists out of reach and stays tame near type-1 singularities. The joint residual is
-predicted less measured reading (3-RRR paper, Eq. 24) and exists within reach only.
+The closure residual is Nᵀ c at a pose and a reading, passive joints chosen to minimise |c|:
+for a planar dyad, the platform point's distance from the elbow less L. It exists out of reach
+and stays tame near type-1 singularities. The joint residual is predicted less measured
+reading (3-RRR paper, Eq. 24) and exists within reach only.
 """
 
 from __future__ import annotations
@@ -28,60 +28,61 @@ _SMALL = 1e-11  # of the leg's size, and [rad]
 
 
 class LegResidual:
-    """Residual of one leg and its derivatives, at any parameter values."""
+    """Residual of one leg and its derivatives, at any parameter values and poses."""
 
     def __init__(
         self,
         leg: Leg,
         platform: Platform,
-        matrices: Array,
         readings: Array,
-        kind: Residual,
+        kind: Residual = "closure",
         rows: NDArray[np.intp] | None = None,
     ) -> None:
-        """Hold the measurements of a leg.
+        """Hold the readings of a leg.
 
         Args:
             leg: The nominal leg.
             platform: The platform.
-            matrices: Measured poses ``T_base_platform``, shape (N, 4, 4).
             readings: Measured readings, shape (N,), [rad] or [m].
             kind: ``"closure"`` or ``"joint"``.
             rows: Rows of the measurements, counted from 0, for messages, shape (N,).
         """
         self.leg = leg
-        self.kind = kind
-        self._platform = platform
-        self._matrices = matrices
-        self._readings = readings
+        self.platform = platform
+        self.readings = readings
+        self._kind = kind
         self._rows = np.arange(len(readings)) if rows is None else rows
-        self._joints: Array | None = None  # passive joints of the last call are the next start
 
-    def __call__(self, parameters: Array) -> Demand:
-        """Return residual and derivatives at parameter values, shape (n_params,).
+    def __call__(
+        self, parameters: Array, matrices: Array, joints: Array | None = None
+    ) -> tuple[Demand, Array]:
+        """Return residual and derivatives, and the joint positions there.
+
+        Args:
+            parameters: Parameter values, shape (n_params,).
+            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+            joints: Where the search for passive joints starts, shape (N, n_joints).
 
         Raises:
             MeasurementError: joint residual, and a pose out of reach.
         """
-        closure = LegClosure(self.leg, self._platform, parameters)
-        return self._closure(closure) if self.kind == "closure" else self._joint(closure)
-
-    def _closure(self, closure: LegClosure) -> Demand:
-        if self._joints is None:
-            self._joints = start(closure, self._matrices)[0]
-        joints, active = self._joints, self.leg.active
-        joints[:, active] = self.leg.sensor.position(self._readings, closure.by_name)
+        closure = LegClosure(self.leg, self.platform, parameters)
+        if self._kind == "joint":
+            return self._joint(closure, matrices)
+        joints = start(closure, matrices)[0] if joints is None else joints.copy()
+        active = self.leg.active
+        joints[:, active] = self.leg.sensor.position(self.readings, closure.by_name)
         passive = [i for i in range(joints.shape[1]) if i != active]
         for _ in range(_STEPS):
-            closed = closure.evaluate(joints, self._matrices)
+            closed = closure.evaluate(joints, matrices)
             step = closed.passive_step()
             joints[:, passive] += step
             if np.abs(step).max(initial=0.0) <= _SMALL * max(1.0, closure.size):
                 break
-        return demand(closure, closed, self._readings)
+        return demand(closure, closed, self.readings), joints
 
-    def _joint(self, closure: LegClosure) -> Demand:
-        closed = close(closure, self._matrices)
+    def _joint(self, closure: LegClosure, matrices: Array) -> tuple[Demand, Array]:
+        closed = close(closure, matrices)
         if not closed.reached.all():
             row = int(self._rows[np.argmin(closed.reached)])
             raise MeasurementError(
@@ -91,5 +92,5 @@ class LegResidual:
             )
         predicted = self.leg.sensor.reading(closed.joints[:, self.leg.active], closure.by_name)
         rows = demand(closure, closed.closure, predicted).as_joint()
-        difference = (predicted - self._readings)[:, None]
-        return Demand(difference, rows.parameter, rows.pose, rows.reading)
+        difference = (predicted - self.readings)[:, None]
+        return Demand(difference, rows.parameter, rows.pose, rows.reading), closed.joints

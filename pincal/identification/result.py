@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.identification.robust import Outlier
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 
@@ -40,9 +41,12 @@ class LegResult:
     condition: float
     """Of the leg's whitened identification Jacobian, columns scaled to unit length."""
     rms_before: float
-    """Root mean square residual with nominal parameters, [m] closure or [rad] joint."""
+    """Root mean square residual with nominal parameters: closure, joint, or, with latent poses,
+    predicted less measured reading."""
     rms_after: float
     """Root mean square residual with identified parameters."""
+    unit: str
+    """Of the residuals: m of closures, that of the reading otherwise."""
     n_residuals: int
     sigma: Array
     """Modelled standard deviation of each residual used, shape (n_residuals,)."""
@@ -63,6 +67,38 @@ class LegResult:
 
 
 @dataclass(frozen=True)
+class Observed:
+    """How a measured quantity of the platform fits."""
+
+    name: str
+    unit: str
+    count: int
+    """How often it was measured."""
+    rms: float
+    """Root mean square of predicted less measured."""
+    sigma: float
+    """Root mean square standard deviation of the measurements."""
+
+
+@dataclass(frozen=True)
+class TieTest:
+    """Whether a parameter that was tied has one value for all legs."""
+
+    name: str
+    restrictions: int
+    """By how many parameters there are fewer."""
+    statistic: float
+    """Growth of χ² by the tie over the restrictions (over reduced χ² if the noise was assumed)."""
+    p_value: float
+    """Probability of such a growth, or a larger one, if the tie holds."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the measurements do not contradict the tie, at 1 %."""
+        return self.p_value >= 0.01
+
+
+@dataclass(frozen=True)
 class CalibrationResult:
     """Result of ``calibrate``: knows its nominal and its identified mechanism."""
 
@@ -75,7 +111,8 @@ class CalibrationResult:
     noise: Noise | None
     """Standard deviations given or estimated for all rows; None if rows have their own."""
     noise_source: str
-    """``"given"``, ``"rows"`` of the measurements, or ``"estimated"`` from the residuals."""
+    """``"given"``, ``"rows"`` of the measurements, ``"repeats"`` of rows, or ``"estimated"`` from
+    the residuals."""
     covariance: Array
     """Covariance of all parameters, legs in order, shape (n, n)."""
     degrees_of_freedom: int
@@ -87,6 +124,22 @@ class CalibrationResult:
     converged: bool
     message: str
     warnings: tuple[str, ...] = ()
+    loss: str = "none"
+    """Robust loss."""
+    outliers: tuple[Outlier, ...] = ()
+    """Rows that do not fit the others, the worst first."""
+    shift: float | None = None
+    """With a robust loss: by how many standard errors a parameter would move, at most, without."""
+    external: tuple[IdentifiedParameter, ...] = ()
+    """Where the base stands in the frame of the measurements (translation, rotation vector), and
+    where the targets sit on the platform."""
+    gauge: tuple[str, ...] = ()
+    """What was fixed by choice, since no such measurement can tell it, in words."""
+    ties: tuple[TieTest, ...] = ()
+    observed: tuple[Observed, ...] = ()
+    """With latent poses: how the measured quantities of the platform fit."""
+    estimated_poses: Array | None = None
+    """With latent poses: the poses of all rows in the base frame, shape (N, dof)."""
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""
@@ -94,7 +147,6 @@ class CalibrationResult:
 
     def __str__(self) -> str:
         """Return a table of all parameters, with what to make of it."""
-        unit = "m" if self.residual == "closure" else "rad"
         lines = [
             f"{self.nominal.name}: {self.method}, {self.residual} residual, {self.message}",
             f"  {'leg':8s} {'parameter':10s} {'nominal':>12s} {'identified':>14s} {'± 95 %':>10s}",
@@ -107,7 +159,8 @@ class CalibrationResult:
                     f"{half:10.2g} {p.unit}"
                 )
             lines.append(
-                f"  {leg.name:8s} rms residual {leg.rms_before:.3g} to {leg.rms_after:.3g} {unit}, "
+                f"  {leg.name:8s} rms residual {leg.rms_before:.3g} to {leg.rms_after:.3g} "
+                f"{leg.unit}, "
                 f"{leg.n_residuals} residuals, rank {leg.rank}, condition {leg.condition:.3g}"
             )
         lines.append(

@@ -10,7 +10,9 @@ from typing import Any
 
 import pincal.model.output as output
 from pincal.errors import FileError, MeasurementError
-from pincal.identification.result import CalibrationResult, LegResult
+from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult
+from pincal.model.measurement_files import write_poses
+from pincal.model.measurements import Plan
 from pincal.model.table import write_table
 
 FORMAT = 1
@@ -30,7 +32,8 @@ def save_result(result: CalibrationResult, folder: str | Path, *, force: bool = 
         (scratch / "result.json").write_text(text + "\n", encoding="utf-8")
         if result.converged:
             result.identified.save(scratch / MECHANISM)
-        unit = "m" if result.residual == "closure" else "rad"
+        units = {leg.unit for leg in result.legs}
+        unit = units.pop() if len(units) == 1 else "m or rad"
         write_table(
             scratch / "residuals.csv",
             {
@@ -40,6 +43,9 @@ def save_result(result: CalibrationResult, folder: str | Path, *, force: bool = 
                 f"sigma [{unit}]": [s for leg in result.legs for s in leg.sigma],
             },
         )
+        if result.estimated_poses is not None:
+            plan = Plan(result.estimated_poses)
+            write_poses(scratch / "poses.csv", result.identified, plan)
     return Path(folder)
 
 
@@ -65,6 +71,13 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
             **({} if result.noise is None else asdict(result.noise)),
         },
         "warnings": list(result.warnings),
+        "loss": result.loss,
+        "outliers": [asdict(one) | {"row": one.row + 1} for one in result.outliers],
+        "shift_without_loss": result.shift,
+        "external": [_parameter(p) for p in result.external],
+        "gauge": list(result.gauge),
+        "ties": [asdict(one) | {"holds": one.holds} for one in result.ties],
+        "observed": [asdict(one) for one in result.observed],
         "legs": [_leg(leg) for leg in result.legs],
         "covariance": result.covariance.tolist(),
     }
@@ -73,22 +86,24 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
 def _leg(leg: LegResult) -> dict[str, Any]:
     return {
         "name": leg.name,
-        "parameters": [
-            {
-                "name": p.name,
-                "unit": p.unit,
-                "nominal": p.nominal,
-                "identified": p.identified,
-                "std": _number(p.std),
-                "interval_95": [_number(p.low), _number(p.high)],
-            }
-            for p in leg.parameters
-        ],
+        "parameters": [_parameter(p) for p in leg.parameters],
         "rank": leg.rank,
         "condition": _number(leg.condition),
+        "residual_unit": leg.unit,
         "rms_before": _number(leg.rms_before),
         "rms_after": _number(leg.rms_after),
         "n_residuals": leg.n_residuals,
+    }
+
+
+def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
+    return {
+        "name": p.name,
+        "unit": p.unit,
+        "nominal": p.nominal,
+        "identified": p.identified,
+        "std": _number(p.std),
+        "interval_95": [_number(p.low), _number(p.high)],
     }
 
 

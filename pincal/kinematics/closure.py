@@ -158,7 +158,7 @@ class LegClosure:
             active=moved[:, :, self.leg.active, None],
             passive=moved[:, :, passive],
             parameter=parameter,
-            pose=-_point_velocity(arm, self.platform.twist_rows)[:, rows],
+            pose=-point_velocity(arm, self.platform.twist_rows)[:, rows],
             twists=self._drive_twists(columns),
         )
 
@@ -171,7 +171,7 @@ class LegClosure:
         return columns[:, :, entries[active]], turn
 
 
-def _point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
+def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
     """Return the velocity of a platform point for unit platform twists, shape (N, 3, dof)."""
     columns = np.zeros((len(arm), 3, len(twist_rows)))
     for index, row in enumerate(twist_rows):

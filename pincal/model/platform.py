@@ -104,6 +104,11 @@ class Platform:
         return _KINDS[self.kind].closure_rows
 
     @property
+    def space(self) -> int:
+        """Dimension of the space that the mechanism moves in: 2 or 3."""
+        return len(self.closure_rows)
+
+    @property
     def dof(self) -> int:
         """Number of freedoms."""
         return len(self.coordinates)
@@ -169,10 +174,18 @@ class Platform:
         """
         if self.kind != "spatial":
             return poses + twists
-        matrices = self.transforms(poses).as_matrix().copy()
-        matrices[:, :3, 3] += twists[:, :3]
-        matrices[:, :3, :3] = Rotation.from_rotvec(twists[:, 3:]).as_matrix() @ matrices[:, :3, :3]
-        return self.from_matrices(matrices)
+        return self.from_matrices(self.displaced(self.transforms(poses).as_matrix(), twists))
+
+    def displaced(self, matrices: Array, twists: Array) -> Array:
+        """Return ``T_base_platform``, shape (N, 4, 4), moved by twists: see ``moved``."""
+        full = np.zeros((len(twists), 6))
+        full[:, list(self.twist_rows)] = twists
+        moved = matrices.copy()
+        moved[:, :3, 3] += full[:, :3]
+        if any(row >= 3 for row in self.twist_rows):
+            turn = Rotation.from_rotvec(full[:, 3:]).as_matrix()
+            moved[:, :3, :3] = turn @ matrices[:, :3, :3]
+        return moved
 
     def twists_between(self, first: Array, second: Array) -> Array:
         """Return the twists that take first poses to second ones, shape (N, dof): see ``moved``."""

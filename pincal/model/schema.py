@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import (
@@ -16,7 +16,7 @@ from pydantic import (
     ValidationError,
 )
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import FileError, MechanismError, PincalError
 
 FORMAT = 1
 _LARGEST = 4 * 1024 * 1024  # bytes
@@ -33,11 +33,16 @@ Number = Annotated[FiniteFloat, BeforeValidator(_no_bool)]
 Value = Name | Number
 
 
-class _Strict(BaseModel):
+Form = TypeVar("Form", bound=BaseModel)
+
+
+class Strict(BaseModel):
+    """Refuses keys that it does not know."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class SensorSpec(_Strict):
+class SensorSpec(Strict):
     """Sensor of a leg."""
 
     joint: Name
@@ -48,7 +53,7 @@ class SensorSpec(_Strict):
     zero: Number = 0.0
 
 
-class LegSpec(_Strict):
+class LegSpec(Strict):
     """One leg."""
 
     name: Name
@@ -61,7 +66,7 @@ class LegSpec(_Strict):
     placements: dict[str, list[dict[str, Value | list[Value]]]]
 
 
-class PlatformSpec(_Strict):
+class PlatformSpec(Strict):
     """The platform."""
 
     kind: str
@@ -69,7 +74,7 @@ class PlatformSpec(_Strict):
     home: dict[str, Number]
 
 
-class MechanismSpec(_Strict):
+class MechanismSpec(Strict):
     """The whole file."""
 
     pincal: Literal[1]
@@ -106,28 +111,43 @@ def read_spec(path: Path) -> MechanismSpec:
         FileError: the file is missing or cannot be read.
         MechanismError: it does not parse, or says something else than it should.
     """
+    return read_yaml(path, MechanismSpec, MechanismError)
+
+
+def read_yaml(path: Path, form: type[Form], error_type: type[PincalError]) -> Form:
+    """Return what a YAML file says, read strictly.
+
+    Args:
+        path: The file.
+        form: What it may say.
+        error_type: Raised if it says something else.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        PincalError: of the given type: it does not parse, or says something else than it should.
+    """
     try:
         size = path.stat().st_size
         text = path.read_bytes() if size <= _LARGEST else b""
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     if size > _LARGEST:
-        raise MechanismError(f"{path}: larger than {_LARGEST // 2**20} MiB; not a mechanism")
+        raise error_type(f"{path}: larger than {_LARGEST // 2**20} MiB; not a file of this kind")
     try:
         data = yaml.load(text.decode("utf-8"), _Loader)
     except UnicodeDecodeError as error:
-        raise MechanismError(f"{path}: not UTF-8 text: {error}") from error
+        raise error_type(f"{path}: not UTF-8 text: {error}") from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise MechanismError(f"{path}: the YAML does not parse: {error}") from error
+        raise error_type(f"{path}: the YAML does not parse: {error}") from error
     if not isinstance(data, dict):
-        raise MechanismError(
+        raise error_type(
             f"{path}: {'empty' if data is None else f'a {type(data).__name__}'}; expected the keys "
-            f"{', '.join(MechanismSpec.model_fields)}"
+            f"{', '.join(form.model_fields)}"
         )
     try:
-        return MechanismSpec.model_validate(data)
+        return form.model_validate(data)
     except ValidationError as error:
-        raise MechanismError(f"{path}: {_explain(error, data)}") from error
+        raise error_type(f"{path}: {_explain(error, data)}") from error
 
 
 def _explain(error: ValidationError, data: dict[str, Any]) -> str:

@@ -6,6 +6,7 @@ Values are SI and radians inside. What pincal writes it reads back bit for bit.
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -53,12 +54,13 @@ class Table:
     def __contains__(self, column: str) -> bool:
         return column in self.units
 
-    def numbers(self, column: str, dimension: str) -> Array:
+    def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
         """Return a column in SI units, shape (N,).
 
         Args:
             column: Name without unit.
             dimension: ``"m"`` or ``"rad"``.
+            blank: Whether cells may be empty; they are NaN.
 
         Raises:
             MeasurementError: the column is missing, has no or a wrong unit, or a cell is
@@ -81,8 +83,9 @@ class Table:
                 f"{self.path}: column {column!r} has unit [{unit}]; expected {some}"
             )
         values = np.array([_number_or_nan(cell) for cell in self.text[column]])
-        if not np.isfinite(values).all():
-            row = int(np.argmin(np.isfinite(values)))
+        empty = np.array([blank and not cell.strip() for cell in self.text[column]])
+        if not (np.isfinite(values) | empty).all():
+            row = int(np.argmin(np.isfinite(values) | empty))
             raise MeasurementError(
                 f"{self.path}, line {self.lines[row]}: {self.text[column][row]!r} in column "
                 f"{column!r} is not a finite number; correct it or remove the row"
@@ -175,4 +178,6 @@ def write_table(
 
 
 def _cell(value: float | str) -> str:
-    return value if isinstance(value, str) else repr(float(value))
+    if isinstance(value, str):
+        return value
+    return "" if math.isnan(value) else repr(float(value))

@@ -102,16 +102,17 @@ def result_table(result: CalibrationResult) -> Group:
 
 def legs_table(result: CalibrationResult) -> Group:
     """Return a table of residuals, rank and condition of each leg."""
-    unit, factor = _SHOWN["m" if result.residual == "closure" else "rad"]
     table = plain_table()
     table.add_column("leg")
-    for name in (f"rms before [{unit}]", f"rms after [{unit}]", "poses", "rank", "condition"):
-        table.add_column(escape(name), justify="right")
+    for name in ("rms before", "rms after", "", "poses", "rank", "condition"):
+        table.add_column(name, justify="right" if name else "left")
     for leg in result.legs:
+        unit, factor = _SHOWN[leg.unit]
         table.add_row(
             leg.name,
             f"{factor * leg.rms_before:.4f}",
             f"{factor * leg.rms_after:.4f}",
+            unit,
             str(leg.n_residuals),
             f"{leg.rank} of {len(leg.parameters)}",
             f"{leg.condition:.3g}",

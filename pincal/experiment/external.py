@@ -1,0 +1,104 @@
+"""Unknowns outside the mechanism: where its base stands, and where the targets sit.
+
+The base frame in the frame of the measurements, T_frame_base; offsets of targets in the
+platform frame; and, where an unknown target carries an orientation, how that is turned
+against the platform's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pincal.model.platform import Platform
+from pincal.model.setup import ORIGIN, Setup
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class External:
+    """Values of the unknowns outside the mechanism."""
+
+    frame: Array
+    """T_frame_base, shape (4, 4)."""
+    offsets: Array
+    """Of the targets in the platform frame, shape (n_targets, 3), [m]."""
+    turn: Array
+    """R_platform_target of the measured orientation, shape (3, 3)."""
+
+
+#: Where poses are those of the platform in the base frame.
+NOTHING = External(np.eye(4), np.zeros((0, 3)), np.eye(3))
+
+
+class ExternalUnknowns:
+    """Which of the external values are unknown, in which order, and how steps move them."""
+
+    def __init__(self, platform: Platform, setup: Setup, oriented: bool) -> None:
+        """Say what is unknown.
+
+        Args:
+            platform: The platform.
+            setup: How it is measured.
+            oriented: Whether orientations are measured.
+        """
+        plane = platform.space == 2
+        self.setup = setup
+        self.frame_rows = ((0, 1, 5) if plane else tuple(range(6))) if setup.unknown_frame else ()
+        axes = range(platform.space)
+        self.offset_entries = tuple(
+            (index, axis)
+            for index, target in enumerate(setup.targets.values())
+            for axis in axes
+            if target.unknown
+        )
+        turned = oriented and setup.targets[ORIGIN].unknown
+        self.turn_axes = ((2,) if plane else (0, 1, 2)) if turned else ()
+        targets = list(setup.targets)
+        twists = ("x", "y", "z", "rx", "ry", "rz")
+        self.names = (
+            *(f"frame {twists[row]}" for row in self.frame_rows),
+            *(f"{targets[index]} {'xyz'[axis]}" for index, axis in self.offset_entries),
+            *(f"{ORIGIN} {twists[3 + axis]}" for axis in self.turn_axes),
+        )
+        self.units = tuple("rad" if name.split()[1].startswith("r") else "m" for name in self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def start(self) -> External:
+        """The values of the setup; the base frame is that of the measurements."""
+        offsets = np.array([target.offset for target in self.setup.targets.values()], dtype=float)
+        return External(np.eye(4), offsets, np.eye(3))
+
+    def moved(self, values: External, step: Array) -> External:
+        """Return values after a step, shape (n,): twists of the frame about its own origin."""
+        n_frame, n_offsets = len(self.frame_rows), len(self.offset_entries)
+        twist, turn = np.zeros(6), np.zeros(3)
+        twist[list(self.frame_rows)] = step[:n_frame]
+        turn[list(self.turn_axes)] = step[n_frame + n_offsets :]
+        frame, offsets = values.frame.copy(), values.offsets.copy()
+        frame[:3, 3] += twist[:3]
+        frame[:3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix() @ frame[:3, :3]
+        for (index, axis), change in zip(self.offset_entries, step[n_frame:], strict=False):
+            offsets[index, axis] += change
+        return replace(
+            values,
+            frame=frame,
+            offsets=offsets,
+            turn=Rotation.from_rotvec(turn).as_matrix() @ values.turn,
+        )
+
+    def coordinates(self, values: External) -> Array:
+        """Return the unknowns as numbers, shape (n,), [m] and, rotation vectors, [rad]."""
+        twist = np.concatenate(
+            (values.frame[:3, 3], Rotation.from_matrix(values.frame[:3, :3]).as_rotvec())
+        )
+        turn = Rotation.from_matrix(values.turn).as_rotvec()
+        offsets = [values.offsets[entry] for entry in self.offset_entries]
+        return np.array([*twist[list(self.frame_rows)], *offsets, *turn[list(self.turn_axes)]])

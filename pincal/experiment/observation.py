@@ -1,0 +1,241 @@
+"""What is measured of the platform, predicted from its pose, with derivatives.
+
+Positions of targets u = T_frame_base (r + R t), single coordinates of them, orientations,
+single angles, distances |u − P|. Rows are predicted less measured, in the frame of the
+measurements; derivatives are by the platform's twist in base axes and by the external unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MeasurementError
+from pincal.experiment.angles import ANGLES, angle
+from pincal.experiment.external import External, ExternalUnknowns
+from pincal.kinematics.closure import point_velocity
+from pincal.model.measurements import Measurements, Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Platform
+from pincal.model.setup import Setup
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Predicted less measured quantities at N poses; zero where nothing is measured."""
+
+    value: Array
+    """Shape (N, r), [m] and [rad]."""
+    pose: Array
+    """By the platform's twist, shape (N, r, dof)."""
+    external: Array
+    """By the external unknowns, shape (N, r, n_external)."""
+
+
+class Observation:
+    """What was measured of the platform at N poses."""
+
+    def __init__(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
+        """Hold what was measured.
+
+        Args:
+            mechanism: The mechanism.
+            data: Measurements; NaN where nothing was measured.
+            setup: What the numbers mean.
+
+        Raises:
+            MeasurementError: a column of the setup is missing.
+        """
+        platform = self.platform = mechanism.platform
+        self.setup = setup
+        axes, count = platform.space, len(data)
+        lengths = platform.units.count("m")
+        values = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
+        for column in setup.columns(mechanism):
+            if column not in data.extra:
+                raise MeasurementError(f"no column {column!r}, which the setup names")
+            values[column] = data.extra[column]
+        self.orientations = _orientations(platform, data)
+        """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
+        whole = _whole(self.orientations)
+        single = {name: data.extra[name] for name in ANGLES if name in data.extra}
+        if platform.kind == "spatial":
+            part = np.where(whole[:, None], np.nan, data.poses[:, 3:])
+            single |= dict(zip(platform.coordinates[3:], part.T, strict=True))
+        self._angle_names = tuple(single)
+        values |= single
+        turn_names = platform.freedoms[lengths:]
+        self.names = (*values, *turn_names)
+        self.units = ("m",) * (len(values) - len(single)) + ("rad",) * (
+            len(single) + len(turn_names)
+        )
+        turned = np.repeat(whole[:, None], len(turn_names), axis=1)
+        stacked = np.column_stack(list(values.values())) if values else np.empty((count, 0))
+        self.measured: Mask = np.concatenate((np.isfinite(stacked), turned), axis=1)
+        """Which quantity is measured in which row, shape (N, r)."""
+        self._values = np.where(self.measured[:, : stacked.shape[1]], stacked, 0.0)
+        self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
+        oriented = bool(whole.any() or self._any(self._angle_names))
+        self.external = ExternalUnknowns(platform, setup, oriented)
+        self._axes = axes
+
+    def only(self, names: Sequence[str]) -> Observation:
+        """Return the observation with nothing measured but the quantities named."""
+        found = copy(self)
+        found.measured = self.measured & np.isin(self.names, list(names))
+        return found
+
+    def anywhere(self) -> Observation:
+        """Return the observation with every quantity measured that is measured in some row."""
+        found = copy(self)
+        found.measured = np.broadcast_to(self.measured.any(axis=0), self.measured.shape)
+        whole = _whole(self.orientations)
+        found.orientations = np.where(whole[:, None, None], self.orientations, np.eye(3))
+        return found
+
+    def rows(self, chosen: NDArray[np.intp]) -> Observation:
+        """Return the observation at some rows."""
+        found = copy(self)
+        found.measured, found._values = self.measured[chosen], self._values[chosen]
+        found.orientations = self.orientations[chosen]
+        return found
+
+    def _any(self, names: tuple[str, ...]) -> bool:
+        return any(self.measured[:, self.names.index(name)].any() for name in names)
+
+    def sigma(self, data: Measurements, noise: Noise) -> Array:
+        """Return standard deviations, shape (N, r): each row's own, else those of the noise."""
+        general = [noise.position if unit == "m" else noise.orientation for unit in self.units]
+        sigma = np.tile(general, (len(data), 1)).astype(float)
+        own = dict(data.sigma_extra)
+        if data.sigma_poses is not None:
+            own |= dict(zip(self.platform.freedoms, data.sigma_poses.T, strict=True))
+        for name, values in own.items():
+            if name in self.names:
+                column = sigma[:, self.names.index(name)]
+                column[:] = np.where(np.isfinite(values), values, column)
+        return sigma
+
+    def evaluate(self, matrices: Array, external: External) -> Rows:
+        """Return predicted less measured quantities and their derivatives.
+
+        Args:
+            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+            external: Values of the external unknowns.
+        """
+        value, pose, outer = self._predicted(matrices, external)
+        n_scalar = self._values.shape[1]
+        value[:, :n_scalar] -= self._values
+        turning = [i for i, name in enumerate(self.names) if name in self._angle_names]
+        value[:, turning] = (value[:, turning] + np.pi) % (2 * np.pi) - np.pi
+        keep = self.measured
+        return Rows(
+            np.where(keep, value, 0.0),
+            np.where(keep[:, :, None], pose, 0.0),
+            np.where(keep[:, :, None], outer, 0.0),
+        )
+
+    def _predicted(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
+        """Return predictions (orientations: less measured) and derivatives of all rows."""
+        R, F = matrices[:, :3, :3], external.frame[:3, :3]
+        unknowns, axes = self.external, self._axes
+        points, by_pose, by_external = {}, {}, {}
+        for index, target in enumerate(self.setup.targets):
+            arm = R @ external.offsets[index]
+            turned = (matrices[:, :3, 3] + arm) @ F.T
+            points[target] = turned + external.frame[:3, 3]
+            by_pose[target] = F @ point_velocity(arm, self.platform.twist_rows)
+            by_external[target] = np.zeros((len(R), 3, len(unknowns)))
+            n = len(unknowns.frame_rows)
+            by_external[target][:, :, :n] = point_velocity(turned, unknowns.frame_rows)
+            for column, (other, axis) in enumerate(unknowns.offset_entries):
+                if other == index:
+                    by_external[target][:, :, n + column] = (F @ R)[:, :, axis]
+        columns: list[tuple[Array, Array, Array]] = []
+        for target in self.setup.targets:
+            columns += [
+                (points[target][:, i], by_pose[target][:, i], by_external[target][:, i])
+                for i in range(axes)
+            ]
+        for one in self.setup.distances.values():
+            ray = points[one.target] - np.array(one.point)
+            length = np.linalg.norm(ray, axis=1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                unit = (ray / length[:, None])[:, None]
+            columns.append(
+                (length, (unit @ by_pose[one.target])[:, 0], (unit @ by_external[one.target])[:, 0])
+            )
+        columns += self._turned(R, F, external)
+        return tuple(np.stack(part, axis=1) for part in zip(*columns, strict=True))  # type: ignore[return-value]
+
+    def _turned(self, R: Array, F: Array, external: External) -> list[tuple[Array, Array, Array]]:
+        """Return the rows of single angles and of whole orientations."""
+        if not (self._angle_names or self._turn_rows):
+            return []
+        unknowns = self.external
+        predicted = F @ R @ external.turn
+        by_pose = np.zeros((len(R), 3, self.platform.dof))  # turns of the prediction, outer axes
+        for column, row in enumerate(self.platform.twist_rows):
+            if row >= 3:
+                by_pose[:, :, column] = F[:, row - 3]
+        by_external = np.zeros((len(R), 3, len(unknowns)))
+        for column, row in enumerate(unknowns.frame_rows):
+            if row >= 3:
+                by_external[:, row - 3, column] = 1.0
+        last = len(unknowns) - len(unknowns.turn_axes)
+        for column, axis in enumerate(unknowns.turn_axes):
+            by_external[:, :, last + column] = (F @ R)[:, :, axis]
+        rows = []
+        for name in self._angle_names:
+            value, by_turn = angle(name, predicted)
+            pose, outer = ((by_turn[:, None] @ part)[:, 0] for part in (by_pose, by_external))
+            rows.append((value, pose, outer))
+        whole = _whole(self.orientations)
+        error = np.zeros((len(R), 3))
+        measured = self.orientations[whole]
+        error[whole] = Rotation.from_matrix(
+            predicted[whole] @ measured.transpose(0, 2, 1)
+        ).as_rotvec()
+        spread = _inverse_left_jacobian(error)
+        by_pose, by_external = spread @ by_pose, spread @ by_external
+        rows += [(error[:, i], by_pose[:, i], by_external[:, i]) for i in self._turn_rows]
+        return rows
+
+
+def _whole(orientations: Array) -> Mask:
+    """Return which orientations were measured, shape (N,)."""
+    return np.asarray(np.isfinite(orientations).all(axis=(1, 2)))
+
+
+def _orientations(platform: Platform, data: Measurements) -> Array:
+    """Return measured orientations, shape (N, 3, 3); NaN where not measured in full."""
+    turns = np.full((len(data), 3, 3), np.nan)
+    rad = [i for i, unit in enumerate(platform.units) if unit == "rad"]
+    if rad:
+        told = np.isfinite(data.poses[:, rad]).all(axis=1)
+        full = np.zeros((int(told.sum()), platform.dof))
+        full[:, rad] = data.poses[told][:, rad]
+        turns[told] = platform.transforms(full).as_matrix()[:, :3, :3]
+    return turns
+
+
+def _inverse_left_jacobian(vectors: Array) -> Array:
+    """Return the derivative of a rotation vector by a turn on the left, shape (N, 3, 3)."""
+    angles = np.linalg.norm(vectors, axis=1)
+    small = angles < 1e-4
+    safe = np.where(small, 1.0, angles)
+    factor = np.where(
+        small,
+        1 / 12,
+        1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(np.where(small, 1.0, safe))),
+    )
+    S = np.cross(vectors[:, None], np.eye(3)).transpose(0, 2, 1)
+    return np.eye(3) - 0.5 * S + factor[:, None, None] * (S @ S)

@@ -1,0 +1,187 @@
+"""Where a search with unknown poses and frames starts.
+
+Poses of the readings by least squares at the nominal parameters (forward kinematics that
+measurements may help, and that more legs than freedoms do not disturb); then the rigid
+motion that takes the targets there to where they were measured (Kabsch 1976).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MeasurementError
+from pincal.experiment.external import External
+from pincal.identification.latent import LatentPoses
+from pincal.identification.problem import State
+from pincal.kinematics.closure import LegClosure
+from pincal.model.measurements import Measurements
+from pincal.model.platform import Platform
+from pincal.model.setup import ORIGIN
+
+Array = NDArray[np.float64]
+_STEPS = 60
+_LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
+_SETTLED = 1e-9  # of the mechanism's size, and [rad]
+_MIRRORED = 0.2  # of the misfit that is left, if the mirror image of a frame explains it
+_MISFIT = 0.05  # of the extent of the measured points, from which a mirror is suspected
+_REFUSED = 0.3  # from which nothing is identified
+
+
+def align(problem: LatentPoses, data: Measurements, parameters: Array) -> State:
+    """Return poses and external unknowns from which the search may start.
+
+    Args:
+        problem: The problem.
+        data: The measurements.
+        parameters: Nominal parameters of all legs, shape (n_params,).
+
+    Raises:
+        MeasurementError: frames that cannot be aligned, or only mirrored.
+    """
+    seen, platform = problem.observation, problem.residuals[0].platform
+    external = seen.external.start
+    if not seen.external.frame_rows:
+        matrices = platform.transforms(_guess(platform, data.poses)).as_matrix()
+        matrices[:, :3, 3] -= matrices[:, :3, :3] @ external.offsets[0]
+        return settle(problem, State(parameters, matrices, (None,) * len(problem.legs), external))
+    home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
+    state = State(parameters, home, (None,) * len(problem.legs), external)
+    state = settle(problem.without_observation(), state)
+    external = _aligned(problem, data, state)
+    return settle(problem, replace(state, external=external))
+
+
+def _guess(platform: Platform, poses: Array) -> Array:
+    """Return poses with what was not measured as at home; orientations in full or not at all."""
+    home = np.array(platform.home)
+    guess = np.where(np.isfinite(poses), poses, home)
+    turns = np.array([unit == "rad" for unit in platform.units])
+    partly = ~np.isfinite(poses[:, turns]).all(axis=1)
+    guess[np.ix_(partly, turns)] = home[turns]
+    return guess
+
+
+def settle(problem: LatentPoses, state: State) -> State:
+    """Return the state with each pose at its least squares, parameters and frames as they are.
+
+    Each pose has a damping of its own (Levenberg-Marquardt). Poses that find no place stay
+    where they came to; the search that follows moves them on.
+    """
+    platform = problem.residuals[0].platform
+    linear = np.array([unit == "m" for unit in platform.units])
+    size = max(LegClosure(leg, platform).size for leg in problem.legs)
+    scale = np.where(linear, size, 1.0)
+    rows, plain = problem.rows(state)
+    state, cost = plain.state, np.einsum("nk,nk->n", rows.value, rows.value)
+    damping = np.full(len(cost), 1e-6)
+    open_ = np.ones(len(cost), dtype=bool)
+    for _ in range(_STEPS):
+        B = rows.pose * scale
+        square = B.transpose(0, 2, 1) @ B
+        diagonal = np.einsum("nii->ni", square)
+        diagonal += damping[:, None] * (diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True))
+        step = -np.linalg.solve(square, B.transpose(0, 2, 1) @ rows.value[:, :, None])[:, :, 0]
+        longest = np.abs(step).max(axis=1)
+        step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))[:, None]
+        step[~open_] = 0.0
+        moved = replace(
+            state, matrices=platform.displaced(state.matrices, np.asarray(step * scale))
+        )
+        new_rows, plain = problem.rows(moved)
+        new_cost = np.einsum("nk,nk->n", new_rows.value, new_rows.value)
+        better = open_ & (new_cost <= cost)
+        state = State(
+            state.parameters,
+            np.where(better[:, None, None], moved.matrices, state.matrices),
+            tuple(
+                new if old is None or new is None else np.where(better[:, None], new, old)
+                for new, old in zip(plain.state.joints, state.joints, strict=True)
+            ),
+            state.external,
+        )
+        rows = replace(
+            rows,
+            value=np.where(better[:, None], new_rows.value, rows.value),
+            pose=np.where(better[:, None, None], new_rows.pose, rows.pose),
+        )
+        cost = np.where(better, new_cost, cost)
+        damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e9)
+        open_ &= (longest > _SETTLED) & (damping < 1e9)
+        if not open_.any():
+            break
+    return state
+
+
+def _aligned(problem: LatentPoses, data: Measurements, state: State) -> External:
+    """Return the external unknowns that take the targets to where they were measured."""
+    seen, platform = problem.observation, problem.residuals[0].platform
+    external, R = state.external, state.matrices[:, :3, :3]
+    there, here = [], []
+    for index, target in enumerate(seen.setup.targets):
+        measured = np.zeros((len(data), 3))
+        names = [axis if target == ORIGIN else f"{target}_{axis}" for axis in "xyz"]
+        for axis, name in enumerate(names[: platform.space]):
+            own = data.poses[:, axis] if target == ORIGIN else data.extra[name]
+            measured[:, axis] = own
+        told = np.isfinite(measured).all(axis=1)
+        there.append(measured[told])
+        here.append((state.matrices[:, :3, 3] + R @ external.offsets[index])[told])
+    frame = _kabsch(np.concatenate(here), np.concatenate(there), platform)
+    turn = external.turn
+    if seen.external.turn_axes:
+        turns = seen.orientations
+        told = np.isfinite(turns).all(axis=(1, 2))
+        each = R[told].transpose(0, 2, 1) @ frame[:3, :3].T @ turns[told]
+        turn = Rotation.from_matrix(each).mean().as_matrix()
+    return replace(external, frame=frame, turn=turn)
+
+
+def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
+    """Return the rigid motion that takes points to others, homogeneous, shape (4, 4).
+
+    Raises:
+        MeasurementError: too few points, points on a line, or points that fit mirrored only.
+    """
+    least = platform.space
+    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
+    spread = np.linalg.svd(a, compute_uv=False) if len(a) else np.zeros(3)
+    if len(here) < least or spread[least - 2] <= 1e-3 * max(spread[0], 1e-300):
+        raise MeasurementError(
+            f"the frame of the measurements is unknown and cannot be aligned: {len(here)} rows "
+            f"with a measured position, {'all at one place' if least == 2 else 'all on a line'} "
+            "or too few; measure positions that span the workspace"
+        )
+    extent = float(np.sqrt((b**2).sum(axis=1).mean()))
+    proper, misfit = _rotation(a, b, platform, mirrored=False)
+    _, reflected = _rotation(a, b, platform, mirrored=True)
+    if misfit > _MISFIT * extent and reflected < _MIRRORED * misfit:
+        raise MeasurementError(
+            "the positions look mirrored: in a right-handed frame they miss the nominal machine's "
+            f"by {1e3 * misfit:.3g} mm (rms), with one axis reversed by {1e3 * reflected:.3g} mm. "
+            "Check the signs and the order of the tracker's axes"
+        )
+    if misfit > _REFUSED * extent:
+        raise MeasurementError(
+            f"the measured positions miss the nominal machine's by {1e3 * misfit:.3g} mm (rms) "
+            f"after the best alignment, {100 * misfit / extent:.0f} % of their extent. Check the "
+            "units, the order and signs of the readings, and that this is the right mechanism"
+        )
+    frame = np.eye(4)
+    frame[:3, :3] = proper
+    frame[:3, 3] = there.mean(axis=0) - proper @ here.mean(axis=0)
+    return frame
+
+
+def _rotation(a: Array, b: Array, platform: Platform, *, mirrored: bool) -> tuple[Array, float]:
+    """Return the rotation (or reflection) that best takes a to b, and what it misses by, [m]."""
+    n = platform.space
+    U, _, Vt = np.linalg.svd(a[:, :n].T @ b[:, :n])
+    R = np.eye(3)
+    sign = np.eye(n)
+    sign[-1, -1] = np.linalg.det(U @ Vt) * (-1.0 if mirrored else 1.0)
+    R[:n, :n] = Vt.T @ sign @ U.T
+    return R, float(np.sqrt(((a @ R.T - b) ** 2).sum(axis=1).mean()))

@@ -1,0 +1,290 @@
+"""From fits to a result: parameters with intervals, residuals leg by leg, what to know first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammainc, ndtri, stdtrit
+from scipy.stats import chi2 as chi2_law
+from scipy.stats import f as f_law
+
+from pincal.identification.estimate import Estimate
+from pincal.identification.fit import Fit
+from pincal.identification.latent import LatentPoses
+from pincal.identification.result import (
+    CalibrationResult,
+    IdentifiedParameter,
+    LegResult,
+    Observed,
+    TieTest,
+)
+from pincal.identification.robust import Outlier, Robust
+from pincal.identification.task import Task
+from pincal.model.measurements import Noise
+
+Array = NDArray[np.float64]
+_CONFIDENCE = 0.95
+_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
+_MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
+
+
+def assemble(
+    task: Task,
+    estimate: Estimate,
+    without_ties: Estimate | None,
+    labels: Mapping[str, str],
+) -> CalibrationResult:
+    """Return the result of all legs from one fit of all, or one fit each.
+
+    Args:
+        task: What was to be identified.
+        estimate: The fits.
+        without_ties: The fits without ties, if there were any.
+        labels: What to call method, residual and poses.
+    """
+    mechanism, source = task.mechanism, task.noise.source
+    fits = [one.fit for one in estimate.fits]
+    by_name = {leg.name: leg for one in estimate.fits for leg in _leg_results(task, one)}
+    legs = tuple(by_name[name] for name in mechanism.leg_names)
+    dof = sum(one.degrees_of_freedom for one in fits)
+    chi2 = sum(one.chi2 for one in fits) / dof if dof else np.nan
+    noise = None if source == "rows" else task.noise.noise
+    if source == "assumed":
+        noise = Noise(*(float(np.sqrt(chi2)) * value for value in vars(task.noise.noise).values()))
+    failed = [one.message for one in fits if not one.converged]
+    evaluations = sum(one.evaluations for one in fits)
+    latent = estimate.latent
+    ties = () if without_ties is None else _tie_tests(task, estimate, without_ties)
+    outliers = _merged([outlier for one in estimate.fits for outlier in one.outliers])
+    return CalibrationResult(
+        nominal=mechanism,
+        identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
+        legs=legs,
+        **labels,
+        noise=noise,
+        noise_source="estimated" if source == "assumed" else source,
+        covariance=_covariance(task, estimate),
+        degrees_of_freedom=dof,
+        reduced_chi2=float(chi2),
+        iterations=evaluations,
+        converged=not failed,
+        message="; ".join(failed) or f"converged after {evaluations} evaluations",
+        warnings=tuple(_warnings(task, legs, outliers, ties, dof, float(chi2))),
+        loss=task.loss,
+        outliers=outliers,
+        shift=_shift(estimate.fits),
+        external=_external(task, estimate),
+        gauge=estimate.gauge,
+        ties=ties,
+        observed=() if latent is None else _observed(latent, fits[0]),
+        estimated_poses=None
+        if latent is None
+        else mechanism.platform.from_matrices(fits[0].last.state.matrices),
+    )
+
+
+def _leg_results(task: Task, one: Robust) -> list[LegResult]:
+    """Return the results of the legs of a fit."""
+    found, problem = one.fit, one.fit.problem
+    results = []
+    for index, (leg, columns) in enumerate(zip(problem.legs, problem.columns, strict=True)):
+        own = problem.used[:, index] & (found.weights > 0.0)
+        before = problem.leg_residual(found.first, index)
+        after = problem.leg_residual(found.last, index)
+        rank, condition = found.ranks[index]
+        results.append(
+            LegResult(
+                name=leg.name,
+                parameters=tuple(
+                    _parameters(
+                        task,
+                        found,
+                        leg.parameter_names,
+                        [leg.units[name] for name in leg.parameter_names],
+                        leg.nominal,
+                        found.parameters[columns],
+                        np.sqrt(np.diagonal(found.covariance))[columns],
+                    )
+                ),
+                rank=rank,
+                condition=condition,
+                rms_before=_rms(before.value[own]),
+                rms_after=_rms(after.value[own]),
+                unit=after.unit,
+                n_residuals=int(own.sum()),
+                sigma=after.sigma[own],
+                rows=one.rows[own],
+                residuals=after.value[own],
+            )
+        )
+    return results
+
+
+def _parameters(
+    task: Task,
+    found: Fit,
+    names: Sequence[str],
+    units: Sequence[str],
+    nominal: Array,
+    values: Array,
+    std: Array,
+) -> list[IdentifiedParameter]:
+    """Return parameters with their 95 % intervals."""
+    half = (1 + _CONFIDENCE) / 2
+    known = task.noise.known
+    quantile = float(ndtri(half) if known else stdtrit(found.degrees_of_freedom, half))
+    return [
+        IdentifiedParameter(
+            name=name,
+            unit=unit,
+            nominal=float(start),
+            identified=float(value),
+            std=float(error),
+            low=float(value - quantile * error),
+            high=float(value + quantile * error),
+        )
+        for name, unit, start, value, error in zip(names, units, nominal, values, std, strict=True)
+    ]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean())) if len(values) else np.nan
+
+
+def _external(task: Task, estimate: Estimate) -> tuple[IdentifiedParameter, ...]:
+    """Return frame and targets; without standard errors where only alignment told them."""
+    outside, external = estimate.outside, estimate.external
+    if outside is None or external is None or not len(outside):
+        return ()
+    found = estimate.fits[0].fit
+    n = len(outside)
+    std = np.sqrt(np.diagonal(found.covariance))[-n:] if estimate.latent else np.full(n, np.nan)
+    start, values = (outside.coordinates(one) for one in (outside.start, external))
+    return tuple(_parameters(task, found, outside.names, outside.units, start, values, std))
+
+
+def _covariance(task: Task, estimate: Estimate) -> Array:
+    """Return the covariance of all legs' parameters, in the order of the mechanism."""
+    sizes = {leg.name: len(leg.parameters) for leg in task.mechanism.legs}
+    ends = dict(zip(sizes, np.cumsum(list(sizes.values())), strict=True))
+    covariance = np.zeros((sum(sizes.values()),) * 2)
+    for one in estimate.fits:
+        legs = [leg.name for leg in one.fit.problem.legs]
+        places = np.concatenate([np.arange(ends[n] - sizes[n], ends[n]) for n in legs])
+        covariance[np.ix_(places, places)] = one.fit.covariance[: len(places), : len(places)]
+    return covariance
+
+
+def _observed(latent: LatentPoses, found: Fit) -> tuple[Observed, ...]:
+    """Return how the measured quantities of the platform fit."""
+    state, seen = found.last.state, latent.observation
+    values = seen.evaluate(state.matrices, state.external).value
+    results = []
+    for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):
+        own = seen.measured[:, column] & (found.weights > 0.0)
+        if own.any():
+            sigma = _rms(latent.sigma_observed[own, column])
+            results.append(Observed(name, unit, int(own.sum()), _rms(values[own, column]), sigma))
+    return tuple(results)
+
+
+def _merged(outliers: Sequence[Outlier]) -> tuple[Outlier, ...]:
+    """Return outliers of all fits, one for each row, the worst first."""
+    rows: dict[int, Outlier] = {}
+    for one in sorted(outliers, key=lambda o: -o.sigma):
+        worst = rows.setdefault(one.row, one)
+        if worst is not one:
+            legs = (*worst.legs, *one.legs)
+            rows[one.row] = replace(worst, legs=legs, weight=min(worst.weight, one.weight))
+    return tuple(rows.values())
+
+
+def _shift(fits: Sequence[Robust]) -> float | None:
+    """Return by how many standard errors parameters would move without the loss, at most."""
+    shifts = []
+    for one in fits:
+        if one.plain is None:
+            return None
+        n = len(one.fit.parameters)
+        std = np.sqrt(np.diagonal(one.fit.covariance))[:n]
+        moved = np.abs(one.plain.parameters - one.fit.parameters)
+        shifts.append((moved[std > 0.0] / std[std > 0.0]).max(initial=0.0))
+    return float(max(shifts))
+
+
+def _tie_tests(task: Task, tied: Estimate, free: Estimate) -> tuple[TieTest, ...]:
+    """Return, for all ties together, the test whether they hold.
+
+    The growth of χ² over the restrictions: a likelihood-ratio test where the noise is known,
+    an F test where its scale is estimated.
+    """
+    one, other = ([robust.fit for robust in estimate.fits] for estimate in (tied, free))
+    growth = sum(f.chi2 for f in one) - sum(f.chi2 for f in other)
+    fewer = sum(f.degrees_of_freedom for f in one) - sum(f.degrees_of_freedom for f in other)
+    dof = sum(f.degrees_of_freedom for f in other)
+    if task.noise.known:
+        p = float(chi2_law.sf(growth, fewer))
+        statistic = growth / fewer
+    else:
+        statistic = growth / fewer / (sum(f.chi2 for f in other) / dof)
+        p = float(f_law.sf(statistic, fewer, dof))
+    return (TieTest(", ".join(task.tied), fewer, float(statistic), p),)
+
+
+def _warnings(
+    task: Task,
+    legs: Sequence[LegResult],
+    outliers: Sequence[Outlier],
+    ties: Sequence[TieTest],
+    dof: int,
+    chi2: float,
+) -> list[str]:
+    """Return what the reader of a result should know first."""
+    found = []
+    source, mechanism = task.noise.source, task.mechanism
+    if source == "assumed":
+        turns = "rad" in mechanism.platform.units
+        what = "position [m]" + (" and orientation [rad]" if turns else "")
+        if task.noise.noise.reading:
+            what += " and readings"
+        exact = "" if task.noise.noise.reading else ", exact readings"
+        found.append(
+            f"the noise was not given: equal standard deviations of {what}{exact} were assumed, "
+            "and the scale estimated from the residuals"
+        )
+    elif dof and not _UNLIKELY <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - _UNLIKELY:
+        given = "repeated rows show" if source == "repeats" else "given"
+        found.append(
+            f"reduced χ² is {chi2:.3g} where 1 is expected: the noise is "
+            f"{'larger' if chi2 > 1 else 'smaller'} than {given}, or the model lacks something; "
+            "the uncertainties assume that noise"
+        )
+    listed = len(outliers)
+    if listed and task.loss == "none":
+        worst = outliers[0]
+        found.append(
+            f"{listed} of {len(task.data)} rows do not fit the others, the worst data row "
+            f"{worst.row + 1} by {worst.sigma:.1f} standard deviations ({worst.why}); look at "
+            "them, or use a robust loss (--loss reject)"
+        )
+    if listed > _MUCH * len(task.data):
+        found.append(
+            f"{100 * listed / len(task.data):.0f} % of the rows do not fit: rather the noise is "
+            "larger than assumed, or the model lacks something, than that so many are wrong"
+        )
+    found += [
+        f"{one.name} is tied over the legs, and the measurements contradict that "
+        f"(p = {one.p_value:.2g})"
+        for one in ties
+        if not one.holds
+    ]
+    found += [
+        f"{leg.name}: {leg.n_residuals} poses for {len(leg.parameters)} parameters; two or three "
+        "times as many poses as parameters are advised"
+        for leg in legs
+        if leg.n_residuals < 1.5 * len(leg.parameters)
+    ]
+    return found

@@ -1,0 +1,52 @@
+"""The estimator with latent poses: on whatever was measured of the platform."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.experiment.observation import Observation
+from pincal.identification.alignment import align
+from pincal.identification.estimate import Estimate
+from pincal.identification.gauge import find_gauge
+from pincal.identification.latent import LatentPoses
+from pincal.identification.robust import robust_fit
+from pincal.identification.task import Task
+from pincal.identification.unknowns import Unknowns
+
+
+def latent_problem(task: Task) -> tuple[LatentPoses, Unknowns]:
+    """Return the problem with latent poses at its start, and its unknowns.
+
+    Raises:
+        MeasurementError: rows with too little measured; frames that cannot be aligned.
+    """
+    data = task.data
+    observation = Observation(task.mechanism, data, task.setup)
+    problem = LatentPoses(
+        [task.residual(i) for i in range(len(task.mechanism.legs))],
+        np.isfinite(data.readings),
+        observation,
+        observation.sigma(data, task.noise.noise),
+        task.noise.readings,
+    )
+    unknowns = task.unknowns(observation.external.names)
+    task.tell("finding poses and frames to start from")
+    problem.first = align(problem, data, unknowns.start[: problem.columns[-1].stop])
+    return problem, unknowns
+
+
+def latent_fit(task: Task) -> Estimate:
+    """Return the fit of all legs, poses and frames at once.
+
+    Raises:
+        ObservabilityError: parameters that are not determined.
+        MeasurementError: rows with too little measured; frames that cannot be aligned.
+    """
+    problem, unknowns = latent_problem(task)
+    gauge = find_gauge(task.mechanism, problem, unknowns)
+    if gauge.words:
+        unknowns = unknowns.held(gauge.constraints)
+    task.tell("identifying all legs and poses")
+    found = robust_fit(task, problem, unknowns, np.arange(len(task.data)))
+    outside = problem.observation.external
+    return Estimate([found], outside, found.fit.last.state.external, gauge.words, problem)

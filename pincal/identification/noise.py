@@ -1,0 +1,111 @@
+"""The noise of the measurements: given, of each row, from repeated rows, or assumed."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.model.measurements import Measurements, Noise
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+Source = Literal["given", "rows", "repeats", "assumed"]
+_ENOUGH = 10  # degrees of freedom of a standard deviation from repeated rows
+_ASSUMED = 1e-4  # [m] and [rad]
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Standard deviations of what was measured, and where they come from."""
+
+    noise: Noise
+    """Of quantities without standard deviations of their own."""
+    poses: Array
+    """Of the platform's freedoms, shape (N, dof)."""
+    readings: Array
+    """Shape (N, n_legs)."""
+    source: Source
+
+    @property
+    def known(self) -> bool:
+        """Whether the scale of the noise is known."""
+        return self.source != "assumed"
+
+
+def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -> NoiseModel:
+    """Return the noise of measurements.
+
+    Without ``noise`` and without columns of standard deviations, repeated rows tell it if there
+    are enough of them; else it is assumed equal for all that was measured, readings exact where
+    poses were measured in full.
+
+    Raises:
+        MeasurementError: given twice, or rows that give it for readings only.
+    """
+    rows = data.sigma_poses is not None or bool(data.sigma_extra)
+    full = bool(np.isfinite(data.poses).all())
+    if data.sigma_readings is not None and full and not rows:
+        raise MeasurementError(
+            "the measurements give standard deviations of readings but none of poses; add columns "
+            + ", ".join(f"'sigma_{name}'" for name in mechanism.platform.coordinates)
+        )
+    if (rows or data.sigma_readings is not None) and noise is not None:
+        raise MeasurementError(
+            "the measurements have columns of standard deviations, and the noise is given as "
+            "well; leave out one of them"
+        )
+    source: Source = "given"
+    if rows or data.sigma_readings is not None:
+        source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
+    elif noise is not None:
+        one = noise
+    elif (repeated := noise_of_repeats(mechanism, data)) is not None:
+        source, one = "repeats", repeated
+    else:
+        source, one = "assumed", Noise(_ASSUMED, _ASSUMED, 0.0 if full else _ASSUMED)
+    poses = np.tile(one.of_poses(mechanism), (len(data), 1))
+    if data.sigma_poses is not None:
+        poses = np.where(np.isfinite(data.sigma_poses), data.sigma_poses, poses)
+    readings = np.full(data.readings.shape, one.reading)
+    return NoiseModel(
+        one, poses, readings if data.sigma_readings is None else data.sigma_readings, source
+    )
+
+
+def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
+    """Return the noise that repeated rows tell, or None if there are too few.
+
+    Rows repeat each other if their ``pose`` is the same, or, without such a column, if all
+    readings are equal to the last digit; then nothing is told about the noise of readings.
+    """
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    whole = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
+    for row in np.flatnonzero(whole):
+        key = data.readings[row].tobytes() if data.places is None else data.places[row]
+        groups[key].append(int(row))
+    several = [np.array(rows) for rows in groups.values() if len(rows) > 1]
+    if not several:
+        return None
+    platform = mechanism.platform
+    linear = np.array([unit == "m" for unit in platform.units])
+    twists, readings, dof = [], [], 0
+    for rows in several:
+        first = np.tile(data.poses[rows[0]], (len(rows), 1))
+        own = platform.twists_between(first, data.poses[rows])
+        twists.append(own - own.mean(axis=0))
+        readings.append(data.readings[rows] - data.readings[rows].mean(axis=0))
+        dof += len(rows) - 1
+    squares = np.concatenate(twists) ** 2
+    position = squares[:, linear].sum() / (dof * linear.sum())
+    turns = (~linear).sum()
+    orientation = squares[:, ~linear].sum() / (dof * turns) if turns else 0.0
+    reading = (np.concatenate(readings) ** 2).sum() / (dof * data.readings.shape[1])
+    if dof * linear.sum() < _ENOUGH or not position > 0.0 or (turns and not orientation > 0.0):
+        return None
+    return Noise(*(float(np.sqrt(value)) for value in (position, orientation, reading)))

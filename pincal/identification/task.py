@@ -1,0 +1,58 @@
+"""What is to be identified from what: a calibration's arguments, as the estimators take them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.identification.losses import LossName
+from pincal.identification.noise import NoiseModel
+from pincal.identification.residuals import LegResidual, Residual
+from pincal.identification.unknowns import Unknowns, unknowns
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import Setup
+
+
+@dataclass(frozen=True)
+class Task:
+    """A calibration to be done."""
+
+    mechanism: Mechanism
+    data: Measurements
+    setup: Setup
+    noise: NoiseModel
+    fixed: tuple[str, ...]
+    tied: tuple[str, ...]
+    priors: Mapping[str, float]
+    loss: LossName
+    tell: Callable[[str], None]
+    """Called with what is being done."""
+
+    def unknowns(self, external: Sequence[str] = (), tied: bool = True) -> Unknowns:
+        """Return the unknowns of all legs, with ties or without.
+
+        Raises:
+            MeasurementError: a parameter that does not exist, or is held twice.
+        """
+        return unknowns(
+            self.mechanism.legs,
+            external,
+            fixed=self.fixed,
+            tied=self.tied if tied else (),
+            priors=self.priors,
+        )
+
+    def residual(
+        self, leg: int, kind: Residual = "closure", rows: NDArray[np.intp] | None = None
+    ) -> LegResidual:
+        """Return the residual of a leg at some rows of the measurements, all if not given."""
+        mechanism = self.mechanism
+        rows = np.arange(len(self.data)) if rows is None else rows
+        readings = self.data.readings[rows, leg]
+        home = np.nanmedian(readings) if np.isfinite(readings).any() else 0.0
+        readings = np.where(np.isfinite(readings), readings, home)  # not used where not measured
+        return LegResidual(mechanism.legs[leg], mechanism.platform, readings, kind, rows)

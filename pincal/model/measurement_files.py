@@ -1,0 +1,281 @@
+"""CSV files of poses, readings and measurements that belong to a mechanism."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from pincal.errors import MeasurementError
+from pincal.model.measurements import EVERY_LEG, Measurements, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import WAYS, columns_of, rotation_of
+from pincal.model.setup import Setup
+from pincal.model.table import Table, read_table, write_table
+
+Array = NDArray[np.float64]
+_ANGLES = ("yaw", "pitch", "roll")  # that may be measured one by one
+
+
+def read_poses(path: str | Path, mechanism: Mechanism) -> Plan:
+    """Return the poses of a CSV file, with its ``set`` column if there is one.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: a column or cell that is missing or wrong; the message says where.
+    """
+    table = _read(path, mechanism)
+    return Plan(_poses(table, mechanism), _sets(table, mechanism))
+
+
+def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
+    """Return the readings of a CSV file, shape (N, n_legs), [rad] or [m].
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: a column or cell that is missing or wrong; the message says where.
+    """
+    return _readings(_read(path, mechanism), mechanism)
+
+
+def read_measurements(
+    path: str | Path, mechanism: Mechanism, setup: Setup | None = None, *, partial: bool = False
+) -> Measurements:
+    """Return the measurements of a CSV file: poses, readings, sets and standard deviations.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        setup: What else was measured than the platform's pose.
+        partial: Whether columns or cells of the pose may be missing.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: a column or cell that is missing or wrong; the message says where.
+    """
+    more = (setup or Setup()).columns(mechanism)
+    table = _read(path, mechanism, more)
+    platform = mechanism.platform
+    if platform.kind == "spatial" and partial and _way(table) is None:
+        more |= {name: "rad" for name in _ANGLES if name in table}
+    extra = {name: table.numbers(name, unit, blank=True) for name, unit in more.items()}
+    named = {f"sigma_{name}": name for name in more if f"sigma_{name}" in table}
+    units = {leg.name: leg.reading_unit for leg in mechanism.legs}
+    readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
+    data = Measurements(
+        poses=_poses(table, mechanism, partial=partial),
+        sets=_sets(table, mechanism),
+        readings=np.column_stack(readings),
+        sigma_poses=_sigmas(
+            table, dict(zip(platform.freedoms, platform.units, strict=True)), some=partial
+        ),
+        sigma_readings=_sigmas(table, units),
+        extra=extra,
+        sigma_extra={
+            name: _not_negative(table, column, more[name]) for column, name in named.items()
+        },
+        runs=_names(table, "run"),
+        places=_names(table, "pose"),
+    )
+    told = [data.poses, *(values[:, None] for values in extra.values())]
+    if not any(np.isfinite(values).any() for values in told) and not partial:
+        raise MeasurementError(f"{table.path}: nothing of the platform is measured")
+    return data
+
+
+def write_poses(
+    path: str | Path,
+    mechanism: Mechanism,
+    plan: Plan,
+    *,
+    orientation: str = "tilt-torsion",
+    force: bool = False,
+) -> None:
+    """Write poses, and their sets if they have them, to a CSV file.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        plan: The poses.
+        orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+        force: Whether to replace the file if it exists.
+
+    Raises:
+        FileError: the file exists and ``force`` is not set, or cannot be written.
+    """
+    write_table(path, _pose_columns(mechanism, plan, orientation), force=force)
+
+
+def write_readings(
+    path: str | Path, mechanism: Mechanism, readings: Array, *, force: bool = False
+) -> None:
+    """Write readings to a CSV file.
+
+    Raises:
+        FileError: the file exists and ``force`` is not set, or cannot be written.
+    """
+    write_table(path, _reading_columns(mechanism, readings), force=force)
+
+
+def write_measurements(
+    path: str | Path, mechanism: Mechanism, data: Measurements, *, force: bool = False
+) -> None:
+    """Write measurements to a CSV file.
+
+    Raises:
+        FileError: the file exists and ``force`` is not set, or cannot be written.
+    """
+    columns = _pose_columns(mechanism, data) | _reading_columns(mechanism, data.readings)
+    platform = mechanism.platform
+    if data.sigma_poses is not None:
+        names = zip(platform.freedoms, platform.units, data.sigma_poses.T, strict=True)
+        columns |= {f"sigma_{name} [{unit}]": values for name, unit, values in names}
+    if data.sigma_readings is not None:
+        legs = zip(mechanism.legs, data.sigma_readings.T, strict=True)
+        columns |= {f"sigma_{leg.name} [{leg.reading_unit}]": values for leg, values in legs}
+    columns |= {f"{name} [{_unit(name)}]": values for name, values in data.extra.items()}
+    more = data.sigma_extra.items()
+    columns |= {f"sigma_{name} [{_unit(name)}]": values for name, values in more}
+    columns |= {} if data.runs is None else {"run": data.runs}
+    columns |= {} if data.places is None else {"pose": data.places}
+    write_table(path, columns, force=force)
+
+
+def _unit(column: str) -> str:
+    return "rad" if column in _ANGLES else "m"
+
+
+def _read(path: str | Path, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
+    """Return a table; a column whose name differs from a known one by its case is refused."""
+    table = read_table(path)
+    turns = [name for names, _ in WAYS.values() for name in names]
+    values = [*mechanism.platform.coordinates, *turns, *mechanism.leg_names]
+    values += list(more or ())
+    known = ["set", "run", "pose", *values, *(f"sigma_{name}" for name in values)]
+    for column in table.units:
+        bare = column.split("(")[0].strip().lower()
+        meant = [name for name in known if name.lower() == bare and name not in table]
+        if column not in known and meant:
+            raise MeasurementError(
+                f"{table.path}: column {column!r} is ignored as it stands; write {meant[0]!r}, and "
+                "units in brackets: 'x [mm]'"
+            )
+    return table
+
+
+def _way(table: Table) -> str | None:
+    """Return the way in which a table gives orientations in full, if it does."""
+    ways = [way for way, (names, _) in WAYS.items() if all(name in table for name in names)]
+    return ways[0] if ways else None
+
+
+def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Array:
+    """Return the coordinates of poses; a spatial platform's orientation in any of the ways.
+
+    If they may be partial, NaN where a column is missing or a cell empty.
+    """
+    platform = mechanism.platform
+    way = _way(table)
+
+    def numbers(name: str, unit: str) -> Array:
+        if partial and name not in table:
+            return np.full(len(table.lines), np.nan)
+        return table.numbers(name, unit, blank=partial)
+
+    units = dict(zip(platform.coordinates, platform.units, strict=True))
+    if platform.kind != "spatial" or way in (None, "tilt-torsion"):
+        return np.column_stack([numbers(name, unit) for name, unit in units.items()])
+    names, unit = WAYS[way]
+    position = np.column_stack([numbers(name, "m") for name in "xyz"])
+    values = np.column_stack([numbers(name, unit) for name in names])
+    told = np.isfinite(values).all(axis=1)
+    turns = np.full((len(values), 3), np.nan)
+    try:
+        rotation = rotation_of(way, values[told])
+    except MeasurementError as error:
+        raise MeasurementError(f"{table.path}: {error}") from error
+    at = RigidTransform.from_components(np.zeros((int(told.sum()), 3)), rotation)
+    turns[told] = platform.coordinates_of(at)[:, 3:]
+    return np.concatenate((position, turns), axis=1)
+
+
+def _names(table: Table, column: str) -> tuple[str, ...] | None:
+    """Return a column of names, or None where there is none."""
+    if column not in table:
+        return None
+    return tuple(cell.strip() for cell in table.text[column])
+
+
+def _readings(table: Table, mechanism: Mechanism) -> Array:
+    return np.column_stack([table.numbers(leg.name, leg.reading_unit) for leg in mechanism.legs])
+
+
+def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
+    if "set" not in table:
+        return None
+    known = {*mechanism.leg_names, EVERY_LEG, ""}
+    sets = tuple(cell.strip() for cell in table.text["set"])
+    for name, line in zip(sets, table.lines, strict=True):
+        if name not in known:
+            raise MeasurementError(
+                f"{table.path}, line {line}: set {name!r} is no leg of {mechanism.name!r}; "
+                f"expected {', '.join(mechanism.leg_names)} or {EVERY_LEG}"
+            )
+    return sets
+
+
+def _sigmas(table: Table, units: dict[str, str], *, some: bool = False) -> Array | None:
+    """Return the ``sigma_…`` columns, shape (N, n), or None where there are none.
+
+    Where ``some`` are enough, those that are missing are NaN.
+    """
+    present = [name for name in units if f"sigma_{name}" in table]
+    if not present:
+        return None
+    unknown = np.full(len(table.lines), np.nan)
+    return np.column_stack(
+        [
+            unknown if some and name not in present else _not_negative(table, f"sigma_{name}", unit)
+            for name, unit in units.items()
+        ]
+    )
+
+
+def _not_negative(table: Table, column: str, unit: str) -> Array:
+    """Return a column of standard deviations, shape (N,)."""
+    values = table.numbers(column, unit)
+    if (values < 0.0).any():
+        raise MeasurementError(
+            f"{table.path}, line {table.lines[int(np.argmax(values < 0.0))]}: {column!r} is "
+            "negative; a standard deviation is 0 or more"
+        )
+    return values
+
+
+def _pose_columns(
+    mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsion"
+) -> dict[str, Array | tuple[str, ...]]:
+    platform = mechanism.platform
+    columns: dict[str, Array | tuple[str, ...]] = {}
+    if plan.sets is not None:
+        columns["set"] = plan.sets
+    poses = plan.poses
+    names = list(zip(platform.coordinates, platform.units, strict=True))
+    if platform.kind == "spatial" and orientation != "tilt-torsion":
+        turns = columns_of(orientation, platform.transforms(poses).rotation)
+        poses = np.concatenate((poses[:, :3], turns), axis=1)
+        written, unit = WAYS[orientation]
+        names = names[:3] + [(name, unit) for name in written]
+    for (name, unit), values in zip(names, poses.T, strict=True):
+        columns[f"{name} [{unit}]"] = values
+    return columns
+
+
+def _reading_columns(mechanism: Mechanism, readings: Array) -> dict[str, Array | tuple[str, ...]]:
+    return {
+        f"{leg.name} [{leg.reading_unit}]": values
+        for leg, values in zip(mechanism.legs, readings.T, strict=True)
+    }

@@ -1,0 +1,113 @@
+"""How a platform is measured: in which frame, at which points of it, from where.
+
+By default positions are those of the platform's origin in the robot's base frame. A tracker
+stands elsewhere, a reflector sits somewhere on the platform, a cable measures a distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from pincal.errors import MeasurementError
+from pincal.model.mechanism import Mechanism
+from pincal.model.schema import Name, Number, Strict, read_yaml
+
+Point = tuple[float, float, float]
+ORIGIN = "platform"  # the target whose position is x, y, z
+
+
+@dataclass(frozen=True)
+class Target:
+    """A point of the platform whose position is measured."""
+
+    offset: Point = (0.0, 0.0, 0.0)
+    """In the platform frame, [m]; where the search starts if unknown."""
+    unknown: bool = False
+    """Whether the offset is identified; of ``platform``, also how the measured orientation is
+    turned against the platform's."""
+
+
+@dataclass(frozen=True)
+class Distance:
+    """A measured distance from a known point to a target."""
+
+    point: Point
+    """In the frame of the measurements, [m]."""
+    target: str = ORIGIN
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What measured numbers mean."""
+
+    unknown_frame: bool = False
+    """Whether the robot's base stands at an unknown place in the frame of the measurements."""
+    targets: Mapping[str, Target] = field(default_factory=lambda: {ORIGIN: Target()})
+    """``platform`` is the target of x, y, z; another target t of the columns t_x, t_y, t_z."""
+    distances: Mapping[str, Distance] = field(default_factory=dict)
+    """By column."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
+        for column, one in self.distances.items():
+            if one.target not in self.targets:
+                raise MeasurementError(
+                    f"distance {column!r} is to a target {one.target!r}; expected one of "
+                    f"{', '.join(self.targets)}"
+                )
+
+    @property
+    def plain(self) -> bool:
+        """Whether poses are those of the platform in the base frame, and nothing else."""
+        return not self.unknown_frame and not self.distances and self.targets == {ORIGIN: Target()}
+
+    def columns(self, mechanism: Mechanism) -> dict[str, str]:
+        """Return columns that this setup adds to those of the pose, and their units."""
+        axes = "xyz"[: mechanism.platform.space]
+        further = [name for name in self.targets if name != ORIGIN]
+        points = {f"{name}_{axis}": "m" for name in further for axis in axes}
+        columns = points | dict.fromkeys(self.distances, "m")
+        taken = {*mechanism.leg_names, *mechanism.platform.coordinates, "set", "run", "pose"}
+        if both := taken & set(columns):
+            raise MeasurementError(
+                f"the setup names a column {sorted(both)[0]!r}, which means something else in "
+                "measurements; choose another name"
+            )
+        return columns
+
+
+class _TargetSpec(Strict):
+    offset: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    unknown: bool = False
+
+
+class _DistanceSpec(Strict):
+    start: tuple[Number, Number, Number] = Field(alias="from")
+    target: Name = ORIGIN
+
+
+class _SetupSpec(Strict):
+    pincal_setup: Literal[1]
+    frame: Literal["base", "unknown"] = "base"
+    targets: dict[Name, _TargetSpec] = Field(default_factory=dict)
+    distances: dict[Name, _DistanceSpec] = Field(default_factory=dict)
+
+
+def read_setup(path: str | Path) -> Setup:
+    """Return the setup that a YAML file says.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: it does not parse, or says something else than it should.
+    """
+    spec = read_yaml(Path(path), _SetupSpec, MeasurementError)
+    return Setup(
+        unknown_frame=spec.frame == "unknown",
+        targets={name: Target(one.offset, one.unknown) for name, one in spec.targets.items()},
+        distances={name: Distance(one.start, one.target) for name, one in spec.distances.items()},
+    )
