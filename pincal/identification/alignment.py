@@ -18,23 +18,32 @@ from pincal.experiment.external import External
 from pincal.identification.latent import LatentPoses
 from pincal.identification.problem import State
 from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.singularity import platform_margin
+from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 _STEPS = 60
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
+_WAY = 5  # steps from the readings at home to those measured
+_CLOSES = 1e-3  # of a leg's size, a gap that is left when readings contradict each other
 _SETTLED = 1e-9  # of the mechanism's size, and [rad]
 _MIRRORED = 0.2  # of the misfit that is left, if the mirror image of a frame explains it
 _MISFIT = 0.05  # of the extent of the measured points, from which a mirror is suspected
 _REFUSED = 0.3  # from which nothing is identified
 
 
-def align(problem: LatentPoses, data: Measurements, parameters: Array) -> State:
+def align(
+    mechanism: Mechanism, problem: LatentPoses, data: Measurements, parameters: Array
+) -> State:
     """Return poses and external unknowns from which the search may start.
 
     Args:
+        mechanism: The nominal mechanism.
         problem: The problem.
         data: The measurements.
         parameters: Nominal parameters of all legs, shape (n_params,).
@@ -42,6 +51,7 @@ def align(problem: LatentPoses, data: Measurements, parameters: Array) -> State:
     Raises:
         MeasurementError: frames that cannot be aligned, or only mirrored.
     """
+    problem = problem.eased()
     seen, platform = problem.observation, problem.residuals[0].platform
     external = seen.external.start
     if not seen.external.frame_rows:
@@ -50,9 +60,37 @@ def align(problem: LatentPoses, data: Measurements, parameters: Array) -> State:
         return settle(problem, State(parameters, matrices, (None,) * len(problem.legs), external))
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     state = State(parameters, home, (None,) * len(problem.legs), external)
-    state = settle(problem.without_observation(), state)
-    external = _aligned(problem, data, state)
-    return settle(problem, replace(state, external=external))
+    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:  # from home to where the readings say
+        state = settle(problem.driven(mechanism, share), state)
+    state = replace(
+        state, external=_aligned(problem, data, state, _well(mechanism, problem, state))
+    )
+    matrices = _where_measured(problem, data, state)
+    return settle(problem, replace(state, matrices=matrices))
+
+
+def _well(mechanism: Mechanism, problem: LatentPoses, state: State) -> Mask:
+    """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
+    legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    joints = [j for j in state.joints if j is not None]
+    closures = [leg.evaluate(q, state.matrices) for leg, q in zip(legs, joints, strict=True)]
+    good = platform_margin(mechanism, closures) > 0.0
+    for leg, closure, own in zip(legs, closures, problem.used.T, strict=True):
+        closes = (np.abs(closure.gap) <= _CLOSES * leg.size).all(axis=1)
+        good &= ~own | (closes & (mode_sign(closure) == home_mode(leg.leg, leg.platform)))
+    return good
+
+
+def _where_measured(problem: LatentPoses, data: Measurements, state: State) -> Array:
+    """Return poses at the measured positions, where there are any, once frames are aligned."""
+    platform, matrices = problem.residuals[0].platform, state.matrices.copy()
+    measured = np.zeros((len(data), 3))
+    measured[:, : platform.space] = data.poses[:, : platform.space]
+    told = np.isfinite(measured).all(axis=1)
+    there = (measured - state.external.frame[:3, 3]) @ state.external.frame[:3, :3]
+    arm = matrices[:, :3, :3] @ state.external.offsets[0]
+    matrices[told, :3, 3] = (there - arm)[told]
+    return matrices
 
 
 def _guess(platform: Platform, poses: Array) -> Array:
@@ -116,7 +154,7 @@ def settle(problem: LatentPoses, state: State) -> State:
     return state
 
 
-def _aligned(problem: LatentPoses, data: Measurements, state: State) -> External:
+def _aligned(problem: LatentPoses, data: Measurements, state: State, good: Mask) -> External:
     """Return the external unknowns that take the targets to where they were measured."""
     seen, platform = problem.observation, problem.residuals[0].platform
     external, R = state.external, state.matrices[:, :3, :3]
@@ -127,14 +165,14 @@ def _aligned(problem: LatentPoses, data: Measurements, state: State) -> External
         for axis, name in enumerate(names[: platform.space]):
             own = data.poses[:, axis] if target == ORIGIN else data.extra[name]
             measured[:, axis] = own
-        told = np.isfinite(measured).all(axis=1)
+        told = good & np.isfinite(measured).all(axis=1)
         there.append(measured[told])
         here.append((state.matrices[:, :3, 3] + R @ external.offsets[index])[told])
     frame = _kabsch(np.concatenate(here), np.concatenate(there), platform)
     turn = external.turn
     if seen.external.turn_axes:
         turns = seen.orientations
-        told = np.isfinite(turns).all(axis=(1, 2))
+        told = good & np.isfinite(turns).all(axis=(1, 2))
         each = R[told].transpose(0, 2, 1) @ frame[:3, :3].T @ turns[told]
         turn = Rotation.from_matrix(each).mean().as_matrix()
     return replace(external, frame=frame, turn=turn)

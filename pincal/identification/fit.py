@@ -8,7 +8,7 @@ with W at the optimum.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ _STANDS = 1e-8  # of a standard error: no step is left, with the weights renewed
 _STANDS_ROBUST = 1e-6  # weights of rows follow their residuals: convergence is slower
 _ROUNDS = 30
 _LARGEST_DAMPING = 1e10
+_LIGHT = 1e-3  # damping that hardly shortens a step
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,9 @@ def fit(
     check_rank(problem, unknowns, first)
     if known:
         check_information(problem, unknowns, first)
-    linear, evaluations = _search(system, first, tell)
+    easy = replace(system, problem=problem.eased())
+    near, evaluations = _search(easy, easy.problem.linearise(first.state), tell)
+    linear = problem.linearise(near.state)
     stands = _STANDS if loss is None else _STANDS_ROBUST
     for _ in range(_ROUNDS if loss is None else 10 * _ROUNDS):
         weights, scale = system.weights(linear)
@@ -238,10 +241,14 @@ def _search(
         trial = problem.linearise(problem.moved(held, T @ step))
         evaluations += 1
         fall = cost - system.cost(trial, weights)
-        if np.isfinite(fall) and fall >= 0.0:
-            linear, damping, growth = trial, max(0.1 * damping, 1e-12), 10.0
-            if np.abs(step / std).max() <= _NEAR or fall <= _STALLS * cost:
-                break
+        better = bool(np.isfinite(fall) and fall >= 0.0)
+        if better:
+            linear = trial
+        near = np.abs(step / std).max() <= _NEAR and damping <= _LIGHT
+        if near or (better and fall <= _STALLS * cost):
+            break
+        if better:
+            damping, growth = max(0.1 * damping, 1e-12), 10.0
         else:
             damping, growth = damping * growth, 2.0 * growth
     return linear, evaluations

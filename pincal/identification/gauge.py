@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 _ROWS = 200  # generic poses, at least
 _SPREAD = 0.05  # of the mechanism's size, and [rad], by which they are moved about
 _LOST = 1e-9  # of the largest singular value, columns of unit length
+_TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
 _RIGID = 1e-6  # relative misfit of a motion of the platform by frames alone
 
 
@@ -83,10 +84,19 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
             f"what is measured leaves parameters undetermined at any poses: {lost_words}. Measure "
             "more of the platform, or fix one of them, or make it a constant in mechanism.yaml"
         )
-    frame = np.array([name.startswith("frame ") for name in unknowns.names])
-    held = ~(np.abs(T[frame]) > 0).any(axis=0)  # the tracker's place is taken as it comes
+    weight = np.array([_weight(label) for label in unknowns.free_labels])
     words = _words(len(lost), unknowns, directions @ T.T)
-    return Gauge(directions, lost * lengths * held, words)
+    return Gauge(directions, lost * lengths * weight, words)
+
+
+def _weight(label: str) -> float:
+    """Return how much a free unknown counts in what is nearest to nominal.
+
+    The frame is taken as it comes; targets too, unless nothing else tells the frame from them.
+    """
+    if label.startswith("frame "):
+        return 0.0
+    return 1.0 if " of " in label else _TARGETS
 
 
 def _generic(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> _Generic:
@@ -137,7 +147,8 @@ def _frames_moved(mechanism: Mechanism, generic: _Generic, directions: Array) ->
     body[:, :3, :3] = body[:, 3:, 3:] = R
     motions = np.concatenate((base[:, :, list(frame_rows)], body[:, :, rows]), axis=2)[:, rows]
     moved = -np.linalg.pinv(generic.leg_pose) @ (generic.leg_parameter @ directions.T)
-    flat, wanted = motions.reshape(-1, motions.shape[2]), moved.reshape(-1, len(directions))
+    flat = motions.reshape(-1, motions.shape[2])
+    wanted = moved.reshape(len(flat), len(directions))
     found = np.linalg.lstsq(flat, wanted, rcond=None)[0]
     size = np.linalg.norm(wanted, axis=0)
     return np.asarray(np.linalg.norm(flat @ found - wanted, axis=0) <= _RIGID * size + 1e-12)

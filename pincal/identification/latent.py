@@ -19,6 +19,8 @@ from pincal.experiment.elimination import Eliminated, eliminate
 from pincal.experiment.observation import Observation
 from pincal.identification.problem import LegRows, Linear, State, leg_columns
 from pincal.identification.residuals import LegResidual
+from pincal.kinematics.inverse import inverse
+from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -93,6 +95,7 @@ class LatentPoses:
         self.observation = observation
         self.legs = [residual.leg for residual in residuals]
         self.columns = leg_columns(self.legs)
+        self.exact = _EXACT
         self.row_names = [f"reading of {leg.name}" for leg in self.legs]
         self.row_names += [f"measured {name}" for name in observation.names]
         self._platform = residuals[0].platform
@@ -120,10 +123,26 @@ class LatentPoses:
             raise TypeError("the poses have no start yet")
         return replace(self.first, parameters=parameters)
 
+    def eased(self) -> LatentPoses:
+        """Return the problem with what is exact as uncertain as the rest: no narrow valleys."""
+        found = copy(self)
+        found.exact = 1.0
+        return found
+
     def without_observation(self) -> LatentPoses:
         """Return the problem of the readings alone."""
         found = copy(self)
         found.observation = self.observation.only(())
+        return found
+
+    def driven(self, mechanism: Mechanism, share: float) -> LatentPoses:
+        """Return the problem of readings alone that are on the way from home to those measured."""
+        found = self.without_observation()
+        home = inverse(mechanism, np.array([mechanism.platform.home])).readings[0]
+        found.residuals = [
+            LegResidual(one.leg, one.platform, at + share * (one.readings - at))
+            for one, at in zip(self.residuals, home, strict=True)
+        ]
         return found
 
     def rows(self, state: State) -> tuple[Rows, Linear]:
@@ -227,6 +246,6 @@ class LatentPoses:
                 "nothing that was measured has noise; give a standard deviation above zero for "
                 "positions or readings (only their ratios matter to the estimate)"
             )
-        least = _EXACT * float(np.median(known))
+        least = self.exact * float(np.median(known))
         floor = np.where(lengths, least, least / size)
         return np.hypot(legs, least), np.where(seen, np.maximum(sigma, floor), 1.0)

@@ -31,7 +31,7 @@ def latent_problem(task: Task) -> tuple[LatentPoses, Unknowns]:
     )
     unknowns = task.unknowns(observation.external.names)
     task.tell("finding poses and frames to start from")
-    problem.first = align(problem, data, unknowns.start[: problem.columns[-1].stop])
+    problem.first = align(task.mechanism, problem, data, unknowns.start[: problem.columns[-1].stop])
     return problem, unknowns
 
 

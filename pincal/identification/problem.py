@@ -112,6 +112,9 @@ class Problem(Protocol):
     def start(self, parameters: Array) -> State:
         """Return the state from which the search starts."""
 
+    def eased(self) -> Problem:
+        """Return a problem with the optimum nearby that is searched more easily."""
+
     def linearise(self, state: State) -> Linear:
         """Return residuals and derivatives at a state."""
 
@@ -170,6 +173,10 @@ class MeasuredPoses:
         platform = self.residuals[0].platform
         matrices = platform.transforms(self._coordinates).as_matrix()
         return State(parameters, matrices, (None,) * len(self.legs), NOTHING)
+
+    def eased(self) -> MeasuredPoses:
+        """Return the problem itself."""
+        return self
 
     def linearise(self, state: State) -> Linear:
         """Return residuals and derivatives at a state.
