@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import Closure, LegClosure
 from pincal.kinematics.derivatives import Demand, demand
 from pincal.kinematics.inverse import close
 from pincal.kinematics.starts import start
@@ -67,18 +67,27 @@ class LegResidual:
         return self._closure(closure) if self.kind == "closure" else self._joint(closure)
 
     def _closure(self, closure: LegClosure) -> Demand:
+        return demand(closure, self.closed(closure), self._readings)
+
+    def closed(self, closure: LegClosure, steps: int = _STEPS) -> Closure:
+        """Return the leg at the measured poses and readings, passive joints closing it best.
+
+        Args:
+            closure: The leg at its parameter values.
+            steps: Most Gauss-Newton steps.
+        """
         if self._joints is None:
             self._joints = start(closure, self._matrices)[0]
         joints, active = self._joints, self.leg.active
         joints[:, active] = self.leg.sensor.position(self._readings, closure.by_name)
         passive = [i for i in range(joints.shape[1]) if i != active]
-        for _ in range(_STEPS):
+        for _ in range(steps):
             closed = closure.evaluate(joints, self._matrices)
             step = closed.passive_step()
             joints[:, passive] += step
             if np.abs(step).max(initial=0.0) <= _SMALL * max(1.0, closure.size):
                 break
-        return demand(closure, closed, self._readings)
+        return closed
 
     def _joint(self, closure: LegClosure) -> Demand:
         closed = close(closure, self._matrices)
