@@ -281,6 +281,12 @@ def legs_swapped(data: pincal.Measurements) -> pincal.Measurements:
     return replace(data, readings=data.readings[:, [1, 0, 2]])
 
 
+def one_pose(data: pincal.Measurements) -> pincal.Measurements:
+    """Return measurements of the first pose only, 20 times and never quite the same."""
+    poses = data.poses[[0] * 20] + 1e-12 * np.arange(20)[:, None]
+    return pincal.Measurements(poses, readings=data.readings[[0] * 20])
+
+
 def one_orientation(noise: float = 0.0) -> None:
     """Write measurements of the truth at 30 poses with the same phi to ``t.csv``."""
     truth, rng = pincal.load_mechanism("truth"), np.random.default_rng(0)
@@ -385,7 +391,10 @@ BAD = {
     ),
     "readings-in-wrong-order": Case(CALIBRATE, ["leg_1", "order"], measured(legs_swapped)),
     "one-orientation": Case(CALIBRATE, PHI, one_orientation),
-    "one-pose": Case(CALIBRATE, ["leg_1", "rank", "gamma"], measured(only([0] * 20))),
+    "one-pose": Case(CALIBRATE, ["leg_1", "rank", "gamma"], measured(one_pose)),
+    "rows-copied": Case(
+        CALIBRATE, ["rows", "4", "21", "identical"], measured(only([*range(20), 3]))
+    ),
     # options
     "noise-negative": Case(
         "calibrate 3RRR measured.csv --noise-position -1e-4 --noise-orientation 1e-4",

@@ -1,9 +1,9 @@
-"""Are the measurements such as this mechanism can have made? Units and signs are suspects.
+"""Are the measurements such as this mechanism can have made?
 
-Readings and poses that fit the nominal mechanism leave closure gaps that are small
-against the legs, and readings follow those of nominal inverse kinematics. If they do not
-as given but would in another unit, with another sign, or without whole turns, that is
-said; if nothing fits, nothing is identified.
+Readings and poses that fit the nominal mechanism leave closure gaps that are small against
+the legs, with the legs bent as at home, and readings follow those of nominal inverse
+kinematics. If the gaps are not small, what often goes wrong is put right, one suspect at a
+time, and those that then fit much better are named. If none does, nothing is identified.
 """
 
 from __future__ import annotations
@@ -12,17 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.identification.residuals import LegResidual
+from pincal.identification.explanation import DOUBTFUL, EXPLAINED, REFUSED, check_gaps
+from pincal.identification.leg_fit import LegFit, leg_fit
+from pincal.identification.suspects import mirrored
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import inverse
+from pincal.kinematics.singularity import margins
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_DOUBTFUL = 0.02  # median gap over the leg's size from which another unit is tried
-_REFUSED = 0.05  # from which nothing is identified
-_EXPLAINED = 0.01  # in another unit: it explains the measurements
-_BETTER = 0.1  # of the gap as given
 _FOLLOWS = 0.5  # spread of measured less nominal readings, over the spread of the nominal ones
 _ROWS = 500  # enough to judge by
 _LARGEST_NOISE = 0.02  # of a leg's size, and [rad]: beyond it, nothing can be calibrated
@@ -31,67 +30,133 @@ _LARGEST_NOISE = 0.02  # of a leg's size, and [rad]: beyond it, nothing can be c
 def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
     """Raise if measurements cannot come from a mechanism like the nominal one.
 
+    Only rows with complete poses are looked at, and of a leg those with its reading.
+
     Raises:
         MeasurementError: they do not fit; the message says what would explain it.
     """
-    step = max(1, len(data) // _ROWS)
-    poses, readings = data.poses[::step], data.readings[::step]
-    for index, leg in enumerate(mechanism.legs):
-        gap = _gap(mechanism, index, poses, readings)
-        if gap <= _DOUBTFUL:
+    complete = np.flatnonzero(np.isfinite(data.poses).all(axis=1))
+    if len(complete) < 2:
+        return
+    _check_copies(data, complete)
+    some = complete[:: -(-len(complete) // _ROWS)]
+    poses, readings = data.poses[some], data.readings[some]
+    fits = [leg_fit(mechanism, i, poses, readings[:, i]) for i in range(len(mechanism.legs))]
+    gaps = np.array([fit.gap if fit.rows > 1 else 0.0 for fit in fits])
+    if (gaps > DOUBTFUL).any():
+        check_gaps(mechanism, poses, readings, gaps)
+    _check_modes(mechanism, fits)
+    _check_side(mechanism, poses, readings)
+    _check_readings(mechanism, data, complete)
+
+
+def _check_copies(data: Measurements, rows: NDArray[np.intp]) -> None:
+    """Raise if rows chosen for the same leg are equal in everything measured.
+
+    Where equal readings come with different poses, measurements were repeated, and poses
+    written with few digits may be equal by chance.
+
+    Raises:
+        MeasurementError: rows that are copies.
+    """
+    first: dict[tuple[str, bytes], int] = {}
+    copies = []
+    for row in rows.tolist():
+        served = "" if data.sets is None else data.sets[row]
+        other = first.setdefault((served, data.readings[row].tobytes()), row)
+        if other == row:
             continue
-        for suspect, changed_poses, changed_readings in _suspects(mechanism, poses, readings):
-            other = _gap(mechanism, index, changed_poses, changed_readings)
-            if other <= min(_EXPLAINED, _BETTER * gap):
-                raise MeasurementError(
-                    f"{leg.name}: as given, the measurements miss the nominal mechanism by "
-                    f"{100 * gap:.0f} % of the leg's length; {suspect} they would by "
-                    f"{100 * other:.2g} %. Correct the units in the headers"
-                )
-        if gap <= _REFUSED:
-            continue
+        if not np.array_equal(data.poses[other], data.poses[row]):
+            return
+        copies.append((other + 1, row + 1))
+    if copies:
+        more = f" (and {len(copies) - 1} more such pairs)" if len(copies) > 1 else ""
         raise MeasurementError(
-            f"{leg.name}: measured poses and readings miss the nominal mechanism by "
-            f"{100 * gap:.0f} % of the leg's length (median). Check the units, the order and signs "
-            "of the readings, the frame of the poses, and that this is the right mechanism"
+            f"data rows {copies[0][0]} and {copies[0][1]} are identical in pose and readings"
+            f"{more}; measured twice, they would differ by noise. Remove the copies"
         )
-    _check_readings(mechanism, data)
 
 
-def _check_readings(mechanism: Mechanism, data: Measurements) -> None:
-    """Raise if readings do not follow the nominal ones: a sign, or whole turns.
+def _check_modes(mechanism: Mechanism, fits: list[LegFit]) -> None:
+    """Raise if legs close, but bent to the other side than at home.
+
+    Raises:
+        MeasurementError: naming the legs, their passive joints and in how many rows.
+    """
+    found = []
+    for leg, fit in zip(mechanism.legs, fits, strict=True):
+        if not fit.as_home and fit.gap <= REFUSED:
+            passive = [joint.name for joint in leg.moving if joint.name != leg.sensor.joint]
+            found.append(f"{leg.name} ({' and '.join(passive)}, in {fit.bent} of {fit.rows} rows)")
+    if found:
+        raise MeasurementError(
+            "readings and poses close the legs, but these bend the other way than in "
+            f"mechanism.yaml's home: {', '.join(found)}. Correct 'home' there, or measure in its "
+            "working mode"
+        )
+
+
+def _check_side(mechanism: Mechanism, poses: Array, readings: Array) -> None:
+    """Raise if poses lie beyond a type-2 singularity from home, and a mirror brings them back.
+
+    Mirrored in the plane of base and platform points, a hexapod has the same leg lengths.
+
+    Raises:
+        MeasurementError: naming the axis.
+    """
+    share = _beyond(mechanism, poses)
+    if share <= 0.5:
+        return
+    for suspect in mirrored(mechanism, poses, readings):
+        fits = [leg_fit(mechanism, i, suspect.poses, col) for i, col in enumerate(readings.T)]
+        gap = max((fit.gap for fit in fits if fit.rows > 1), default=np.inf)
+        bent = not all(fit.as_home for fit in fits)
+        if gap <= EXPLAINED and not bent and _beyond(mechanism, suspect.poses) < 0.5:
+            raise MeasurementError(
+                f"{100 * share:.0f} % of the poses lie beyond a singularity from mechanism.yaml's "
+                f"home; they would lie on its side, and fit to {100 * gap:.2g} % of the legs' "
+                f"length, if {suspect.words}. {suspect.remedy}"
+            )
+
+
+def _beyond(mechanism: Mechanism, poses: Array) -> float:
+    """Return the share of poses beyond a type-2 singularity from home."""
+    return float((margins(mechanism, poses).type2 < 0.0).mean())
+
+
+def _check_readings(mechanism: Mechanism, data: Measurements, complete: NDArray[np.intp]) -> None:
+    """Raise if readings do not follow the nominal ones, or are whole turns off.
 
     Raises:
         MeasurementError: they do not; the message names the leg and, for turns, the row.
     """
-    nominal = inverse(mechanism, data.poses).readings
+    nominal = inverse(mechanism, data.poses[complete]).readings
     for index, leg in enumerate(mechanism.legs):
-        reached = np.flatnonzero(np.isfinite(nominal[:, index]))
-        if len(reached) < 2:
+        given = data.readings[complete, index]
+        reached = np.isfinite(nominal[:, index]) & np.isfinite(given)
+        if reached.sum() < 2:
             continue
-        expected, given = nominal[reached, index], data.readings[reached, index]
+        rows, expected, given = complete[reached], nominal[reached, index], given[reached]
         if leg.reading_unit == "rad":
             gain, _ = leg.sensor.constants(leg.nominal_by_name)
             turn = 2 * np.pi * (abs(gain) if leg.sensor.form == "reading" else 1 / abs(gain))
             turns = np.round((given - expected) / turn)
             if turns.any():
-                row = int(reached[np.argmax(turns != 0)])
+                first = int(np.argmax(turns != 0))
                 raise MeasurementError(
                     f"{leg.name}: {int((turns != 0).sum())} readings are off by whole turns, the "
-                    f"first in data row {row + 1}: {data.readings[row, index]:.6g} rad, where the "
-                    f"nominal mechanism reads {nominal[row, index]:.6g} rad. Count them without "
+                    f"first in data row {rows[first] + 1}: {given[first]:.6g} rad, where the "
+                    f"nominal mechanism reads {expected[first]:.6g} rad. Count them without "
                     "the turns, or correct the nominal offset"
                 )
-        spread = _spread(expected)
-        if spread > 0.0 and _spread(given - expected) > _FOLLOWS * spread:
-            if _spread(given + expected) < _FOLLOWS * spread:
-                raise MeasurementError(
-                    f"{leg.name}: the readings run against the nominal ones. Change their sign, or "
-                    "the sensor's 'direction' in mechanism.yaml"
-                )
+        spread, off = _spread(expected), _spread(given - expected)
+        size = 1.0 if leg.reading_unit == "rad" else LegClosure(leg, mechanism.platform).size
+        if off > max(_FOLLOWS * spread, DOUBTFUL * size):
             raise MeasurementError(
-                f"{leg.name}: the readings do not follow those of the nominal mechanism. Check "
-                "their order and signs, the signs and frame of the poses, and the mechanism"
+                f"{leg.name}: the readings do not follow those of the nominal mechanism (spread of "
+                f"the differences {off:.2g}, of the nominal readings {spread:.2g} "
+                f"{leg.reading_unit}). Check their order and signs, the signs and frame of the "
+                "poses, and the mechanism"
             )
 
 
@@ -117,37 +182,3 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
             f"the noise of orientation is given as {noise.orientation:g} rad; expected less than "
             f"{_LARGEST_NOISE:g}. It is in radians"
         )
-
-
-def _suspects(
-    mechanism: Mechanism, poses: Array, readings: Array
-) -> list[tuple[str, Array, Array]]:
-    """Return what might have gone wrong: in words, and the measurements put right."""
-    degree = np.pi / 180
-    linear = np.array([unit == "m" for unit in mechanism.platform.units])
-    turned = np.where(linear, poses, poses * degree)
-    return [
-        ("if the readings are in degrees under a radian header", poses, readings * degree),
-        ("if the readings are in radians under a degree header", poses, readings / degree),
-        (
-            "if the positions are in mm under a metre header",
-            poses * np.where(linear, 1e-3, 1),
-            readings,
-        ),
-        (
-            "if the positions are in metres under a mm header",
-            poses * np.where(linear, 1e3, 1),
-            readings,
-        ),
-        ("if the orientations are in degrees under a radian header", turned, readings),
-        ("if all angles are in degrees under radian headers", turned, readings * degree),
-    ]
-
-
-def _gap(mechanism: Mechanism, index: int, poses: Array, readings: Array) -> float:
-    """Return the median closure residual of a leg at its nominal parameters, over its size."""
-    leg, platform = mechanism.legs[index], mechanism.platform
-    matrices = platform.transforms(poses).as_matrix()
-    found, _ = LegResidual(leg, platform, readings[:, index])(leg.nominal, matrices)
-    values = np.abs(found.value)
-    return float(np.median(np.nan_to_num(values, nan=np.inf))) / LegClosure(leg, platform).size

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import Closure, LegClosure
 from pincal.kinematics.derivatives import Demand, demand
 from pincal.kinematics.inverse import close
 from pincal.kinematics.starts import start
@@ -69,17 +69,35 @@ class LegResidual:
         closure = LegClosure(self.leg, self.platform, parameters)
         if self._kind == "joint":
             return self._joint(closure, matrices)
+        closed, joints = self.closed(closure, matrices, joints)
+        return demand(closure, closed, self.readings), joints
+
+    def closed(
+        self,
+        closure: LegClosure,
+        matrices: Array,
+        joints: Array | None = None,
+        steps: int = _STEPS,
+    ) -> tuple[Closure, Array]:
+        """Return the leg at poses and readings, passive joints closing it best, and the joints.
+
+        Args:
+            closure: The leg at its parameter values.
+            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+            joints: Where the search for passive joints starts, shape (N, n_joints).
+            steps: Most Gauss-Newton steps.
+        """
         joints = start(closure, matrices)[0] if joints is None else joints.copy()
         active = self.leg.active
         joints[:, active] = self.leg.sensor.position(self.readings, closure.by_name)
         passive = [i for i in range(joints.shape[1]) if i != active]
-        for _ in range(_STEPS):
+        for _ in range(steps):
             closed = closure.evaluate(joints, matrices)
             step = closed.passive_step()
             joints[:, passive] += step
             if np.abs(step).max(initial=0.0) <= _SMALL * max(1.0, closure.size):
                 break
-        return demand(closure, closed, self.readings), joints
+        return closed, joints
 
     def _joint(self, closure: LegClosure, matrices: Array) -> tuple[Demand, Array]:
         closed = close(closure, matrices)

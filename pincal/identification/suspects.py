@@ -1,0 +1,167 @@
+"""What goes wrong when machines are measured: suspects, each with the measurements put right.
+
+Frames and orders are of the poses or columns as a whole; a sign or a unit may be wrong in
+the readings of single legs. Whether a suspect explains anything is judged elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+_DEGREE = np.pi / 180
+_STAYS = 0.005  # of a leg's size: by less than this, a column is not said to fit another leg
+_UNITS = "Correct the units in the headers"
+_FRAME = "Give the poses in the right-handed frame of the base"
+#: Factors that put right a length or an angle under a wrong header, in words.
+_FACTORS = {
+    "m": {"in mm under a metre header": 1e-3, "in metres under a mm header": 1e3},
+    "rad": {
+        "in degrees under a radian header": _DEGREE,
+        "in radians under a degree header": 1 / _DEGREE,
+    },
+}
+_REFLECTIONS = {
+    "x has the other sign": np.diag([-1.0, 1.0, 1.0]),
+    "y has the other sign": np.diag([1.0, -1.0, 1.0]),
+    "z has the other sign": np.diag([1.0, 1.0, -1.0]),
+    "x and y are exchanged": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+}
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One thing that might have gone wrong."""
+
+    words: str
+    """Follows 'if'; ``{readings}`` stands for the readings, of some legs or all."""
+    remedy: str
+    """What to do about it."""
+    poses: Array
+    """Poses put right, shape (N, dof), [m] and [rad]."""
+    readings: Array
+    """Readings put right, shape (N, n_legs), [rad] or [m]."""
+    by_leg: bool = False
+    """Whether it may concern the readings of some legs only."""
+
+
+def single_faults(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Suspect]:
+    """Yield signs, units, frames and directions of orientation, one wrong at a time."""
+    yield Suspect(
+        "{readings} have the other sign",
+        "Change their sign, or the sensor's 'direction' in mechanism.yaml",
+        poses,
+        -readings,
+        by_leg=True,
+    )
+    yield from (suspect for faults, suspect in _units(mechanism, poses, readings) if faults == 1)
+    yield from mirrored(mechanism, poses, readings)
+    platform = mechanism.platform
+    if "rad" not in platform.units:
+        return
+    matrices = platform.transforms(poses).as_matrix()
+    turns = matrices[:, :3, :3].transpose(0, 2, 1)
+    back = -(turns @ matrices[:, :3, 3:])[:, :, 0]
+    yield Suspect(
+        "the orientations turn the other way (that of the base seen from the platform)",
+        "Give the orientation of the platform in the base frame",
+        _poses(mechanism, matrices[:, :3, 3], turns),
+        readings,
+    )
+    yield Suspect(
+        "the poses are those of the base in the platform's frame",
+        "Give the poses of the platform in the base frame",
+        _poses(mechanism, back, turns),
+        readings,
+    )
+
+
+def several_units(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Suspect]:
+    """Yield units that are wrong in several kinds of columns at once."""
+    yield from (suspect for faults, suspect in _units(mechanism, poses, readings) if faults > 1)
+
+
+def mirrored(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Suspect]:
+    """Yield left-handed frames: r → Q r, R → Q R Qᵀ for a reflection Q; and Q r with R as it is."""
+    matrices = mechanism.platform.transforms(poses).as_matrix()
+    positions, turns = matrices[:, :3, 3], matrices[:, :3, :3]
+    lengths = mechanism.platform.units.count("m")
+    for words, Q in _REFLECTIONS.items():
+        if lengths < 3 and Q[2, 2] < 0.0:
+            continue
+        yield Suspect(
+            f"{words}, as in a left-handed frame",
+            _FRAME,
+            _poses(mechanism, positions @ Q.T, Q @ turns @ Q.T),
+            readings,
+        )
+        if "rad" in mechanism.platform.units:
+            yield Suspect(
+                f"{words} and the orientations are right",
+                _FRAME,
+                _poses(mechanism, positions @ Q.T, turns),
+                readings,
+            )
+
+
+def exchanged(mechanism: Mechanism, poses: Array, readings: Array, gaps: Array) -> list[Suspect]:
+    """Return the order of columns in which the legs fit best, if it is another than given.
+
+    Args:
+        mechanism: The mechanism.
+        poses: Measured poses, shape (N, dof).
+        readings: Measured readings, shape (N, n_legs).
+        gaps: Gap of leg i with the readings of column j over the leg's size, shape
+            (n_legs, n_legs).
+    """
+    cost = np.clip(np.nan_to_num(gaps, nan=1.0), None, 1.0) - _STAYS * np.eye(len(gaps))
+    legs, columns = linear_sum_assignment(cost)
+    moved = [(i, j) for i, j in zip(legs, columns, strict=True) if i != j]
+    if not moved:
+        return []
+    names = mechanism.leg_names
+    words = " and ".join(f"column {names[j]} fits {names[i]}" for i, j in moved)
+    right = readings[:, columns]
+    return [Suspect(f"legs are exchanged: {words}", "Correct the order of columns", poses, right)]
+
+
+def _units(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[tuple[int, Suspect]]:
+    """Yield what units may be wrong together, and in how many kinds of columns."""
+    coordinates = np.array(mechanism.platform.units)
+    columns = np.array([leg.reading_unit for leg in mechanism.legs])
+    kinds = [
+        (name, unit, on_readings)
+        for name, unit, on_readings in (
+            ("the positions", "m", False),
+            ("the orientations", "rad", False),
+            ("{readings}", "m", True),
+            ("{readings}", "rad", True),
+        )
+        if unit in (columns if on_readings else coordinates)
+    ]
+    for choice in product(*([None, *_FACTORS[unit].items()] for _, unit, _ in kinds)):
+        wrong = [(kind, factor) for kind, factor in zip(kinds, choice, strict=True) if factor]
+        scales = np.ones(len(coordinates)), np.ones(len(columns))
+        for (_, unit, on_readings), (_, factor) in wrong:
+            scales[on_readings][(columns if on_readings else coordinates) == unit] = factor
+        words = " and ".join(f"{name} are {how}" for (name, _, _), (how, _) in wrong)
+        only_readings = all(on_readings for (_, _, on_readings), _ in wrong)
+        yield (
+            len(wrong),
+            Suspect(words, _UNITS, poses * scales[0], readings * scales[1], by_leg=only_readings),
+        )
+
+
+def _poses(mechanism: Mechanism, positions: Array, turns: Array) -> Array:
+    """Return the coordinates of positions (N, 3) and rotation matrices (N, 3, 3)."""
+    matrices = np.tile(np.eye(4), (len(positions), 1, 1))
+    matrices[:, :3, 3], matrices[:, :3, :3] = positions, turns
+    return mechanism.platform.from_matrices(matrices)
