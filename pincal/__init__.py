@@ -12,7 +12,7 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
-from pincal.experiment.forecast import Forecast, PlatformError, forecast
+from pincal.experiment.forecast import Forecast, forecast
 from pincal.experiment.observability import (
     Identifiability,
     Indices,
@@ -20,6 +20,7 @@ from pincal.experiment.observability import (
     indices,
     r_diagonal,
 )
+from pincal.experiment.platform_error import PlatformError
 from pincal.experiment.selection import Selection, select_poses
 from pincal.experiment.simulation import Accuracy, Simulation, accuracy, disturb, simulate
 from pincal.identification.calibrate import calibrate

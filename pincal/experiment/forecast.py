@@ -1,9 +1,9 @@
 """What measurements will give before they are made: rank, standard errors, platform error.
 
-At each pose all legs demand e(x, ψ; φ) = 0. Coordinates of the pose that are measured carry
-their noise into e, as readings do; coordinates that are not are eliminated by the left
-null space of their columns. What is left, whitened, is the information that the best
-estimator can draw from the pose: its inverse is the Cramér-Rao bound.
+At each pose all legs demand e(x, ψ; φ) = 0, and something is measured of the platform. The pose
+is eliminated from these rows by the left null space of its columns. What is left, whitened by
+the noise that it carries, is the information that the best estimator can draw from the pose:
+its inverse is the Cramér-Rao bound.
 """
 
 from __future__ import annotations
@@ -16,26 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.experiment.external import ExternalUnknowns
+from pincal.experiment.frames import split_frames
 from pincal.experiment.observability import Identifiability, identifiability
-from pincal.kinematics.closure import solve
-from pincal.kinematics.derivatives import Demand, leg_demand
-from pincal.model.measurements import Noise
+from pincal.experiment.observation import Observation, Rows
+from pincal.experiment.platform_error import PlatformError, platform_error, pose_gain, stacked
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import leg_demand
+from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Platform
+from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 _TAKES_PART = 1e-6  # of a direction that the measurements do not tell
-
-
-@dataclass(frozen=True)
-class PlatformError:
-    """Root mean square error of the platform over poses; infinite where it is not determined."""
-
-    position: float
-    """[m]."""
-    orientation: float
-    """[rad]; zero for a platform without orientation."""
-    poses: int
-    """Poses that all legs reach."""
 
 
 @dataclass(frozen=True)
@@ -46,15 +40,18 @@ class Forecast:
     poses: int
     """Number of poses that all legs reach."""
     measured: tuple[str, ...]
-    """Freedoms of the platform that are measured."""
+    """What is measured of the platform."""
     equations: int
     """Equations that a pose gives."""
     rank: Identifiability
-    """Of all parameters together; names are ``parameter (leg)``."""
+    """Of all parameters and external unknowns together; names are ``parameter (leg)``."""
     covariance: Array
     """Cramér-Rao bound on what is determined, shape (n, n), parameters leg by leg."""
     lost: Array
-    """Directions that are not determined, orthonormal columns, shape (n, n_lost)."""
+    """Directions that are not determined, columns of shape (n, n_lost)."""
+    gauge: Array
+    """Directions that only move frames that are not measured, columns of shape (n, n_gauge):
+    parameters are those nearest to the nominal ones."""
 
     @cached_property
     def std(self) -> Array:
@@ -63,8 +60,12 @@ class Forecast:
         return np.where(blurred, np.inf, np.sqrt(np.diagonal(self.covariance)))
 
     def platform_error(self, poses: Array) -> PlatformError:
-        """Return the error to expect of the calibrated platform over poses, shape (N, dof)."""
-        return platform_error(self.mechanism, self.covariance, poses, self.lost)
+        """Return the error to expect of the calibrated platform over poses, shape (N, dof).
+
+        Where frames are not measured, less what a motion of the frames explains.
+        """
+        frames = self.gauge.shape[1] > 0
+        return platform_error(self.mechanism, self.covariance, poses, self.lost, frames=frames)
 
     def poses_for(self, accuracy: float, poses: Array) -> float:
         """Return how many poses like the planned ones bring the position error to a value.
@@ -92,6 +93,7 @@ def forecast(
     poses: Array,
     noise: Noise | None = None,
     measured: Sequence[str] | None = None,
+    setup: Setup | None = None,
 ) -> Forecast:
     """Return what measurements at poses will tell about the parameters of all legs.
 
@@ -99,42 +101,31 @@ def forecast(
         mechanism: The mechanism, at its nominal parameters.
         poses: Poses to measure, coordinates of shape (N, dof); all sensors are read.
         noise: Standard deviations of what is measured.
-        measured: Freedoms of the platform that are measured (see ``Platform.freedoms``), all
-            if not given; axes of the base.
+        measured: Freedoms of the platform that are measured (see ``Platform.freedoms``; axes of
+            the measurements' frame) and columns of the setup; all if not given.
+        setup: What measured numbers will mean: unknown frame, targets, distances.
 
     Raises:
         MeasurementError: unknown freedoms, or measurements without any noise.
         MechanismError: poses of a wrong shape, or not finite.
     """
-    noise = noise or Noise()
-    platform = mechanism.platform
-    kept = platform.freedoms if measured is None else tuple(measured)
-    if unknown := [name for name in kept if name not in platform.freedoms]:
-        raise MeasurementError(
-            f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
-            f"{', '.join(platform.freedoms)}"
-        )
+    noise, setup, platform = noise or Noise(), setup or Setup(), mechanism.platform
     demands = [leg_demand(mechanism, leg.name, poses) for leg in mechanism.legs]
-    by_parameter, by_pose = _stacked(demands)
+    by_parameter, by_pose = stacked(demands)
     by_reading = np.concatenate([row.reading for row in demands], axis=1)
     ok = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_parameter).all(axis=(1, 2))
     by_parameter, by_pose, by_reading = by_parameter[ok], by_pose[ok], by_reading[ok]
-    known = np.array([name in kept for name in platform.freedoms])
-    Q, _ = np.linalg.qr(by_pose[:, :, ~known], mode="complete")
-    free = Q[:, :, int((~known).sum()) :].transpose(0, 2, 1)  # rows free of what is not measured
-    noisy = by_pose[:, :, known] * noise.of_poses(mechanism)[known]
-    variance = noisy @ noisy.transpose(0, 2, 1)
-    diagonal = np.arange(by_reading.shape[1])
-    variance[:, diagonal, diagonal] += (noise.reading * by_reading) ** 2
-    try:
-        factor = np.linalg.cholesky(free @ variance @ free.transpose(0, 2, 1))
-    except np.linalg.LinAlgError as error:
-        raise MeasurementError(
-            "some measurements carry no noise at all; give standard deviations above zero for what "
-            "is measured, and for readings where positions are measured in part"
-        ) from error
-    rows = np.asarray(np.linalg.solve(factor, free @ by_parameter))
-    rows = rows.reshape(-1, by_parameter.shape[2])
+    matrices = platform.transforms(poses).as_matrix()[ok]
+    seen, sigma, kept = _planned(mechanism, matrices, noise, measured, setup)
+    n_legs, n = by_parameter.shape[2], by_parameter.shape[2] + seen.external.shape[2]
+    parameter = np.zeros((len(matrices), by_pose.shape[1] + len(sigma), n))
+    parameter[:, : by_pose.shape[1], :n_legs] = by_parameter
+    parameter[:, by_pose.shape[1] :, n_legs:] = seen.external
+    pose = np.concatenate((by_pose, seen.pose), axis=1)
+    deviation = np.concatenate(
+        (np.abs(by_reading) * noise.reading, np.tile(sigma, (len(matrices), 1))), axis=1
+    )
+    rows = _whitened(pose, parameter, deviation)
     if not rows.size:
         raise MeasurementError(
             f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
@@ -142,9 +133,88 @@ def forecast(
             "platform"
         )
     names = [f"{name} ({leg.name})" for leg in mechanism.legs for name in leg.parameter_names]
-    rank = identifiability(rows, names)
-    covariance, lost = _inverse(rows, rank.rank)
-    return Forecast(mechanism, int(ok.sum()), kept, free.shape[1], rank, covariance, lost)
+    flat = rows.reshape(-1, n)
+    rank = identifiability(flat, [*names, *seen_names(platform, setup, kept)])
+    covariance, lost = _inverse(flat, rank.rank)
+    size = max(LegClosure(leg, platform).size for leg in mechanism.legs)
+    gain = pose_gain(by_parameter, by_pose)
+    gauge, lost = split_frames(platform, matrices, gain, lost[:n_legs], size)
+    return Forecast(
+        mechanism,
+        int(ok.sum()),
+        kept,
+        rows.shape[1],
+        rank,
+        covariance[:n_legs, :n_legs],
+        lost,
+        gauge,
+    )
+
+
+def seen_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the external unknowns of planned measurements."""
+    oriented = any(name in platform.freedoms[platform.units.count("m") :] for name in measured)
+    return ExternalUnknowns(platform, setup, oriented).names
+
+
+def _planned(
+    mechanism: Mechanism,
+    matrices: Array,
+    noise: Noise,
+    measured: Sequence[str] | None,
+    setup: Setup,
+) -> tuple[Rows, Array, tuple[str, ...]]:
+    """Return the rows of planned measurements, their standard deviations, and their names.
+
+    Raises:
+        MeasurementError: unknown freedoms.
+    """
+    platform, count = mechanism.platform, len(matrices)
+    columns = dict.fromkeys(setup.columns(mechanism), np.zeros(count))
+    offered = (*platform.freedoms, *columns)
+    kept = offered if measured is None else tuple(measured)
+    if unknown := [name for name in kept if name not in offered]:
+        raise MeasurementError(
+            f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
+            f"{', '.join(offered)}"
+        )
+    coordinates = platform.from_matrices(matrices)
+    turning = platform.freedoms[platform.units.count("m") :]
+    if not set(kept) & set(turning):
+        coordinates[:, platform.units.count("m") :] = np.nan
+    data = Measurements(
+        poses=coordinates, readings=np.zeros((count, len(mechanism.legs))), extra=columns
+    )
+    observation = Observation(mechanism, data, setup)
+    rows = observation.evaluate(matrices, observation.external.start)
+    chosen = [observation.names.index(name) for name in kept]
+    some = Rows(rows.value[:, chosen], rows.pose[:, chosen], rows.external[:, chosen])
+    sigma = observation.sigma(data, noise)[0, chosen] if count else np.zeros(len(chosen))
+    return some, sigma, kept
+
+
+def _whitened(pose: Array, parameter: Array, deviation: Array) -> Array:
+    """Return rows free of the poses, over their noise, shape (N, k, n).
+
+    Args:
+        pose: Derivatives by the pose, shape (N, r, dof).
+        parameter: By parameters and external unknowns, shape (N, r, n).
+        deviation: Standard deviation of each row, shape (N, r).
+
+    Raises:
+        MeasurementError: rows without noise.
+    """
+    Q, _ = np.linalg.qr(pose, mode="complete")
+    free = Q[:, :, pose.shape[2] :].transpose(0, 2, 1)
+    noisy = free * deviation[:, None, :]
+    try:
+        factor = np.linalg.cholesky(noisy @ noisy.transpose(0, 2, 1))
+    except np.linalg.LinAlgError as error:
+        raise MeasurementError(
+            "some measurements carry no noise at all; give standard deviations above zero for what "
+            "is measured, and for readings where positions are measured in part"
+        ) from error
+    return np.asarray(np.linalg.solve(factor, free @ parameter))
 
 
 def _inverse(rows: Array, rank: int) -> tuple[Array, Array]:
@@ -157,51 +227,3 @@ def _inverse(rows: Array, rank: int) -> tuple[Array, Array]:
     kept = axes[:rank] / s[:rank, None]
     lost, _ = np.linalg.qr(axes[rank:].T) if rank < n else (np.empty((n, 0)), None)
     return kept.T @ kept, lost
-
-
-def platform_error(
-    mechanism: Mechanism, covariance: Array, poses: Array, lost: Array | None = None
-) -> PlatformError:
-    """Return what the covariance of the parameters means for the platform.
-
-    Single parameters may be uncertain and yet well known together. What counts is where the
-    platform goes: with e of all legs, δx = −(∂e/∂x)⁻¹ (∂e/∂φ) δφ.
-
-    Args:
-        mechanism: The mechanism.
-        covariance: Of the parameters of all legs, shape (n, n).
-        poses: Poses over which to take the mean, coordinates of shape (N, dof).
-        lost: Directions of parameters that are not determined, columns of shape (n, n_lost).
-
-    Raises:
-        MechanismError: poses of a wrong shape, or not finite.
-    """
-    by_parameter, by_pose = _stacked([leg_demand(mechanism, n, poses) for n in mechanism.leg_names])
-    if by_pose.shape[1] != by_pose.shape[2]:  # more legs than freedoms: least squares
-        transposed = by_pose.transpose(0, 2, 1)
-        by_pose, by_parameter = transposed @ by_pose, transposed @ by_parameter
-    ok = np.isfinite(by_pose).all(axis=(1, 2))
-    gain = solve(by_pose[ok], by_parameter[ok])
-    variance = np.einsum("nip,pq,niq->ni", gain, covariance, gain).mean(axis=0)
-    if lost is not None and lost.shape[1]:
-        slides = np.abs(gain @ lost).max(axis=(0, 2)) > _TAKES_PART * np.abs(gain).max(axis=(0, 2))
-        variance = np.where(slides, np.inf, variance)
-    linear = np.array([unit == "m" for unit in mechanism.platform.units])
-    return PlatformError(
-        float(np.sqrt(variance[linear].sum())),
-        float(np.sqrt(variance[~linear].sum())),
-        int(ok.sum()),
-    )
-
-
-def _stacked(demands: list[Demand]) -> tuple[Array, Array]:
-    """Return ∂e/∂φ and ∂e/∂x of all legs, shapes (N, n_rows, n_params) and (N, n_rows, dof)."""
-    by_pose = np.concatenate([row.pose for row in demands], axis=1)
-    sizes = [row.parameter.shape[2] for row in demands]
-    by_parameter = np.zeros((*by_pose.shape[:2], sum(sizes)))
-    row, column = 0, 0
-    for demand, size in zip(demands, sizes, strict=True):
-        k = demand.parameter.shape[1]
-        by_parameter[:, row : row + k, column : column + size] = demand.parameter
-        row, column = row + k, column + size
-    return by_parameter, by_pose

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.forecast import PlatformError, platform_error
+from pincal.experiment.platform_error import PlatformError, platform_error
 from pincal.identification.result import CalibrationResult
 
 Array = NDArray[np.float64]
@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
     """Return the platform error to expect of the calibrated mechanism.
 
+    Where frames were fixed by choice, less what a motion of these frames explains.
+
     Args:
         result: The calibration.
         poses: Poses over which to take the mean, coordinates of shape (N, dof).
@@ -21,4 +23,5 @@ def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    return platform_error(result.identified, result.covariance, poses)
+    frames = bool(result.gauge)
+    return platform_error(result.identified, result.covariance, poses, frames=frames)

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
 from pincal.experiment.elimination import eliminate
+from pincal.experiment.frames import split_frames
 from pincal.experiment.observability import identifiability
 from pincal.identification.latent import LatentPoses
 from pincal.identification.unknowns import Unknowns
-from pincal.kinematics.closure import LegClosure, point_velocity
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.mechanism import Mechanism
 
@@ -29,7 +30,6 @@ _ROWS = 200  # generic poses, at least
 _SPREAD = 0.05  # of the mechanism's size, and [rad], by which they are moved about
 _LOST = 1e-9  # of the largest singular value, columns of unit length
 _TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
-_RIGID = 1e-6  # relative misfit of a motion of the platform by frames alone
 
 
 @dataclass(frozen=True)
@@ -77,8 +77,11 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
     _, s, axes = np.linalg.svd(J / lengths, full_matrices=len(J) < T.shape[1])
     lost = axes[int((s > _LOST * s[0]).sum()) :]
     directions = lost / lengths
-    bodies = _frames_moved(mechanism, generic, (directions @ T.T)[:, :n_legs])
-    if not bodies.all():
+    size = max(LegClosure(leg, mechanism.platform).size for leg in problem.legs)
+    gain = -np.linalg.pinv(generic.leg_pose) @ generic.leg_parameter
+    moved = (directions @ T.T)[:, :n_legs].T
+    _, beyond = split_frames(mechanism.platform, generic.matrices, gain, moved, size)
+    if beyond.shape[1]:
         lost_words = identifiability(J, unknowns.free_labels).in_words()
         raise ObservabilityError(
             f"what is measured leaves parameters undetermined at any poses: {lost_words}. Measure "
@@ -127,31 +130,6 @@ def _generic(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> 
         ok &= np.isfinite(seen.pose).all(axis=(1, 2)) & np.isfinite(outer).all(axis=(1, 2))
         parts.append((matrices[ok], pose[ok], parameter[ok], seen.pose[ok], outer[ok]))
     return _Generic(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-
-
-def _frames_moved(mechanism: Mechanism, generic: _Generic, directions: Array) -> NDArray[np.bool_]:
-    """Return which directions of the legs' parameters move the platform as frames would.
-
-    A base frame that moves by τ moves poses by the twist of τ at the platform's origin; a
-    platform frame that moves by η moves them by η in platform axes.
-    """
-    platform = mechanism.platform
-    rows = list(platform.twist_rows)
-    plane = platform.space == 2
-    frame_rows = (0, 1, 5) if plane else tuple(range(6))
-    count = len(generic.matrices)
-    position, R = generic.matrices[:, :3, 3], generic.matrices[:, :3, :3]
-    base, body = np.zeros((count, 6, 6)), np.zeros((count, 6, 6))
-    base[:, :3] = point_velocity(position, tuple(range(6)))
-    base[:, 3:, 3:] = np.eye(3)
-    body[:, :3, :3] = body[:, 3:, 3:] = R
-    motions = np.concatenate((base[:, :, list(frame_rows)], body[:, :, rows]), axis=2)[:, rows]
-    moved = -np.linalg.pinv(generic.leg_pose) @ (generic.leg_parameter @ directions.T)
-    flat = motions.reshape(-1, motions.shape[2])
-    wanted = moved.reshape(len(flat), len(directions))
-    found = np.linalg.lstsq(flat, wanted, rcond=None)[0]
-    size = np.linalg.norm(wanted, axis=0)
-    return np.asarray(np.linalg.norm(flat @ found - wanted, axis=0) <= _RIGID * size + 1e-12)
 
 
 def _words(count: int, unknowns: Unknowns, directions: Array) -> tuple[str, ...]:

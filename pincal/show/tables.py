@@ -9,7 +9,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from pincal.experiment.forecast import Forecast, PlatformError
+from pincal.experiment.forecast import Forecast
+from pincal.experiment.platform_error import PlatformError
 from pincal.experiment.selection import Selection
 from pincal.experiment.simulation import Accuracy
 from pincal.identification.result import CalibrationResult

@@ -1,0 +1,77 @@
+"""Motions of the base and of the platform's frame: changes of parameters that are only these.
+
+A base frame that moves by a twist τ moves poses by τ's velocity at the platform's origin; a
+platform frame that moves by η moves them by η in platform axes. A change of parameters that
+moves all poses so, says where frames lie and nothing about the mechanism.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closure import point_velocity
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+_RIGID = 1e-6  # relative misfit of a motion of the platform by frames alone
+
+
+def frame_motions(platform: Platform, matrices: Array) -> Array:
+    """Return the twists of the platform for unit motions of the frames, shape (N, dof, k).
+
+    Args:
+        platform: The platform.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+    """
+    base, body = np.zeros((2, len(matrices), 6, 6))
+    base[:, :3] = point_velocity(matrices[:, :3, 3], tuple(range(6)))
+    base[:, 3:, 3:] = np.eye(3)
+    body[:, :3, :3] = body[:, 3:, 3:] = matrices[:, :3, :3]
+    rows = list(platform.twist_rows)
+    frame = [0, 1, 5] if platform.space == 2 else list(range(6))
+    return np.concatenate((base[:, :, frame], body[:, :, rows]), axis=2)[:, rows]
+
+
+def beyond_frames(platform: Platform, matrices: Array, twists: Array, size: float) -> Array:
+    """Return twists of the platform less what motions of the frames explain of them.
+
+    Least squares over all poses together, angles counting as lengths at a radius.
+
+    Args:
+        platform: The platform.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        twists: One column for each change of parameters, shape (N, dof, k).
+        size: The radius, [m].
+    """
+    scale = np.array([1.0 if unit == "m" else size for unit in platform.units])[:, None]
+    motions = frame_motions(platform, matrices) * scale
+    flat = motions.reshape(-1, motions.shape[2])
+    wanted = (twists * scale).reshape(len(flat), twists.shape[2])
+    U, s, _ = np.linalg.svd(flat, full_matrices=False)
+    U = U[:, s > 1e-9 * s[0]]
+    return (wanted - U @ (U.T @ wanted)).reshape(twists.shape) / scale
+
+
+def split_frames(
+    platform: Platform, matrices: Array, gain: Array, directions: Array, size: float
+) -> tuple[Array, Array]:
+    """Return the part of directions of parameters that only moves frames, and the other part.
+
+    Args:
+        platform: The platform.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
+        directions: Columns, shape (n, k).
+        size: A length of the mechanism, [m].
+    """
+    moved = gain @ directions
+    left = beyond_frames(platform, matrices, moved, size)
+    scale = np.linalg.norm(moved, axis=(0, 1))
+    scale[scale == 0.0] = 1.0
+    flat = (left / scale).reshape(-1, left.shape[2]) if left.size else np.zeros((1, left.shape[2]))
+    _, s, axes = np.linalg.svd(flat, full_matrices=True)
+    only = np.ones(directions.shape[1], dtype=bool)
+    only[: len(s)] = s <= _RIGID
+    turned = directions / scale @ axes.T
+    return turned[:, only], turned[:, ~only]
