@@ -46,6 +46,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
+from pincal.model.setup import Distance, Setup, Target, read_setup
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element, mirror, rotations
 from pincal.symmetry.generate import generate
@@ -69,6 +70,7 @@ __all__ = [
     "ArticularSymmetry",
     "Axis",
     "CalibrationResult",
+    "Distance",
     "Element",
     "FileError",
     "Forecast",
@@ -96,9 +98,11 @@ __all__ = [
     "Samples",
     "Selection",
     "Sensor",
+    "Setup",
     "Simulation",
     "SymmetryError",
     "SymmetryGroup",
+    "Target",
     "Workspace",
     "WorkspaceError",
     "accuracy",
@@ -133,6 +137,7 @@ __all__ = [
     "read_poses",
     "read_readings",
     "read_result",
+    "read_setup",
     "rotations",
     "sample_workspace",
     "select_poses",

@@ -102,21 +102,60 @@ def test_full_poses_give_the_covariance_of_the_calibration(
 
 
 def test_what_positions_alone_do_not_tell(poses: dict[str, np.ndarray]) -> None:
-    """The platform's frame may turn: platform azimuths move together, positions stay known."""
+    """The platform's frame may turn: platform azimuths move together, all else stays known."""
     mechanism = pincal.load_mechanism("3RRR")
     found = pincal.forecast(mechanism, poses["3RRR"], NOISE, ["x", "y"])
     assert found.rank.rank == 23
     words = "beta_b (leg_1), beta_b (leg_2) and beta_b (leg_3) move together"
     assert found.rank.in_words() == words
     names = [name for leg in mechanism.legs for name in leg.parameter_names]
-    assert [n for n, s in zip(names, found.std, strict=True) if s == np.inf] == ["beta_b"] * 3
-    error = found.platform_error(poses["3RRR"])
+    turned = found.gauge[:, 0] / np.abs(found.gauge[:, 0]).max()
+    moved = [n for n, t in zip(names, turned, strict=True) if abs(t) > 1e-6]
+    assert found.gauge.shape[1] == 1
+    assert moved == ["beta_b"] * 3
+    assert np.isfinite(found.std).all()  # of those nearest to the nominal ones
+    error = found.platform_error(poses["3RRR"])  # but for a turn of the platform's frame
     assert 0 < error.position < np.inf
-    assert error.orientation == np.inf
+    assert 0 < error.orientation < np.inf
     assert found.poses_for(1e-4, poses["3RRR"]) < np.inf
     hexapod = pincal.load_mechanism("6UPS")
     found = pincal.forecast(hexapod, poses["6UPS"], NOISE, ["x", "y", "z"])
-    assert found.rank.rank == 45  # three turns of the platform's frame
+    assert found.rank.rank == 45
+    assert found.gauge.shape[1] == 3  # turns of the platform's frame
+
+
+def test_what_too_few_poses_do_not_tell(poses: dict[str, np.ndarray]) -> None:
+    """Seven full poses leave a direction of each leg open, which moves the platform."""
+    mechanism = pincal.load_mechanism("3RRR")
+    found = pincal.forecast(mechanism, poses["3RRR"][:7], NOISE)
+    assert found.rank.rank == 21
+    assert (found.gauge.shape[1], found.lost.shape[1]) == (0, 3)
+    assert np.isinf(found.std).any()
+    assert found.platform_error(poses["3RRR"]).position == np.inf
+    assert found.poses_for(1e-4, poses["3RRR"]) == np.inf
+
+
+def test_what_an_unknown_frame_costs(poses: dict[str, np.ndarray]) -> None:
+    """A tracker at an unknown place leaves six freedoms of frames and the platform's error.
+
+    With legs that have all base points among their parameters, frames are theirs to take up.
+    """
+    mechanism = pincal.load_mechanism("6UPS")
+    known = pincal.forecast(mechanism, poses["6UPS"], NOISE)
+    unknown = pincal.forecast(
+        mechanism, poses["6UPS"], NOISE, setup=pincal.Setup(unknown_frame=True)
+    )
+    assert (unknown.gauge.shape[1], unknown.lost.shape[1]) == (6, 0)
+    assert unknown.rank.rank == known.rank.rank
+    free = pincal.forecast(
+        mechanism,
+        poses["6UPS"],
+        NOISE,
+        setup=pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=True)}),
+    )
+    assert (free.gauge.shape[1], free.lost.shape[1]) == (12, 0)
+    one, other = (f.platform_error(poses["6UPS"]) for f in (unknown, free))
+    assert other.position <= one.position * (1 + 1e-9)
 
 
 def test_errors_fall_with_the_root_of_the_poses(poses: dict[str, np.ndarray]) -> None:
@@ -162,7 +201,9 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     assert f"{1e3 * std[0]:.4g}" in outcome.out
     outcome = done("identifiability", "3RRR", plan, "--measure", "position", "--accuracy", 1e-5)
     assert "beta_b (leg_1), beta_b (leg_2) and beta_b (leg_3) move together" in outcome.out
-    assert "not determined [mrad]" in outcome.out
+    assert "1 freedom of frames" in outcome.out
+    outcome = done("identifiability", "3RRR", plan, *noise, "--unknown-frame", "--unknown-target")
+    assert "6 freedoms of frames" in outcome.out
     outcome = done("identifiability", "5R", "--measure", "x", "--count", 30)
     assert "measured: x" in outcome.out
     assert run("identifiability", "3RRR", "--measure", "nothing").code == 2

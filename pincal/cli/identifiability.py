@@ -10,11 +10,13 @@ import typer
 
 from pincal.cli.app import Mech, Seed, app, stdout, working
 from pincal.cli.experiment import NoiseOrientation, NoisePosition, NoiseReading
+from pincal.cli.setups import SetupFile, UnknownFrame, UnknownTarget, setup_from
 from pincal.experiment.forecast import forecast
 from pincal.model.files import load_mechanism
 from pincal.model.measurement_files import read_poses
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import Setup
 from pincal.show.tables import forecast_table
 from pincal.workspace.sampling import sample_workspace
 
@@ -41,6 +43,9 @@ def identifiability(
         typer.Option(help="Wanted root mean square position error over the workspace [m]."),
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="Number of poses without a plan.")] = 50,
+    setup: SetupFile = None,
+    unknown_frame: UnknownFrame = False,
+    unknown_target: UnknownTarget = False,
     seed: Seed = 0,
 ) -> None:
     """Say what measurements will tell about the parameters, before they are made.
@@ -49,19 +54,21 @@ def identifiability(
     Cramér-Rao bound: the best that any calibration of all legs can reach), and the
     platform error over the workspace; with --accuracy how many poses that takes.
 
-    Positions are measured at the platform's origin, in the robot's base frame. 'pincal
-    calibrate' takes full poses; what parts of them would tell is forecast here only.
+    Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
+    --unknown-target or --setup say otherwise. Parts of poses are calibrated with 'pincal
+    calibrate --method latent'.
     """
     mechanism = load_mechanism(mech)
     noise = Noise(noise_position, noise_orientation, noise_reading)
-    measured = _measured(mechanism, measure)
+    how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)
+    measured = _measured(mechanism, measure, how)
     if plan is not None:
         poses = read_poses(plan, mechanism).poses
     with working("sampling the workspace"):
         over = sample_workspace(mechanism, 1000, seed)
         if plan is None:
             poses = sample_workspace(mechanism, count, seed + 1)
-    found = forecast(mechanism, poses, noise, measured)
+    found = forecast(mechanism, poses, noise, measured, how)
     error = found.platform_error(over)
     stdout.print(forecast_table(found, error, len(poses)))
     if accuracy is not None:
@@ -70,9 +77,9 @@ def identifiability(
         stdout.print(f"for {1e3 * accuracy:g} mm: {text}", markup=False)
 
 
-def _measured(mechanism: Mechanism, measure: str) -> tuple[str, ...]:
-    """Return the freedoms that are measured."""
-    platform = mechanism.platform
+def _measured(mechanism: Mechanism, measure: str, setup: Setup) -> tuple[str, ...]:
+    """Return what is measured of the platform."""
+    platform, more = mechanism.platform, tuple(setup.columns(mechanism))
     pairs = list(zip(platform.freedoms, platform.units, strict=True))
     named = {
         "pose": platform.freedoms,
@@ -80,4 +87,6 @@ def _measured(mechanism: Mechanism, measure: str) -> tuple[str, ...]:
         "orientation": tuple(name for name, unit in pairs if unit == "rad"),
         "nothing": (),
     }
-    return named[measure] if measure in named else tuple(measure.replace(" ", "").split(","))
+    if measure in named:
+        return (*named[measure], *more)
+    return tuple(measure.replace(" ", "").split(","))

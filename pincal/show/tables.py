@@ -186,7 +186,15 @@ def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group
     if rank.complete:
         lines[0] += f", condition {rank.condition:.3g}"
     else:
-        lines.append(f"not determined (—): {rank.in_words()}")
+        lines.append(f"not determined: {rank.in_words()}")
+    if count := found.gauge.shape[1]:
+        lines.append(
+            f"{count} freedom{'s' if count > 1 else ''} of frames cannot be told by such "
+            "measurements: of equal parameters those nearest to nominal are meant, and errors of "
+            "the platform are what no motion of the base or platform frame explains"
+        )
+    if found.lost.shape[1]:
+        lines.append("— : not determined")
     lines.append(
         f"platform over the workspace: {_amount(error.position, 'mm')}"
         + (f", {_amount(error.orientation, 'mrad')}" if "rad" in mechanism.platform.units else "")

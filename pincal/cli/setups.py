@@ -1,0 +1,40 @@
+"""Options that say how the platform is measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pincal.model.setup import ORIGIN, Setup, read_setup
+
+SetupFile = Annotated[
+    Path | None,
+    typer.Option("--setup", metavar="YAML", help="Frame, targets, distances of the measurements."),
+]
+UnknownFrame = Annotated[
+    bool,
+    typer.Option("--unknown-frame", help="The base stands anywhere in the frame of measurements."),
+]
+UnknownTarget = Annotated[
+    bool,
+    typer.Option("--unknown-target", help="The point measured sits anywhere on the platform."),
+]
+
+
+def setup_from(path: Path | None, *, unknown_frame: bool, unknown_target: bool) -> Setup:
+    """Return the setup of a file, and of options beside it.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: it says something else than it should.
+    """
+    setup = Setup() if path is None else read_setup(path)
+    if unknown_frame:
+        setup = replace(setup, unknown_frame=True)
+    if unknown_target:
+        target = replace(setup.targets[ORIGIN], unknown=True)
+        setup = replace(setup, targets={**setup.targets, ORIGIN: target})
+    return setup
