@@ -55,9 +55,7 @@ def align(
     seen, platform = problem.observation, problem.residuals[0].platform
     external = seen.external.start
     if not seen.external.frame_rows:
-        matrices = platform.transforms(_guess(platform, data.poses)).as_matrix()
-        matrices[:, :3, 3] -= matrices[:, :3, :3] @ external.offsets[0]
-        return settle(problem, State(parameters, matrices, (None,) * len(problem.legs), external))
+        return placed(problem, data, parameters, external)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     state = State(parameters, home, (None,) * len(problem.legs), external)
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:  # from home to where the readings say
@@ -93,14 +91,33 @@ def _where_measured(problem: LatentPoses, data: Measurements, state: State) -> A
     return matrices
 
 
-def _guess(platform: Platform, poses: Array) -> Array:
-    """Return poses with what was not measured as at home; orientations in full or not at all."""
-    home = np.array(platform.home)
-    guess = np.where(np.isfinite(poses), poses, home)
-    turns = np.array([unit == "rad" for unit in platform.units])
-    partly = ~np.isfinite(poses[:, turns]).all(axis=1)
-    guess[np.ix_(partly, turns)] = home[turns]
-    return guess
+def placed(
+    problem: LatentPoses, data: Measurements, parameters: Array, external: External
+) -> State:
+    """Return poses settled at known parameters and frames.
+
+    What was not measured starts as at home; orientations in full or not at all.
+
+    Args:
+        problem: The problem.
+        data: The measurements.
+        parameters: Of all legs, shape (n_params,).
+        external: Values of the external unknowns.
+    """
+    platform = problem.residuals[0].platform
+    matrices = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
+    turns = problem.observation.orientations
+    told = np.isfinite(turns).all(axis=(1, 2))
+    F = external.frame[:3, :3]
+    matrices[told, :3, :3] = F.T @ turns[told] @ external.turn.T
+    measured = np.full((len(data), 3), np.nan)
+    measured[:, : platform.space] = data.poses[:, : platform.space]
+    if platform.space == 2:
+        measured[:, 2] = 0.0
+    there = (measured - external.frame[:3, 3]) @ F - matrices[:, :3, :3] @ external.offsets[0]
+    matrices[:, :3, 3] = np.where(np.isfinite(there), there, matrices[:, :3, 3])
+    joints = (None,) * len(problem.legs)
+    return settle(problem.eased(), State(parameters, matrices, joints, external))
 
 
 def settle(problem: LatentPoses, state: State) -> State:

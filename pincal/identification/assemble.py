@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,19 +31,13 @@ _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
 
 
-def assemble(
-    task: Task,
-    estimate: Estimate,
-    without_ties: Estimate | None,
-    labels: Mapping[str, str],
-) -> CalibrationResult:
+def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> CalibrationResult:
     """Return the result of all legs from one fit of all, or one fit each.
 
     Args:
         task: What was to be identified.
         estimate: The fits.
         without_ties: The fits without ties, if there were any.
-        labels: What to call method, residual and poses.
     """
     mechanism, source = task.mechanism, task.noise.source
     fits = [one.fit for one in estimate.fits]
@@ -63,7 +57,9 @@ def assemble(
         nominal=mechanism,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
         legs=legs,
-        **labels,
+        method=task.method,
+        residual="reading" if task.method == "latent" else task.kind,
+        poses="all" if task.every_pose else "own",
         noise=noise,
         noise_source="estimated" if source == "assumed" else source,
         covariance=_covariance(task, estimate),

@@ -23,12 +23,10 @@ from pincal.identification.noise import noise_model
 from pincal.identification.plausibility import check_noise, check_plausible
 from pincal.identification.residuals import Residual
 from pincal.identification.result import CalibrationResult
-from pincal.identification.task import Task
+from pincal.identification.task import Method, Task
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
-
-Method = Literal["per-leg", "together", "latent"]
 
 
 def calibrate(
@@ -74,49 +72,76 @@ def calibrate(
             twice, or leaves a residual without any; the joint residual out of reach; an unknown
             parameter, loss or method.
     """
-    setup = setup or Setup()
-    _check_shapes(mechanism, measurements)
-    if method not in get_args(Method):
-        raise MeasurementError(
-            f"unknown method {method!r}; expected one of {', '.join(get_args(Method))}"
-        )
-    if loss not in get_args(LossName):
-        raise MeasurementError(
-            f"unknown loss {loss!r}; expected one of {', '.join(get_args(LossName))}"
-        )
-    model = noise_model(mechanism, measurements, noise)
-    if noise is not None:
-        check_noise(mechanism, noise)
-    if setup.plain:
-        check_plausible(mechanism, measurements)
-    task = Task(
+    task = calibration_task(
         mechanism,
         measurements,
-        setup,
-        model,
+        method=method,
+        residual=residual,
+        poses=poses,
+        noise=noise,
+        setup=setup,
+        loss=loss,
+        fixed=fixed,
+        tied=tied,
+        priors=priors,
+        progress=progress,
+    )
+    if task.setup.plain:
+        check_plausible(mechanism, measurements)
+    found = estimate(task)
+    return assemble(task, found, estimate(replace(task, tied=())) if task.tied else None)
+
+
+def estimate(task: Task) -> Estimate:
+    """Return the fits of a task.
+
+    Raises:
+        ObservabilityError: too few poses, or poses that leave parameters undetermined.
+        MeasurementError: measurements that do not suit the method.
+    """
+    return latent_fit(task) if task.method == "latent" else measured_fits(task)
+
+
+def calibration_task(
+    mechanism: Mechanism,
+    data: Measurements,
+    *,
+    method: Method = "per-leg",
+    residual: Residual = "closure",
+    poses: Literal["own", "all"] = "own",
+    noise: Noise | None = None,
+    setup: Setup | None = None,
+    loss: LossName = "none",
+    fixed: Iterable[str] = (),
+    tied: Iterable[str] = (),
+    priors: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Task:
+    """Return what is to be identified, checked: arguments and errors are those of ``calibrate``."""
+    _check_shapes(mechanism, data)
+    for what, given, known in (("method", method, Method), ("loss", loss, LossName)):
+        if given not in get_args(known):
+            raise MeasurementError(
+                f"unknown {what} {given!r}; expected one of {', '.join(get_args(known))}"
+            )
+    if method == "latent" and residual != "closure":
+        raise MeasurementError("latent poses take the closure residual; leave out the other")
+    if noise is not None:
+        check_noise(mechanism, noise)
+    return Task(
+        mechanism,
+        data,
+        setup or Setup(),
+        noise_model(mechanism, data, noise),
         fixed=tuple(fixed),
         tied=tuple(tied),
         priors=dict(priors or {}),
         loss=loss,
+        method=method,
+        kind=residual,
+        every_pose=method == "latent" or poses == "all",
         tell=progress or (lambda _: None),
     )
-    if method == "latent" and residual != "closure":
-        raise MeasurementError("latent poses take the closure residual; leave out the other")
-
-    def estimate(task: Task) -> Estimate:
-        if method == "latent":
-            return latent_fit(task)
-        together = method == "together"
-        return measured_fits(task, together=together, residual=residual, every_pose=poses == "all")
-
-    found = estimate(task)
-    free = estimate(replace(task, tied=())) if task.tied else None
-    labels = {
-        "method": method,
-        "residual": "reading" if method == "latent" else residual,
-        "poses": "all" if method == "latent" else poses,
-    }
-    return assemble(task, found, free, labels)
 
 
 def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:

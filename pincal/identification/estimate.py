@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pincal.experiment.external import External, ExternalUnknowns
 from pincal.identification.latent import LatentPoses
 from pincal.identification.robust import Robust
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -22,3 +28,12 @@ class Estimate:
     """Gauge freedoms in words."""
     latent: LatentPoses | None = None
     """The problem, if poses were latent."""
+
+    def parameters(self, mechanism: Mechanism) -> dict[str, Array]:
+        """Return identified parameters by leg, each of shape (n_params,)."""
+        found = {
+            leg.name: one.fit.parameters[columns]
+            for one in self.fits
+            for leg, columns in zip(one.fit.problem.legs, one.fit.problem.columns, strict=True)
+        }
+        return {name: found[name] for name in mechanism.leg_names}

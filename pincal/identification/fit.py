@@ -52,6 +52,8 @@ class Fit:
     evaluations: int
     converged: bool
     message: str
+    known: bool
+    """Whether the scale of the noise is known; else the covariance is scaled by χ²."""
 
     @property
     def parameters(self) -> Array:
@@ -131,6 +133,7 @@ def fit(
         evaluations=evaluations,
         converged=converged,
         message=message,
+        known=known,
     )
 
 

@@ -14,24 +14,35 @@ from pincal.identification.task import Task
 from pincal.identification.unknowns import Unknowns
 
 
+def unaligned_problem(task: Task) -> LatentPoses:
+    """Return the problem with latent poses, without a start.
+
+    Raises:
+        MeasurementError: rows with too little measured.
+    """
+    data = task.data
+    observation = Observation(task.mechanism, data, task.setup)
+    return LatentPoses(
+        [task.residual(i) for i in range(len(task.mechanism.legs))],
+        task.used,
+        observation,
+        observation.sigma(data, task.noise.noise),
+        task.noise.readings,
+    )
+
+
 def latent_problem(task: Task) -> tuple[LatentPoses, Unknowns]:
     """Return the problem with latent poses at its start, and its unknowns.
 
     Raises:
         MeasurementError: rows with too little measured; frames that cannot be aligned.
     """
-    data = task.data
-    observation = Observation(task.mechanism, data, task.setup)
-    problem = LatentPoses(
-        [task.residual(i) for i in range(len(task.mechanism.legs))],
-        np.isfinite(data.readings),
-        observation,
-        observation.sigma(data, task.noise.noise),
-        task.noise.readings,
-    )
-    unknowns = task.unknowns(observation.external.names)
+    problem = unaligned_problem(task)
+    unknowns = task.unknowns(problem.observation.external.names)
     task.tell("finding poses and frames to start from")
-    problem.first = align(task.mechanism, problem, data, unknowns.start[: problem.columns[-1].stop])
+    problem.first = align(
+        task.mechanism, problem, task.data, unknowns.start[: problem.columns[-1].stop]
+    )
     return problem, unknowns
 
 

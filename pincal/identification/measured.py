@@ -18,26 +18,21 @@ from pincal.identification.gauge import Gauge, find_gauge
 from pincal.identification.latent import LatentPoses
 from pincal.identification.latent_fit import latent_problem
 from pincal.identification.problem import MeasuredPoses
-from pincal.identification.residuals import Residual
 from pincal.identification.robust import Robust, robust_fit
 from pincal.identification.task import Task
 from pincal.identification.unknowns import Unknowns
 from pincal.model.setup import ORIGIN
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _ROUNDS = 20
 _STANDS = 1e-10  # [m] and [rad]: the frame moves no more
 
 
-def measured_fits(task: Task, *, together: bool, residual: Residual, every_pose: bool) -> Estimate:
+def measured_fits(task: Task) -> Estimate:
     """Return the fits of all legs, one by one or together.
 
     Args:
         task: What is to be identified.
-        together: Whether residuals of different legs at a pose share its noise.
-        residual: What is minimised.
-        every_pose: Whether every pose serves every leg, or those of its set.
 
     Raises:
         ObservabilityError: too few poses; parameters that are not determined.
@@ -45,14 +40,12 @@ def measured_fits(task: Task, *, together: bool, residual: Residual, every_pose:
             poses.
     """
     _check_whole(task)
-    used = _used(task, every_pose)
+    _check_counts(task)
     unknowns = task.unknowns()
-    groups = _groups(task, together)
+    groups = _groups(task)
     mechanism = task.mechanism
     if task.setup.plain:
-        roots = task.noise.poses[:, :, None] * np.eye(mechanism.platform.dof)
-        fits = _fit_groups(task, groups, unknowns, task.data.poses, roots, used, residual)
-        return Estimate(fits)
+        return Estimate(_fit_groups(task, groups, unknowns, *given_poses(task, None, None)))
     problem, external_unknowns = latent_problem(task)
     gauge = find_gauge(mechanism, problem, external_unknowns)
     n_external = len(problem.observation.external)
@@ -63,46 +56,61 @@ def measured_fits(task: Task, *, together: bool, residual: Residual, every_pose:
         )
     external = problem.first.external
     for _ in range(_ROUNDS):
-        poses, roots = _in_base_frame(task, problem.observation, external)
-        fits = _fit_groups(task, groups, unknowns, poses, roots, used, residual)
+        poses = given_poses(task, problem.observation, external)
+        fits = _fit_groups(task, groups, unknowns, *poses)
         step = _toward_nominal(gauge, problem, external_unknowns, fits, external)
         if np.abs(step).max(initial=0.0) <= _STANDS:
             break
         external = problem.observation.external.moved(external, step)
+    else:
+        raise MeasurementError(
+            "the frames of the measurements were not found by aligning leg after leg; --method "
+            "latent finds them with the parameters"
+        )
     return Estimate(fits, problem.observation.external, external, gauge.words)
 
 
 def _fit_groups(
-    task: Task,
-    groups: list[list[int]],
-    unknowns: Unknowns,
-    poses: Array,
-    roots: Array,
-    used: Mask,
-    residual: Residual,
+    task: Task, groups: list[list[int]], unknowns: Unknowns, poses: Array, roots: Array
 ) -> list[Robust]:
     """Return a fit for each group of legs."""
     fits = []
     for group in groups:
-        task.tell(f"identifying {', '.join(task.mechanism.leg_names[i] for i in group)}")
-        rows = np.flatnonzero(used[:, group].any(axis=1))
-        problem = MeasuredPoses(
-            [task.residual(i, residual, rows) for i in group],
-            poses[rows],
-            used[rows][:, group],
-            roots[rows],
-            task.noise.readings[rows][:, group],
-            weighted=residual == "closure",
-        )
         names = [task.mechanism.leg_names[i] for i in group]
+        task.tell(f"identifying {', '.join(names)}")
+        problem, rows = group_problem(task, group, poses, roots)
         fits.append(robust_fit(task, problem, unknowns.part(names), rows))
     return fits
 
 
-def _groups(task: Task, together: bool) -> list[list[int]]:
+def group_problem(
+    task: Task, group: list[int], poses: Array, roots: Array
+) -> tuple[MeasuredPoses, NDArray[np.intp]]:
+    """Return the problem of some legs at the rows that serve one of them, and these rows.
+
+    Args:
+        task: What is to be identified.
+        group: The legs, by index.
+        poses: In the base frame, shape (N, dof).
+        roots: Roots of their covariance, shape (N, dof, dof).
+    """
+    used = task.used[:, group]
+    rows = np.flatnonzero(used.any(axis=1))
+    problem = MeasuredPoses(
+        [task.residual(i, task.kind, rows) for i in group],
+        poses[rows],
+        used[rows],
+        roots[rows],
+        task.noise.readings[rows][:, group],
+        weighted=task.kind == "closure",
+    )
+    return problem, rows
+
+
+def _groups(task: Task) -> list[list[int]]:
     """Return the legs that are identified at once: those that share a tie, or all."""
     legs = task.mechanism.legs
-    if together:
+    if task.method == "together":
         return [list(range(len(legs)))]
     tied = [
         i for i, leg in enumerate(legs) if any(name in leg.parameter_names for name in task.tied)
@@ -110,9 +118,19 @@ def _groups(task: Task, together: bool) -> list[list[int]]:
     return ([tied] if tied else []) + [[i] for i in range(len(legs)) if i not in tied]
 
 
-def _in_base_frame(task: Task, observation: Observation, external: External) -> tuple[Array, Array]:
-    """Return poses in the base frame, shape (N, dof), and roots of their covariance."""
+def given_poses(
+    task: Task, observation: Observation | None, external: External | None
+) -> tuple[Array, Array]:
+    """Return measured poses in the base frame, shape (N, dof), and roots of their covariance.
+
+    Args:
+        task: What is to be identified.
+        observation: What was measured, if frames or targets are unknown.
+        external: Their values.
+    """
     platform, data = task.mechanism.platform, task.data
+    if observation is None or external is None:
+        return data.poses, task.noise.poses[:, :, None] * np.eye(platform.dof)
     F = external.frame[:3, :3]
     turns = observation.orientations if any(u == "rad" for u in platform.units) else None
     measured = np.zeros((len(data), 3))
@@ -148,19 +166,14 @@ def _toward_nominal(
     return np.asarray((unknowns.map @ (gauge.directions.T @ amounts))[n:])
 
 
-def _used(task: Task, every_pose: bool) -> Mask:
-    """Return which poses serve which leg, shape (N, n_legs).
+def _check_counts(task: Task) -> None:
+    """Raise if there are too few poses for a leg.
 
     Raises:
-        ObservabilityError: too few poses for a leg.
+        ObservabilityError: there are.
     """
-    data, mechanism = task.data, task.mechanism
-    if every_pose:
-        used = np.ones(data.readings.shape, dtype=bool)
-    else:
-        used = np.stack([data.serves(name) for name in mechanism.leg_names], axis=1)
     unknowns = task.unknowns()
-    for leg, count in zip(mechanism.legs, used.sum(axis=0), strict=True):
+    for leg, count in zip(task.mechanism.legs, task.used.sum(axis=0), strict=True):
         own = unknowns.part([leg.name])
         n = own.map.shape[1] - int(np.isfinite(own.priors).sum())
         least = n if task.noise.known else n + 1
@@ -169,9 +182,8 @@ def _used(task: Task, every_pose: bool) -> Mask:
             raise ObservabilityError(
                 f"{leg.name}: {count} measured poses for {n} parameters{why}; at least {least} are "
                 f"needed, {2 * n} or more advised"
-                + ("" if every_pose else ". --poses all uses every pose for every leg")
+                + ("" if task.every_pose else ". --poses all uses every pose for every leg")
             )
-    return used
 
 
 def _check_whole(task: Task) -> None:

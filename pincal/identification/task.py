@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from pincal.identification.unknowns import Unknowns, unknowns
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
+
+Method = Literal["per-leg", "together", "latent"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,11 @@ class Task:
     tied: tuple[str, ...]
     priors: Mapping[str, float]
     loss: LossName
+    method: Method
+    kind: Residual
+    """What is minimised where poses were measured in full."""
+    every_pose: bool
+    """Whether every pose serves every leg, or those of its set."""
     tell: Callable[[str], None]
     """Called with what is being done."""
 
@@ -45,6 +53,16 @@ class Task:
             tied=self.tied if tied else (),
             priors=self.priors,
         )
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which row serves which leg, shape (N, n_legs)."""
+        if self.method == "latent":
+            return np.isfinite(self.data.readings)
+        if self.every_pose:
+            return np.ones(self.data.readings.shape, dtype=bool)
+        names = self.mechanism.leg_names
+        return np.stack([self.data.serves(name) for name in names], axis=1)
 
     def residual(
         self, leg: int, kind: Residual = "closure", rows: NDArray[np.intp] | None = None

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pincal.experiment.selection import Protocol, Selection
-from pincal.identification.calibrate import Method
 from pincal.identification.residuals import Residual
+from pincal.identification.task import Method
 from pincal.model.files import load_mechanism
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import draw_mechanism, draw_observability, draw_poses

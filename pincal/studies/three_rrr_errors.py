@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pincal.experiment.simulation import platform_errors
-from pincal.identification.calibrate import Method
+from pincal.identification.task import Method
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import COLOURS, HATCHES

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from pincal.experiment.selection import Protocol, Selection, select_poses
 from pincal.experiment.simulation import accuracy, disturb, simulate
-from pincal.identification.calibrate import Method, calibrate
+from pincal.identification.calibrate import calibrate
 from pincal.identification.residuals import Residual
 from pincal.identification.result import CalibrationResult
+from pincal.identification.task import Method
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import COLOURS

@@ -1,0 +1,104 @@
+"""Runs of an experiment compared: do they say the same, within their own standard errors?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from pincal.errors import MeasurementError
+from pincal.identification.calibrate import calibrate
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+_UNLIKELY = 1e-3
+
+
+@dataclass(frozen=True)
+class RunConsistency:
+    """Spread of parameters over runs against predicted standard errors."""
+
+    runs: tuple[str, ...]
+    names: tuple[str, ...]
+    """``leg.parameter``, length n."""
+    values: Array
+    """Identified in each run, shape (n_runs, n)."""
+    spread: Array
+    """Standard deviation over the runs, shape (n,)."""
+    predicted: Array
+    """Root mean square standard error of a run, shape (n,)."""
+    ratio: float
+    """Root mean square of the deviations in predicted standard errors, all directions alike;
+    near 1 if runs differ by their noise only."""
+    p_value: float
+    """Probability of such a spread, or a larger one, by noise alone."""
+
+    @property
+    def consistent(self) -> bool:
+        """Whether noise alone explains the spread, at 0.1 %."""
+        return self.p_value >= _UNLIKELY
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know first."""
+        if self.consistent:
+            return ()
+        off = np.argsort(-self.spread / np.where(self.predicted > 0.0, self.predicted, np.inf))[:3]
+        worst = ", ".join(self.names[i] for i in off)
+        return (
+            f"parameters differ between runs {self.ratio:.1f} times as much as their standard "
+            f"errors say (p = {self.p_value:.1g}), {worst} most: something changed between runs, "
+            "or the noise is larger than given",
+        )
+
+
+def compare_runs(
+    mechanism: Mechanism, measurements: Measurements, **options: Any
+) -> RunConsistency:
+    """Return how well the runs of an experiment agree, each calibrated alone.
+
+    Args:
+        mechanism: The nominal mechanism.
+        measurements: What was measured, with the run of each row.
+        **options: Of ``calibrate``.
+
+    Raises:
+        MeasurementError: no runs, or only one; a run whose fit does not converge.
+        ObservabilityError: a run that does not determine the parameters alone.
+    """
+    names = tuple(dict.fromkeys(measurements.runs or ()))
+    if len(names) < 2:
+        raise MeasurementError("runs are compared by a column 'run' with at least two runs in it")
+    of_rows = np.array(measurements.runs)
+    values, covariances = [], []
+    for name in names:
+        result = calibrate(mechanism, measurements.rows(of_rows == name), **options)
+        if not result.converged:
+            raise MeasurementError(f"run {name!r}: {result.message}")
+        values.append(np.concatenate([leg.identified for leg in result.legs]))
+        covariances.append(result.covariance)
+    found, C = np.array(values), np.array(covariances)
+    scale = np.sqrt(np.einsum("rii->ri", C).mean(axis=0))
+    scale[scale == 0.0] = 1.0
+    weights = np.linalg.pinv(C / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    relative = found / scale
+    mean = np.linalg.pinv(weights.sum(axis=0), rcond=1e-12, hermitian=True) @ np.einsum(
+        "rij,rj->i", weights, relative
+    )
+    off = relative - mean
+    statistic = float(np.einsum("ri,rij,rj->", off, weights, off))
+    rank = int(np.linalg.matrix_rank(weights.sum(axis=0), hermitian=True))
+    dof = rank * (len(names) - 1)
+    return RunConsistency(
+        runs=names,
+        names=tuple(f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names),
+        values=found,
+        spread=found.std(axis=0, ddof=1),
+        predicted=np.sqrt(np.einsum("rii->ri", C).mean(axis=0)),
+        ratio=float(np.sqrt(statistic / dof)),
+        p_value=float(chi2.sf(statistic, dof)),
+    )
