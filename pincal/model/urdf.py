@@ -183,11 +183,12 @@ def _number(text: str, where: str) -> float:
 
 
 def leg_urdf(leg: Leg) -> str:
-    """Return a leg's URDF: its joints, and visuals that reach from each joint to the next."""
+    """Return a leg's URDF: its joints, a box at its foot, and rods from each joint to the next."""
     robot = etree.Element("robot", name=leg.name)
     size = _size(leg)
     link = _link_element(robot, f"{leg.name}_base")
-    _visual(link, "box", size=(3 * size, 3 * size, size), rgba=_GREY)
+    foot = _triple_text(leg.joints[0].placement.xyz)
+    _visual(link, "box", size=(3 * size, 3 * size, size), xyz=foot, rgba=_GREY)
     for index, joint in enumerate(leg.joints):
         last = index == len(leg.joints) - 1
         if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
