@@ -228,8 +228,9 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
 
 
 def _size(leg: Leg) -> float:
-    """Return a radius for joints that suits the leg's longest link, two digits, [m]."""
+    """Return a radius for joints that suits the longest link (a stroke is two), two digits, [m]."""
     lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints]
+    lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
     return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
 
 
