@@ -19,7 +19,7 @@ from pincal.identification.residuals import Residual
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.plots import COLOURS
+from pincal.show.colours import COLOURS
 
 Array = NDArray[np.float64]
 
