@@ -47,6 +47,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
+from pincal.show.view import View, view
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element, mirror, rotations
 from pincal.symmetry.generate import generate
@@ -100,6 +101,7 @@ __all__ = [
     "Simulation",
     "SymmetryError",
     "SymmetryGroup",
+    "View",
     "Workspace",
     "WorkspaceError",
     "accuracy",
@@ -140,6 +142,7 @@ __all__ = [
     "simulate",
     "spherical",
     "symmetry_group",
+    "view",
     "write_measurements",
     "write_poses",
     "write_readings",
