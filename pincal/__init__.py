@@ -47,6 +47,7 @@ from pincal.model.placement import Placement, along, cartesian, placed, polar, s
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.model.setup import Distance, Setup, Target, read_setup
+from pincal.show.view import View, view
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element, mirror, rotations
 from pincal.symmetry.generate import generate
@@ -103,6 +104,7 @@ __all__ = [
     "SymmetryError",
     "SymmetryGroup",
     "Target",
+    "View",
     "Workspace",
     "WorkspaceError",
     "accuracy",
@@ -144,6 +146,7 @@ __all__ = [
     "simulate",
     "spherical",
     "symmetry_group",
+    "view",
     "write_measurements",
     "write_poses",
     "write_readings",

@@ -13,6 +13,7 @@ from pincal.cli import (
     mechanisms,
     study,
     symmetry,
+    view,
     workspace,
 )
 from pincal.cli.app import app, stderr
@@ -21,6 +22,7 @@ from pincal.errors import PincalError
 # as people come to need them
 _GROUPS = (
     mechanisms,
+    view,
     symmetry,
     kinematics,
     workspace,

@@ -35,9 +35,9 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         MechanismError: a file that does not say what it should; the message names the place.
     """
     folder = Path(name_or_path)
-    if not _is_folder(folder) and str(name_or_path) in bundled():
+    if not is_folder(folder) and str(name_or_path) in bundled():
         folder = bundled()[str(name_or_path)]
-    if not _is_folder(folder):
+    if not is_folder(folder):
         raise FileError(
             f"no mechanism {str(name_or_path)[:200]!r}: neither a folder nor one of the bundled "
             f"ones ({', '.join(bundled()) or 'none found'})"
@@ -54,10 +54,11 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         ) from error
 
 
-def _is_folder(path: Path) -> bool:
+def is_folder(path: Path) -> bool:
+    """Return whether a path is a folder; False for names that no file can have."""
     try:
         return path.is_dir()
-    except (OSError, ValueError):  # a name that no file can have
+    except (OSError, ValueError):
         return False
 
 

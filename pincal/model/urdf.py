@@ -183,11 +183,12 @@ def _number(text: str, where: str) -> float:
 
 
 def leg_urdf(leg: Leg) -> str:
-    """Return a leg's URDF: its joints, and visuals that reach from each joint to the next."""
+    """Return a leg's URDF: its joints, a box at its foot, and rods from each joint to the next."""
     robot = etree.Element("robot", name=leg.name)
     size = _size(leg)
     link = _link_element(robot, f"{leg.name}_base")
-    _visual(link, "box", size=(3 * size, 3 * size, size), rgba=_GREY)
+    foot = _triple_text(leg.joints[0].placement.xyz)
+    _visual(link, "box", size=(3 * size, 3 * size, size), xyz=foot, rgba=_GREY)
     for index, joint in enumerate(leg.joints):
         last = index == len(leg.joints) - 1
         if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
@@ -227,8 +228,9 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
 
 
 def _size(leg: Leg) -> float:
-    """Return a radius for joints that suits the leg's longest link, two digits, [m]."""
+    """Return a radius for joints that suits the longest link (a stroke is two), two digits, [m]."""
     lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints]
+    lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
     return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
 
 

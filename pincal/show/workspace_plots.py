@@ -12,7 +12,8 @@ from matplotlib.patches import Circle, Patch
 from numpy.typing import NDArray
 
 from pincal.model.mechanism import Mechanism
-from pincal.show.plots import COLOURS, MARKERS
+from pincal.show.colours import COLOURS
+from pincal.show.plots import MARKERS
 from pincal.workspace.articular import equal_sums
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.positions import Grid

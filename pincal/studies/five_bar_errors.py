@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pincal.experiment.simulation import platform_errors
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
-from pincal.show.plots import COLOURS, HATCHES
+from pincal.show.colours import COLOURS
+from pincal.show.plots import HATCHES
 from pincal.studies.study import Cell, Study
 from pincal.studies.trials import (
     Way,

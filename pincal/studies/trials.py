@@ -20,7 +20,7 @@ from pincal.identification.result import CalibrationResult
 from pincal.identification.task import Method
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.plots import COLOURS
+from pincal.show.colours import COLOURS
 
 Array = NDArray[np.float64]
 

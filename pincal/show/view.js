@@ -1,0 +1,210 @@
+"use strict";
+// The panel beside meshcat's viewer: it moves the parts of the scene from pose to pose.
+(() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const { THREE } = MeshCat;
+  const find = (id) => document.getElementById(id);
+  const pane = find("pane");
+  const viewer = new MeshCat.Viewer(pane);
+  const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const node = (path) => viewer.scene_tree.find(path.split("/"));
+  const poses = data.set.length;
+  let pose = -1;
+  let timer = null;
+
+  // meshcat's scene stands in a world whose y points up
+  const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
+
+  const element = (kind, text, parent) => {
+    const made = document.createElement(kind);
+    if (text) made.textContent = text;
+    if (parent) parent.append(made);
+    return made;
+  };
+
+  const setVisible = (path, visible) => {
+    node(path).set_property("visible", visible);
+    viewer.set_dirty();
+  };
+
+  // The scene
+
+  data.commands.forEach((command) => viewer.handle_command_bytearray(bytes(command)));
+  for (const body of data.bodies) {
+    body.matrices = new Float64Array(bytes(body.matrices).buffer);
+    body.nodes = body.paths.map(node);
+  }
+
+  function place(body) {
+    // matrices hold the columns of 3 of poses x parts; NaN where a part is not to be drawn
+    body.nodes.forEach((part, index) => {
+      const m = body.matrices.subarray(12 * (pose * body.nodes.length + index));
+      const there = !Number.isNaN(m[0]);
+      part.object.visible = there;
+      if (there) {
+        part.set_transform([m[0], m[1], m[2], 0, m[3], m[4], m[5], 0, m[6], m[7], m[8], 0, m[9], m[10], m[11], 1]);
+      }
+    });
+  }
+
+  // The panel
+
+  const cells = data.rows.map((row, index) => {
+    const table = find("rows");
+    if (index === 0 || data.rows[index - 1].group !== row.group) {
+      const heads = { pose: "pose", reading: "readings", error: "identified goes off by" };
+      const head = element("th", heads[row.group], element("tr", "", table));
+      head.colSpan = 2;
+    }
+    const line = element("tr", "", table);
+    element("td", row.name, line);
+    return element("td", "", line);
+  });
+
+  function show(index) {
+    pose = Math.min(Math.max(index, 0), poses - 1);
+    data.bodies.forEach(place);
+    viewer.set_dirty();
+    find("slider").value = pose + 1;
+    find("count").textContent = `${pose + 1} of ${poses}`;
+    const set = data.sets[data.set[pose]];
+    find("set").hidden = !set.name;
+    find("set").querySelector("i").style.background = set.colour;
+    find("set").querySelector("span").textContent = set.name === "all" ? "for every leg" : `set ${set.name}`;
+    const names = data.bodies.length > 1 ? ["", "identified: "] : [""];
+    const problems = data.bodies.map((body, i) => body.problems[pose] && names[i] + body.problems[pose]).filter(Boolean);
+    find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
+    find("problem").hidden = !problems.length;
+    data.rows.forEach((row, i) => {
+      const value = row.values[pose];
+      const digits = row.group === "error" ? 3 : 2;
+      cells[i].textContent = value === null ? "–" : `${value.toFixed(digits)} ${row.unit}`;
+    });
+  }
+
+  function play(on) {
+    clearInterval(timer);
+    timer = on ? setInterval(() => show((pose + 1) % poses), 500) : null;
+    find("play").textContent = on ? "pause" : "play";
+  }
+
+  function checkbox(parent, name, shown, change, colour) {
+    const label = element("label", "", parent);
+    const box = element("input", "", label);
+    box.type = "checkbox";
+    box.checked = shown;
+    box.addEventListener("change", () => change(box.checked));
+    if (colour) {
+      const swatch = element("i", "", label);
+      swatch.className = "swatch";
+      swatch.style.background = colour;
+    }
+    element("span", name, label);
+    change(shown);
+  }
+
+  find("name").textContent = data.name;
+  find("description").textContent = data.description;
+  find("source").textContent = data.source;
+  find("grid").textContent = data.grid;
+  data.sets.forEach((set, index) => {
+    const count = data.set.filter((own) => own === index).length;
+    const name = set.name === "all" ? "for every leg, " : set.name && `${set.name}, `;
+    const change = (on) => ["sets", "ghosts"].forEach((layer) => setVisible(`meshcat/${layer}/${index + 1}`, on));
+    checkbox(find("sets"), `${name}${count} ${count === 1 ? "pose" : "poses"}`, true, change, set.colour);
+  });
+  data.layers.forEach((layer) => checkbox(find("layers"), layer.name, layer.shown, (on) => setVisible(layer.path, on), layer.colour));
+
+  const tags = data.legs.map((leg) => {
+    const tag = element("div", leg.name, pane);
+    tag.className = "tag";
+    tag.style.borderColor = leg.colour;
+    return { tag, foot: turned(leg.foot) };
+  });
+  checkbox(find("layers"), "names of legs", true, (on) => tags.forEach(({ tag }) => (tag.hidden = !on)));
+
+  function placeTags() {
+    const { clientWidth: width, clientHeight: height } = pane;
+    const feet = tags.map(({ foot }) => foot.clone().project(viewer.camera));
+    const middle = feet.reduce((sum, at) => sum + at.x, 0) / feet.length;
+    for (const [index, { tag }] of tags.entries()) {
+      const at = feet[index];
+      const beside = at.x < middle - 1e-6 ? -12 - tag.offsetWidth : 12; // away from the mechanism
+      const x = Math.min(Math.max(((at.x + 1) / 2) * width + beside, 2), width - tag.offsetWidth - 2);
+      const y = Math.min(Math.max(((1 - at.y) / 2) * height + 8, 2), height - tag.offsetHeight - 2);
+      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+    }
+  }
+
+  // The camera: from above where all is in a plane, else from the side
+
+  const [low, high] = data.bounds;
+  const centre = turned(low.map((value, i) => (value + high[i]) / 2));
+  const size = Math.hypot(...high.map((value, i) => value - low[i])) || 1;
+  const camera = data.planar
+    ? new THREE.OrthographicCamera(-1, 1, 1, -1, 0.01 * size, 20 * size)
+    : new THREE.PerspectiveCamera(30, 1, 0.01 * size, 50 * size);
+  viewer.set_camera(camera);
+  viewer.set_object(["Cameras", "default", "rotated"], camera);
+
+  function fit() {
+    const aspect = pane.clientWidth / pane.clientHeight;
+    viewer.controls.target.copy(centre);
+    if (data.planar) {
+      const half = 0.57 * Math.max(high[1] - low[1], (high[0] - low[0]) / aspect, 0.1 * size);
+      Object.assign(camera, { left: -half * aspect, right: half * aspect, top: half, bottom: -half, zoom: 1 });
+      camera.position.copy(centre).add(new THREE.Vector3(0, 10 * size, 0));
+    } else {
+      const towards = turned([0.45, -0.85, 0.28]).normalize();
+      const right = new THREE.Vector3(0, 1, 0).cross(towards).normalize();
+      const up = towards.clone().cross(right);
+      const slope = Math.tan(((camera.fov / 2) * Math.PI) / 180);
+      let distance = 0;
+      for (let corner = 0; corner < 8; corner++) {
+        const v = turned(low.map((value, i) => ((corner >> i) & 1 ? high[i] : value))).sub(centre);
+        const needed = Math.max(Math.abs(v.dot(right)) / (slope * aspect), Math.abs(v.dot(up)) / slope);
+        distance = Math.max(distance, 1.12 * needed + v.dot(towards));
+      }
+      camera.position.copy(centre).addScaledVector(towards, distance);
+    }
+    viewer.set_3d_pane_size();
+  }
+
+  const render = viewer.render.bind(viewer);
+  viewer.render = () => {
+    render();
+    placeTags();
+  };
+  window.addEventListener("resize", () => {
+    if (data.planar) camera.left = (-camera.top * pane.clientWidth) / pane.clientHeight;
+    viewer.set_3d_pane_size();
+  });
+
+  // What people do
+
+  const keys = {
+    ArrowRight: () => show(pose + 1),
+    ArrowLeft: () => show(pose - 1),
+    ArrowUp: () => show(pose + 1),
+    ArrowDown: () => show(pose - 1),
+    Home: () => show(0),
+    End: () => show(poses - 1),
+    " ": () => play(timer === null),
+  };
+  document.addEventListener("keydown", (event) => {
+    const typing = event.key === " " && ["BUTTON", "INPUT"].includes(event.target.tagName) && event.target.id !== "slider";
+    if (event.key in keys && !typing && !event.ctrlKey && !event.altKey && !event.metaKey) {
+      event.preventDefault();
+      keys[event.key]();
+    }
+  });
+  find("slider").max = poses;
+  find("slider").addEventListener("input", (event) => show(event.target.valueAsNumber - 1));
+  find("back").addEventListener("click", () => show(pose - 1));
+  find("forth").addEventListener("click", () => show(pose + 1));
+  find("play").addEventListener("click", () => play(timer === null));
+  find("fit").addEventListener("click", fit);
+  fit();
+  show(0);
+  window.pincal = { viewer, show, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
+})();

@@ -1,0 +1,281 @@
+"""The view without a browser: what it draws is where kinematics says, and its page is safe."""
+
+from __future__ import annotations
+
+import html
+import http.client
+import json
+import re
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from command_line import contents, done, run
+
+import pincal
+from pincal.kinematics.links import link_placements
+from pincal.kinematics.readers import skeleton
+from pincal.show.bodies import Body, body
+from pincal.show.scene import scene
+from pincal.symmetry.domain import in_domain
+
+MECHANISMS = ["5R", "3RRR", "6UPS"]
+EVIL = "<script>alert('Ω \"é\"')</script>"
+
+
+def some_poses(mechanism: pincal.Mechanism, count: int = 6) -> np.ndarray:
+    """Return poses near home, shape (count, dof)."""
+    shifts = np.random.default_rng(1).uniform(0.0, 0.15, (count, mechanism.platform.dof))
+    return np.array(mechanism.platform.home) + shifts
+
+
+def gaps(mechanism: pincal.Mechanism, drawn: Body) -> np.ndarray:
+    """Return the distances of tips from their platform points, shape (N, n_legs)."""
+    at = drawn.placements[:, :, :3, 3]
+    points = list(dict.fromkeys(leg.point.name for leg in mechanism.legs))
+    own = [
+        drawn.part(f"platform/point {points.index(leg.point.name) + 1}") for leg in mechanism.legs
+    ]
+    tips = [chain[-1] for chain in drawn.chains]
+    return np.linalg.norm(at[:, tips] - at[:, own], axis=2)
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_links_are_where_pinocchio_puts_them(name: str) -> None:
+    """Link placements of moving joints and tips are those of Pinocchio, reading the URDF."""
+    mechanism = pincal.load_mechanism(name)
+    solution = pincal.inverse(mechanism, some_poses(mechanism))
+    for leg in mechanism.legs:
+        joints = solution.joints[leg.name]
+        own = link_placements(leg, joints)[:, :, :3, 3]
+        moving = [i for i, j in enumerate(leg.joints) if j.kind != "fixed"]
+        for row, values in zip(own, joints, strict=True):
+            assert np.allclose(row[[*moving, -1]], skeleton(leg, values), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_tips_meet_platform_points(name: str) -> None:
+    """Every leg's tip is at its platform point, at every pose, magnified errors or not."""
+    mechanism = pincal.load_mechanism(name)
+    true = pincal.disturb(mechanism, 1e-3, seed=2)
+    found = scene(mechanism, pincal.Plan(some_poses(mechanism)), None, true, 5.0)
+    assert gaps(mechanism, found.body).max() < 1e-9
+    assert found.identified is not None
+    drawn = [not problem for problem in found.identified.body.problems]
+    assert any(drawn)
+    assert gaps(mechanism, found.identified.body)[drawn].max() < 1e-9
+
+
+def test_what_is_not_reached_is_not_drawn_and_said() -> None:
+    """Links of a leg out of reach are NaN, the rest is drawn, and the leg is named."""
+    mechanism = pincal.load_mechanism("3RRR")
+    drawn = body(mechanism, np.array([[0.0, 0.0, 0.0], [1.6, 0.9, 0.0]]))
+    reached = pincal.inverse(mechanism, [[1.6, 0.9, 0.0]]).reached[0]
+    assert not drawn.problems[0]
+    assert not reached.all()
+    for leg, ok, chain in zip(mechanism.legs, reached, drawn.chains, strict=True):
+        assert np.isfinite(drawn.placements[1, list(chain)]).all() == ok
+        assert (leg.name in drawn.problems[1]) == (not ok)
+    assert np.isfinite(drawn.placements[1, drawn.part("platform/body")]).all()
+
+
+def test_rods_reach_from_the_universal_joint_to_the_slider() -> None:
+    """The rod of a prismatic joint is as long as its stroke, at every pose."""
+    mechanism = pincal.load_mechanism("6UPS")
+    poses = some_poses(mechanism)
+    drawn = body(mechanism, poses)
+    strokes = pincal.inverse(mechanism, poses).joints["leg_1"][:, 2]
+    rod = drawn.placements[:, drawn.part("leg 1/rod 3")]
+    foot = drawn.placements[:, drawn.part("leg 1/link 1"), :3, 3]
+    ends = np.einsum("nij,jk->nik", rod, np.array([[0, 0, 0, 1.0], [0, 0, 1.0, 1.0]]).T)[:, :3]
+    assert np.allclose(ends[:, :, 1], foot, atol=1e-12)
+    assert np.allclose(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=1), strokes)
+
+
+def test_errors_are_magnified_to_first_order() -> None:
+    """Small errors of the platform, magnified tenfold, are drawn ten times as large."""
+    mechanism = pincal.load_mechanism("3RRR")
+    true = pincal.disturb(mechanism, 1e-6, seed=3)
+    found = scene(mechanism, pincal.Plan(some_poses(mechanism)), None, true, 10.0)
+    assert found.identified is not None
+    platform = found.body.part("platform/body")
+    moved = found.identified.body.placements - found.body.placements
+    errors = found.identified.errors[:, :2]
+    assert np.allclose(
+        moved[:, platform, :2, 3], 10 * errors, atol=1e-3 * np.abs(errors).max() * 10
+    )
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_images_of_the_domain_are_the_whole(name: str) -> None:
+    """Of the images of any position by the group's elements, one lies in the domain."""
+    group = pincal.symmetry_group(pincal.load_mechanism(name))
+    positions = np.random.default_rng(0).normal(size=(500, 2))
+    inside = [in_domain(group, positions @ e.matrix[:2, :2].T) for e in group.elements]
+    assert (np.sum(inside, axis=0) == 1).all()
+
+
+def evil(mechanism: pincal.Mechanism) -> pincal.Mechanism:
+    """Return a mechanism whose names are code, quotes and letters from elsewhere."""
+    legs = tuple(replace(leg, name=f"{EVIL}{i}") for i, leg in enumerate(mechanism.legs))
+    return replace(
+        mechanism, name=EVIL, legs=legs, description="</style><img src=x onerror=alert(1)>"
+    )
+
+
+def test_names_cannot_leave_the_page_data() -> None:
+    """Names become JSON without any '<'; the title is escaped; the data reads back."""
+    mechanism = evil(pincal.load_mechanism("5R"))
+    plan = pincal.Plan(some_poses(mechanism), tuple(mechanism.leg_names[i % 2] for i in range(6)))
+    page = pincal.view(mechanism, plan, source=EVIL).html()
+    block = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
+    assert block
+    assert "<" not in block[1]
+    data = json.loads(block[1])
+    assert data["name"] == data["source"] == EVIL
+    assert [one["name"] for one in data["sets"]] == list(mechanism.leg_names)
+    outside = page.replace(block[0], "")
+    assert f"<title>{html.escape(EVIL)}</title>" in outside
+    assert EVIL not in outside
+    assert "onerror=alert" not in outside
+
+
+def test_notebooks_get_a_frame() -> None:
+    """The notebook's frame holds the whole page as an attribute, shut off from the notebook."""
+    view = pincal.view(pincal.load_mechanism("5R"))
+    frame = view._repr_html_()
+    assert 'sandbox="allow-scripts' in frame
+    assert "allow-same-origin" not in frame
+    srcdoc = re.search(r'srcdoc="([^"]*)"', frame)
+    assert srcdoc
+    assert html.unescape(srcdoc[1]) == view.html()
+
+
+def test_page_is_served_to_this_machine_under_its_own_name_only() -> None:
+    """The server binds to loopback, serves one page, refuses other hosts' names, and ends."""
+    view = pincal.view(pincal.load_mechanism("5R"), [[0.0, 1.1]])
+    place = urlsplit(view.url)
+    assert place.hostname == "127.0.0.1"
+    with urlopen(view.url) as answer:
+        assert answer.read().decode() == view.html()
+
+    def status(path: str, host: str) -> int:
+        connection = http.client.HTTPConnection("127.0.0.1", place.port)
+        connection.request("GET", path, headers={"Host": host})
+        code = connection.getresponse().status
+        connection.close()
+        return code
+
+    assert status("/", f"localhost:{place.port}") == 200
+    assert status("/", f"elsewhere.example:{place.port}") == 421
+    assert status("/", "elsewhere.example") == 421
+    assert status("/other", place.netloc) == 404
+    view.close()
+    with pytest.raises(OSError):
+        urlopen(f"http://{place.netloc}/")
+
+
+def test_view_takes_poses_in_every_form() -> None:
+    """Coordinates, transforms and plans give the same view; none gives home first."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = some_poses(mechanism)
+    forms = (poses, poses.tolist(), mechanism.platform.transforms(poses), pincal.Plan(poses))
+    for form in forms:
+        assert np.allclose(pincal.view(mechanism, form).scene.plan.poses, poses)
+    assert tuple(pincal.view(mechanism).scene.plan.poses[0]) == mechanism.platform.home
+
+
+def test_view_refuses_what_it_cannot_show() -> None:
+    """Too many poses, none, wrong shapes, factors and machines are refused with a reason."""
+    mechanism, other = pincal.load_mechanism("3RRR"), pincal.load_mechanism("5R")
+    home = [mechanism.platform.home]
+    for problem, arguments in (
+        ("0 poses", {"poses": np.empty((0, 3))}),
+        ("2001 poses", {"poses": np.zeros((2001, 3))}),
+        ("shape", {"poses": [[0.0, 0.0]]}),
+        ("shape", {"poses": [0.0, 0.0, 0.0]}),
+        ("shape", {"poses": home, "workspace": [[1.0]]}),
+        ("other legs", {"poses": home, "identified": other}),
+        ("above 0", {"poses": home, "identified": mechanism, "magnify": 0.0}),
+    ):
+        with pytest.raises(pincal.PincalError, match=problem):
+            pincal.view(mechanism, **arguments)  # type: ignore[arg-type]
+
+
+# The command
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a plan, a workspace, measurements and a result of the 3-RRR."""
+    folder = tmp_path_factory.mktemp("view")
+    noise = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
+    done("workspace", "3RRR", "--count", 300, "-o", folder / "workspace.csv")
+    plan = ["--count", 8, "--candidates", folder / "workspace.csv", "-o", folder / "plan.csv"]
+    done("select", "3RRR", *plan)
+    done("simulate", "3RRR", folder / "plan.csv", *noise, "-o", folder / "measured.csv")
+    done("calibrate", "3RRR", folder / "measured.csv", *noise, "-o", folder / "result")
+    (folder / "empty").mkdir()
+    quoted = EVIL.replace('"', '""')
+    (folder / "evil.csv").write_text(f'set,x [m],y [m],phi [rad]\n"{quoted}",0,0,0\n', "utf-8")
+    return folder
+
+
+def test_html_holds_plan_workspace_and_result(work: Path, tmp_path: Path) -> None:
+    """The file has the plan's sets, the cloud, and the identified machine with its factor."""
+    arguments = [work / "plan.csv", work / "result", "--workspace", work / "workspace.csv"]
+    done("view", "3RRR", *arguments, "--magnify", 50, "--html", tmp_path / "view.html")
+    page = (tmp_path / "view.html").read_text("utf-8")
+    for text in ('"leg_3"', "300 positions", "fundamental domain of C3", "errors × 50", "plan.csv"):
+        assert text in page
+    assert run("view", "3RRR", "--html", tmp_path / "view.html").code == 2
+    done("view", "3RRR", work / "measured.csv", "--html", tmp_path / "view.html", "--force")
+    assert "errors ×" not in (tmp_path / "view.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nothing"], "no mechanism"),
+        (["3RRR", "nothing.csv"], "cannot read"),
+        (["3RRR", "{}/plan.csv", "{}/measured.csv"], "at most"),
+        (["3RRR", "{}/empty"], "no result.json"),
+        (["5R", "{}/result"], "other legs"),
+        (["3RRR", "{}/evil.csv"], "is no leg"),
+        (["3RRR", "{}/plan.csv", "--magnify", "3"], "RESULT"),
+        (["3RRR", "{}/result", "--magnify", "-3"], "above 0"),
+        (["3RRR", "--workspace", "{}/nothing.csv"], "cannot read"),
+        (["6UPS", "--workspace", "{}/workspace.csv"], "no column 'z'"),
+    ],
+)
+def test_wrong_input_leaves_nothing(
+    arguments: list[str], said: str, work: Path, tmp_path: Path
+) -> None:
+    """Wrong input: exit code 2, a message that says what, and no file."""
+    given = [text.format(work) for text in arguments]
+    outcome = run("view", *given, "--html", tmp_path / "view.html")
+    assert outcome.code == 2
+    assert said in outcome.err
+    assert not contents(tmp_path)
+
+
+def test_interrupt_ends_the_server() -> None:
+    """The command prints the page's address, serves it, and Ctrl-C ends it with exit code 0."""
+    command = [sys.executable, "-W", "error", "-m", "pincal", "view", "5R", "--no-open"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout
+        url = process.stdout.readline().strip()
+        with urlopen(url) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors

@@ -1,0 +1,322 @@
+"""The view's page in a real browser: what is on the screen is where kinematics says."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pincal
+from pincal.kinematics.readers import skeleton
+from pincal.show.view import View
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+if CHROMIUM is None:
+    pytest.skip("no chromium on this machine (apt-get install chromium)", allow_module_level=True)
+
+MECHANISMS = ["5R", "3RRR", "6UPS"]
+FAR = {"5R": [0.0, 3.0], "3RRR": [1.6, 0.9, 0.0], "6UPS": [0.0, 0.0, 1.2, 0.0, 0.0, 0.0]}
+EVIL = "<script>document.title='Ω'</script><b>\"é\"'&amp;"
+_MATRICES = """(paths) => {
+  const { viewer } = window.pincal;
+  viewer.scene.updateMatrixWorld(true);
+  const back = viewer.scene.matrixWorld.clone().invert();
+  return paths.map((path) => {
+    const { object } = viewer.scene_tree.find(path.split("/"));
+    return object.visible ? back.clone().multiply(object.matrixWorld).elements : null;
+  });
+}"""
+_ON_SCREEN = """(points) => points.map(([x, y, z]) => {
+  const at = new MeshCat.THREE.Vector3(x, z, -y).project(window.pincal.viewer.camera);
+  return [at.x, at.y];
+})"""
+
+
+@dataclass
+class Window:
+    """A page in the browser, and what it did beside showing itself."""
+
+    page: Any
+    said: list[str] = field(default_factory=list)
+    """Console messages and errors."""
+    asked: list[str] = field(default_factory=list)
+    """Addresses it asked for, but its own."""
+    seconds: float = np.nan
+    """From opening to the first pose drawn."""
+
+    def matrices(self, view: View, root: str = "mechanism") -> np.ndarray:
+        """Return ``T_base_part`` from the scene graph, shape (n_parts, 4, 4); NaN if hidden."""
+        paths = [f"meshcat/{root}/{part.path}" for part in view.scene.body.parts]
+        found = self.page.evaluate(_MATRICES, paths)
+        hidden = [float("nan")] * 16
+        return np.array([m or hidden for m in found]).reshape(-1, 4, 4).swapaxes(1, 2)
+
+    def pose(self) -> int:
+        """Return the place of the pose that is shown."""
+        return int(self.page.evaluate("() => window.pincal.pose()"))
+
+    def slide(self, place: int) -> None:
+        """Move the slider."""
+        self.page.locator("#slider").fill(str(place + 1))
+
+    def clean(self) -> bool:
+        """Return whether the page said nothing and asked for nothing."""
+        return not self.said and not self.asked
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, drawing in software."""
+    options = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    options += ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
+    """Function that opens a view's file in a browser without network."""
+    context = browser.new_context(viewport={"width": 1200, "height": 760})
+
+    def open_(view: View) -> Window:
+        path = view.save(tmp_path / "view.html", force=True)
+        window = Window(context.new_page())
+        window.page.on("console", lambda message: window.said.append(message.text))
+        window.page.on("pageerror", lambda error: window.said.append(str(error)))
+
+        def route(route: Any) -> None:
+            own = route.request.url == path.as_uri()
+            if own:
+                route.continue_()
+            else:
+                window.asked.append(route.request.url)
+                route.abort()
+
+        window.page.route("**/*", route)
+        begin = perf_counter()
+        window.page.goto(path.as_uri())
+        window.page.wait_for_function("() => window.pincal && window.pincal.drawn()")
+        window.seconds = perf_counter() - begin
+        return window
+
+    yield open_
+    context.close()
+
+
+def plan(name: str, count: int = 6) -> tuple[pincal.Mechanism, pincal.Plan]:
+    """Return a mechanism, poses of it with sets, the last one out of reach."""
+    mechanism = pincal.load_mechanism(name)
+    shifts = np.random.default_rng(4).uniform(0.0, 0.15, (count, mechanism.platform.dof))
+    poses = np.concatenate((mechanism.platform.home + shifts, [FAR[name]]))
+    sets = (*(mechanism.leg_names[i % 2] for i in range(count)), "all")
+    return mechanism, pincal.Plan(poses, sets)
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_slider_moves_the_mechanism(name: str, opened: Any) -> None:
+    """At every pose, parts are where inverse kinematics puts them, tips at platform points."""
+    mechanism, poses = plan(name)
+    view = pincal.view(mechanism, poses)
+    window = opened(view)
+    solution = pincal.inverse(mechanism, poses.poses)
+    points = list(dict.fromkeys(leg.point.name for leg in mechanism.legs))
+    body = view.scene.body
+    for place in range(len(poses.poses)):
+        window.slide(place)
+        assert window.pose() == place
+        matrices = window.matrices(view)
+        for leg, chain in zip(mechanism.legs, body.chains, strict=True):
+            joints = solution.joints[leg.name][place]
+            origins = matrices[list(chain), :3, 3]
+            if not np.isfinite(joints).all():
+                assert np.isnan(origins).any()
+                continue
+            moving = [i for i, j in enumerate(leg.joints) if j.kind != "fixed"]
+            assert np.allclose(origins[[*moving, -1]], skeleton(leg, joints), atol=1e-9)
+            point = matrices[body.part(f"platform/point {points.index(leg.point.name) + 1}")]
+            assert np.linalg.norm(point[:3, 3] - origins[-1]) < 1e-6
+        assert np.allclose(matrices, body.placements[place], atol=1e-9, equal_nan=True)
+    assert window.clean(), (window.said, window.asked)
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_all_is_on_the_screen(name: str, opened: Any, tmp_path: Path) -> None:
+    """Every link at every pose is projected into the picture; a picture is taken."""
+    mechanism, poses = plan(name)
+    view = pincal.view(mechanism, pincal.Plan(poses.poses[:-1], (poses.sets or ())[:-1]))
+    window = opened(view)
+    points = view.scene.body.placements[:, :, :3, 3].reshape(-1, 3)
+    on_screen = np.array(window.page.evaluate(_ON_SCREEN, points.tolist()))
+    assert np.abs(on_screen).max() < 0.98
+    if view.scene.planar:  # seen from above: x to the right, y up
+        shift = np.array(window.page.evaluate(_ON_SCREEN, [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]))
+        assert shift[1, 0] > shift[0, 0]
+        assert shift[2, 1] > shift[0, 1]
+        assert np.allclose(shift[1, 1], shift[0, 1], atol=1e-5)
+    window.page.screenshot(path=tmp_path / f"{name}.png")
+    assert (tmp_path / f"{name}.png").stat().st_size > 20_000
+    for tag in window.page.locator(".tag").all():
+        box = tag.bounding_box()
+        assert box["x"] > 270
+        assert box["x"] + box["width"] < 1200
+        assert box["y"] + box["height"] < 760
+
+
+def test_what_is_not_reached_is_said(opened: Any) -> None:
+    """Legs out of reach are hidden and named; the words go where the pose is left."""
+    mechanism, poses = plan("3RRR")
+    view = pincal.view(mechanism, poses)
+    window = opened(view)
+    problem = window.page.locator("#problem")
+    assert not problem.is_visible()
+    window.page.keyboard.press("End")
+    assert problem.inner_text() == f"Not drawn: {view.scene.body.problems[-1]}"
+    assert "leg_1" in problem.inner_text()
+    assert window.page.locator("#rows td", has_text="–").count() > 0
+    window.page.keyboard.press("Home")
+    assert not problem.is_visible()
+
+
+def test_keys_buttons_and_play(opened: Any) -> None:
+    """Keys and buttons step, to the ends and not beyond; play goes on by itself, and stops."""
+    window = opened(pincal.view(*plan("5R")))
+    page, last = window.page, 6
+    for key, place in (
+        ("ArrowRight", 1),
+        ("ArrowUp", 2),
+        ("ArrowLeft", 1),
+        ("ArrowDown", 0),
+        ("ArrowLeft", 0),
+        ("End", last),
+        ("ArrowRight", last),
+        ("Home", 0),
+    ):
+        page.keyboard.press(key)
+        assert window.pose() == place, key
+    page.locator("#slider").focus()  # one step, though the slider has keys of its own
+    page.keyboard.press("ArrowRight")
+    assert window.pose() == 1
+    page.locator("#forth").click()
+    assert window.pose() == 2
+    page.locator("#back").click()
+    assert page.locator("#count").inner_text() == "2 of 7"
+    page.locator("#slider").focus()
+    page.keyboard.press(" ")
+    page.wait_for_function("() => window.pincal.pose() >= 3")
+    page.locator("#play").click()
+    stopped = window.pose()
+    page.wait_for_timeout(1200)
+    assert window.pose() == stopped
+    assert window.clean(), window.said
+
+
+def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
+    """Check boxes hide what they name; ghosts are there on demand; sets have their legs' names."""
+    mechanism, poses = plan("3RRR")
+    true = pincal.disturb(mechanism, 1e-3, seed=1)
+    cloud = pincal.sample_workspace(mechanism, 100)
+    view = pincal.view(mechanism, poses, workspace=cloud, identified=true, magnify=30)
+    window = opened(view)
+
+    def visible(path: str) -> bool:
+        return bool(window.page.evaluate(_MATRICES, [f"meshcat/{path}"])[0])
+
+    for label, path, shown in (
+        ("poses, as ghosts", "ghosts", False),
+        ("poses, as dots", "sets", True),
+        ("identified, errors × 30", "identified", True),
+        ("workspace, 100 positions; dark: fundamental domain of C3", "cloud", True),
+        ("leg_1, 3 poses", "sets/1", True),
+    ):
+        box = window.page.get_by_label(label)
+        assert visible(path) == shown == box.is_checked()
+        box.set_checked(not shown)
+        assert visible(path) == (not shown)
+    window.slide(2)
+    identified = view.scene.identified
+    assert identified is not None
+    found = window.matrices(view, "identified")
+    assert np.allclose(found, identified.body.placements[2], atol=1e-9)
+    assert window.clean(), window.said
+
+
+def test_names_are_text(opened: Any) -> None:
+    """Names that hold code, quotes and letters from elsewhere are shown as they are."""
+    mechanism = pincal.load_mechanism("5R")
+    legs = tuple(replace(leg, name=f"{EVIL}{i}") for i, leg in enumerate(mechanism.legs))
+    mechanism = replace(mechanism, name=EVIL, legs=legs, description=EVIL)
+    poses = [[0.0, 1.1], [0.0, 3.0]]
+    view = pincal.view(mechanism, pincal.Plan(np.array(poses), mechanism.leg_names), source=EVIL)
+    window = opened(view)
+    window.slide(1)
+    assert window.page.title() == EVIL
+    for place in ("#name", "#description", "#source"):
+        assert window.page.locator(place).text_content() == EVIL
+    assert window.page.locator(".tag").all_text_contents() == list(mechanism.leg_names)
+    assert mechanism.leg_names[1] in window.page.locator("#set").text_content()
+    assert mechanism.leg_names[1] in window.page.locator("#problem").text_content()
+    assert mechanism.leg_names[0] in window.page.locator("#rows").text_content()
+    assert window.page.locator("script").count() == 3
+    assert window.page.locator("aside b").count() == 3  # the axes' letters
+    assert window.clean(), window.said
+
+
+def test_notebooks_and_browsers_get_the_same_page(browser: Any) -> None:
+    """A notebook's frame and the served address show the mechanism; nothing else is asked."""
+    view = pincal.view(*plan("5R"))
+    page = browser.new_page()
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.set_content(f"<h1>notebook</h1>{view._repr_html_()}")
+    frame = page.frames[1]
+    frame.wait_for_function("() => window.pincal && window.pincal.drawn()")
+    frame.locator("#forth").click()
+    assert frame.locator("#count").inner_text() == "2 of 7"
+    assert set(asked) <= {"about:srcdoc"}
+    asked.clear()
+    page.goto(view.url)
+    page.wait_for_function("() => window.pincal && window.pincal.drawn()")
+    assert asked == [view.url]
+    page.close()
+    view.close()
+
+
+def test_policy_bars_requests(opened: Any) -> None:
+    """Even if the page were made to ask another host, it could not."""
+    window = opened(pincal.view(*plan("5R")))
+    ask = "() => fetch('http://127.0.0.1:9/').then(() => 'asked', (error) => String(error))"
+    assert "Failed to fetch" in window.page.evaluate(ask)
+    assert not window.asked
+    assert any("Content Security Policy" in text for text in window.said)
+
+
+def test_large_views_stay_small_and_quick(opened: Any, record_property: Any) -> None:
+    """30,000 positions and 100 poses of a hexapod: under 10 MB, drawn and stepped in seconds."""
+    mechanism = pincal.load_mechanism("6UPS")
+    rng = np.random.default_rng(0)
+    cloud = rng.uniform([-1, -1, 1.5], [1, 1, 2.2], (30_000, 3))
+    poses = np.tile(mechanism.platform.home, (100, 1))
+    poses[:, :3] += rng.uniform(-0.1, 0.1, (100, 3))
+    view = pincal.view(mechanism, poses, workspace=cloud)
+    size = len(view.html().encode())
+    window = opened(view)
+    begin = perf_counter()
+    window.page.evaluate("() => { for (let i = 0; i < 100; i++) window.pincal.show(i); }")
+    steps = perf_counter() - begin
+    report = {"megabytes": size / 1e6, "load [s]": window.seconds, "step [s]": steps / 100}
+    record_property("view", json.dumps(report))
+    print(report)
+    assert size < 10e6
+    assert window.seconds < 30  # without a graphics card, on a busy machine
+    assert steps / 100 < 0.1
