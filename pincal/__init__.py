@@ -27,6 +27,9 @@ from pincal.identification.calibrate import calibrate
 from pincal.identification.expected import expected_error
 from pincal.identification.result import CalibrationResult
 from pincal.identification.result_files import read_result
+from pincal.identification.runs import compare_runs
+from pincal.identification.trust import RunConsistency, Validation
+from pincal.identification.validation import validate
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse
@@ -96,6 +99,7 @@ __all__ = [
     "Plan",
     "Platform",
     "PlatformError",
+    "RunConsistency",
     "Samples",
     "Selection",
     "Sensor",
@@ -104,6 +108,7 @@ __all__ = [
     "SymmetryError",
     "SymmetryGroup",
     "Target",
+    "Validation",
     "View",
     "Workspace",
     "WorkspaceError",
@@ -114,6 +119,7 @@ __all__ = [
     "bundled",
     "calibrate",
     "cartesian",
+    "compare_runs",
     "compute_workspace",
     "default_grid",
     "default_samples",
@@ -146,6 +152,7 @@ __all__ = [
     "simulate",
     "spherical",
     "symmetry_group",
+    "validate",
     "view",
     "write_measurements",
     "write_poses",

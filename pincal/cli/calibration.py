@@ -3,34 +3,41 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from pincal.cli.app import Force, Mech, Seed, app, output_option, stderr, stdout, working, wrote
 from pincal.cli.experiment import select, simulate
+from pincal.cli.setups import SetupFile, UnknownFrame, UnknownTarget, setup_from
 from pincal.cli.workspace import workspace
-from pincal.errors import FileError, MeasurementError, WorkspaceError
+from pincal.errors import FileError, MeasurementError, PincalError
+from pincal.experiment.angles import ANGLES
 from pincal.experiment.simulation import accuracy
 from pincal.identification.calibrate import calibrate as identify
-from pincal.identification.expected import expected_error
 from pincal.identification.result import CalibrationResult
+from pincal.identification.runs import compare_runs
+from pincal.identification.validation import FOLDS, validate
 from pincal.model.files import load_mechanism
 from pincal.model.measurement_files import read_measurements, read_poses
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing
-from pincal.show.tables import accuracy_table, legs_table, result_table
-from pincal.workspace.sampling import sample_workspace
+from pincal.show.calibration import calibration_summary, calibration_tables
+from pincal.show.tables import accuracy_table
 
 
 class Method(StrEnum):
-    """Which parameters are identified at once."""
+    """Which unknowns are identified at once."""
 
     per_leg = "per-leg"
     together = "together"
+    latent = "latent"
 
 
 class Residual(StrEnum):
@@ -47,6 +54,16 @@ class Poses(StrEnum):
     all = "all"
 
 
+class Robust(StrEnum):
+    """What becomes of rows that do not fit the others."""
+
+    none = "none"
+    huber = "huber"
+    cauchy = "cauchy"
+    tukey = "tukey"
+    reject = "reject"
+
+
 @app.command()
 def calibrate(
     mech: Mech,
@@ -54,9 +71,10 @@ def calibrate(
         Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
     ],
     output: Annotated[Path, output_option("RESULT", "Folder for result and calibrated mechanism.")],
-    method: Annotated[Method, typer.Option(help="Each leg alone, or all legs at once.")] = (
-        Method.per_leg
-    ),
+    method: Annotated[
+        Method,
+        typer.Option(help="Each leg alone, all legs at once, or these with all poses unknown."),
+    ] = Method.per_leg,
     residual: Annotated[
         Residual, typer.Option(help="Whitened loop closure, or readings as in the papers.")
     ] = Residual.closure,
@@ -72,34 +90,60 @@ def calibrate(
     noise_reading: Annotated[
         float | None, typer.Option(help="Standard deviation of readings [rad or m].")
     ] = None,
+    setup: SetupFile = None,
+    unknown_frame: UnknownFrame = False,
+    unknown_target: UnknownTarget = False,
+    robust: Annotated[
+        Robust, typer.Option(help="Rows that do not fit count less, or are rejected.")
+    ] = Robust.none,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Hold a parameter: l of every leg, leg_1.l of one."),
+    ] = None,
+    tie: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="One value for all legs; tested whether it holds."),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=SIGMA", help="A nominal value known to SIGMA [m, rad or 1]."),
+    ] = None,
+    folds: Annotated[
+        int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")
+    ] = FOLDS,
     force: Force = False,
 ) -> None:
     """Identify the parameters from measurements.
 
-    Without noise options, equal noise of positions [m] and orientations [rad] is assumed
-    and its scale estimated from the residuals. RESULT holds result.json, residuals.csv and
-    the calibrated mechanism; every command takes it as MECH. The exit code is 1, and no
+    --method latent takes rows in which part of the pose, or all of it, was not measured (empty
+    cells or no columns). Without noise options, repeated rows tell the noise; else equal noise is
+    assumed and its scale estimated from the residuals. RESULT holds result.json, residuals.csv
+    and the calibrated mechanism; every command takes it as MECH. The exit code is 1, and no
     mechanism is written, if the fit does not converge.
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force, folder=True)
-    noise = _noise(mechanism, noise_position, noise_orientation, noise_reading)
-    data = read_measurements(measurements, mechanism)
+    how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)
+    data = read_measurements(measurements, mechanism, how, partial=method is Method.latent)
+    options: dict[str, Any] = {
+        "method": method.value,
+        "residual": residual.value,
+        "poses": poses.value,
+        "noise": _noise(mechanism, data, noise_position, noise_orientation, noise_reading),
+        "setup": how,
+        "loss": robust.value,
+        "fixed": fix or (),
+        "tied": tie or (),
+        "priors": _priors(prior or ()),
+    }
     with working("identifying parameters") as tell:
-        result = identify(
-            mechanism,
-            data,
-            method=method.value,
-            residual=residual.value,
-            poses=poses.value,
-            noise=noise,
-            progress=tell,
-        )
+        result = identify(mechanism, data, progress=tell, **options)
+        result, said = _trusted(mechanism, data, result, folds, options, tell)
         tell("sampling the workspace for the platform's errors")
-        summary = _summary(mechanism, data, result)
+        summary = [*calibration_summary(data, result), *said]
     result.save(output, force=force)
-    stdout.print(result_table(result))
-    stdout.print(legs_table(result))
+    for table in calibration_tables(result):
+        stdout.print(table)
     for line in summary:
         stdout.print(line, markup=False)
     for text in result.warnings:
@@ -109,54 +153,56 @@ def calibrate(
         raise typer.Exit(1)
 
 
-def _summary(mechanism: Mechanism, data: Measurements, result: CalibrationResult) -> list[str]:
-    """Return what a calibration means, in sentences."""
-    lines = [result.message]
-    if result.noise_source == "estimated" and result.noise:
-        lines.append(
-            f"noise estimated from the residuals: {1e3 * result.noise.position:.3g} mm in position"
-            + (
-                f", {1e3 * result.noise.orientation:.3g} mrad in orientation"
-                if "rad" in mechanism.platform.units
-                else ""
+def _trusted(
+    mechanism: Mechanism,
+    data: Measurements,
+    result: CalibrationResult,
+    folds: int,
+    options: dict[str, Any],
+    tell: Callable[[str], None],
+) -> tuple[CalibrationResult, list[str]]:
+    """Return the result with validation and runs where the rows allow, and why not elsewhere."""
+    if not result.converged:
+        return result, []
+    said = []
+    try:
+        if folds:
+            result = replace(
+                result, validation=validate(mechanism, data, folds=folds, progress=tell, **options)
             )
-        )
-    else:
-        lines.append(
-            f"reduced χ² {result.reduced_chi2:.3g} on {result.degrees_of_freedom} degrees of "
-            "freedom; near 1 the residuals are as large as the noise given makes them"
-        )
-    if result.converged:
+    except PincalError as error:
+        said.append(f"no held-out validation: {error}")
+    try:
+        if data.runs is not None:
+            tell("comparing the runs")
+            result = replace(result, runs=compare_runs(mechanism, data, **options))
+    except PincalError as error:
+        said.append(f"runs not compared: {error}")
+    found = [one.warnings for one in (result.validation, result.runs) if one is not None]
+    return replace(result, warnings=(*result.warnings, *(w for own in found for w in own))), said
+
+
+def _priors(said: Sequence[str]) -> dict[str, float]:
+    """Return priors by name.
+
+    Raises:
+        MeasurementError: not a name and a number.
+    """
+    priors = {}
+    for text in said:
+        name, _, value = text.partition("=")
         try:
-            poses = sample_workspace(mechanism, 1000)
-        except WorkspaceError:  # no workspace with the default margins: judge at the measurements
-            poses = data.poses
-        moved = accuracy(mechanism, result.identified, poses)
-        left = expected_error(result, poses)
-        turns = "rad" in mechanism.platform.units
-        lines.append(
-            "platform, root mean square over the workspace: the nominal model was off by "
-            + _size(moved.position, moved.orientation, turns)
-            + ", the calibrated one should be within "
-            + _size(left.position, left.orientation, turns)
-            + " (by the parameters' uncertainties; ± of single parameters may be larger where they "
-            "compensate each other)"
-        )
-    unused = len(data) - min(leg.n_residuals for leg in result.legs)
-    if unused:
-        lines.append(
-            f"{unused} of {len(data)} measured poses serve other legs only; --poses all lets every "
-            "leg use every pose"
-        )
-    return lines
-
-
-def _size(position: float, orientation: float, turns: bool) -> str:
-    return f"{1e3 * position:.3g} mm" + (f" and {1e3 * orientation:.3g} mrad" if turns else "")
+            priors[name.strip()] = float(value)
+        except ValueError:
+            raise MeasurementError(
+                f"--prior {text!r}: expected a name and a standard deviation, such as l=0.0005 [m]"
+            ) from None
+    return priors
 
 
 def _noise(
     mechanism: Mechanism,
+    data: Measurements,
     position: float | None,
     orientation: float | None,
     reading: float | None,
@@ -168,13 +214,23 @@ def _noise(
     """
     if position is None and orientation is None and reading is None:
         return None
-    turns = "rad" in mechanism.platform.units
-    if position is None or (turns and orientation is None):
-        raise MeasurementError(
-            "give --noise-position" + (" and --noise-orientation" if turns else "") + " with the "
-            "other noise options, or none of them (the scale is then estimated)"
+    angles = np.array([unit == "rad" for unit in mechanism.platform.units])
+    turned = bool(np.isfinite(data.poses[:, angles]).any()) or bool(set(data.extra) & set(ANGLES))
+    placed = bool(np.isfinite(data.poses[:, ~angles]).any()) or bool(set(data.extra) - set(ANGLES))
+    wanted = [
+        name
+        for name, value, measured in (
+            ("--noise-position", position, placed),
+            ("--noise-orientation", orientation, turned),
         )
-    return Noise(position, orientation or 0.0, reading or 0.0)
+        if measured and value is None
+    ]
+    if wanted:
+        raise MeasurementError(
+            f"give {' and '.join(wanted)} with the other noise options, or none of them (the scale "
+            "is then estimated)"
+        )
+    return Noise(position or 0.0, orientation or 0.0, reading or 0.0)
 
 
 @app.command()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.identification.robust import Outlier
+from pincal.identification.trust import RunConsistency, Validation
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 
@@ -140,6 +141,10 @@ class CalibrationResult:
     """With latent poses: how the measured quantities of the platform fit."""
     estimated_poses: Array | None = None
     """With latent poses: the poses of all rows in the base frame, shape (N, dof)."""
+    validation: Validation | None = None
+    """Errors at rows that a fit has not seen, if that was asked for."""
+    runs: RunConsistency | None = None
+    """How well runs of the experiment agree, if that was asked for."""
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""

@@ -11,6 +11,7 @@ from typing import Any
 import pincal.model.output as output
 from pincal.errors import FileError, MeasurementError
 from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult
+from pincal.identification.trust import RunConsistency
 from pincal.model.measurement_files import write_poses
 from pincal.model.measurements import Plan
 from pincal.model.table import write_table
@@ -78,6 +79,8 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "gauge": list(result.gauge),
         "ties": [asdict(one) | {"holds": one.holds} for one in result.ties],
         "observed": [asdict(one) for one in result.observed],
+        "validation": None if result.validation is None else asdict(result.validation),
+        "runs": None if result.runs is None else _runs(result.runs),
         "legs": [_leg(leg) for leg in result.legs],
         "covariance": result.covariance.tolist(),
     }
@@ -104,6 +107,24 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
         "identified": p.identified,
         "std": _number(p.std),
         "interval_95": [_number(p.low), _number(p.high)],
+    }
+
+
+def _runs(runs: RunConsistency) -> dict[str, Any]:
+    return {
+        "runs": list(runs.runs),
+        "ratio": runs.ratio,
+        "p_value": runs.p_value,
+        "parameters": [
+            {"name": name, "spread": spread, "predicted": predicted, "values": values}
+            for name, spread, predicted, values in zip(
+                runs.names,
+                runs.spread.tolist(),
+                runs.predicted.tolist(),
+                runs.values.T.tolist(),
+                strict=True,
+            )
+        ],
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,49 +10,11 @@ from scipy.stats import chi2
 
 from pincal.errors import MeasurementError
 from pincal.identification.calibrate import calibrate
+from pincal.identification.trust import RunConsistency
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_UNLIKELY = 1e-3
-
-
-@dataclass(frozen=True)
-class RunConsistency:
-    """Spread of parameters over runs against predicted standard errors."""
-
-    runs: tuple[str, ...]
-    names: tuple[str, ...]
-    """``leg.parameter``, length n."""
-    values: Array
-    """Identified in each run, shape (n_runs, n)."""
-    spread: Array
-    """Standard deviation over the runs, shape (n,)."""
-    predicted: Array
-    """Root mean square standard error of a run, shape (n,)."""
-    ratio: float
-    """Root mean square of the deviations in predicted standard errors, all directions alike;
-    near 1 if runs differ by their noise only."""
-    p_value: float
-    """Probability of such a spread, or a larger one, by noise alone."""
-
-    @property
-    def consistent(self) -> bool:
-        """Whether noise alone explains the spread, at 0.1 %."""
-        return self.p_value >= _UNLIKELY
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What to know first."""
-        if self.consistent:
-            return ()
-        off = np.argsort(-self.spread / np.where(self.predicted > 0.0, self.predicted, np.inf))[:3]
-        worst = ", ".join(self.names[i] for i in off)
-        return (
-            f"parameters differ between runs {self.ratio:.1f} times as much as their standard "
-            f"errors say (p = {self.p_value:.1g}), {worst} most: something changed between runs, "
-            "or the noise is larger than given",
-        )
 
 
 def compare_runs(

@@ -26,49 +26,13 @@ from pincal.identification.latent_fit import unaligned_problem
 from pincal.identification.measured import given_poses, group_problem
 from pincal.identification.problem import Linear
 from pincal.identification.task import Task
+from pincal.identification.trust import UNLIKELY, Validation
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FOLDS = 5
-_PART = 1e-3  # probability at which fit and held-out rows are said to part, or rows to drift
-
-
-@dataclass(frozen=True)
-class Validation:
-    """Errors at rows that a fit has seen, and at rows that it has not."""
-
-    folds: int
-    rows: int
-    """Rows that were held out, each once."""
-    fit: float
-    """Root mean square residual of the fit in standard deviations of the noise."""
-    held_out: float
-    """The same at rows that were held out."""
-    expected: float
-    """Of held-out rows, by the fit's own residuals and what the fits did not know."""
-    p_value: float
-    """Probability of such a growth, or a larger one, if the model is right."""
-    position: tuple[float, float] | None
-    """Root mean square misfit of the platform's position, [m], in the fit and held out; where
-    poses were measured in full."""
-    orientation: tuple[float, float] | None
-    """The same of its orientation, [rad]."""
-    drift: tuple[str, ...]
-    """Legs whose residuals follow the order of the rows, in words."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What to know first."""
-        found = list(self.drift)
-        if self.p_value < _PART:
-            found.append(
-                f"held-out rows miss by {self.held_out:.2f} standard deviations where "
-                f"{self.expected:.2f} are expected (p = {self.p_value:.1g}): the model follows its "
-                "rows more closely than the machine. Measure more poses, or fix parameters"
-            )
-        return tuple(found)
 
 
 def validate(
@@ -260,7 +224,7 @@ def _drift(whole: Estimate) -> tuple[str, ...]:
             if len(values) < 10 or np.ptp(values) == 0.0:
                 continue
             found = spearmanr(np.arange(len(values)), values)
-            if found.pvalue < _PART / len(one.problem.legs):
+            if found.pvalue < UNLIKELY / len(one.problem.legs):
                 words.append(
                     f"{leg.name}: residuals follow the order of the rows (rank correlation "
                     f"{found.statistic:+.2f}, p = {found.pvalue:.1g}): drift, of temperature or "

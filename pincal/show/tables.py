@@ -13,12 +13,12 @@ from pincal.experiment.forecast import Forecast
 from pincal.experiment.platform_error import PlatformError
 from pincal.experiment.selection import Selection
 from pincal.experiment.simulation import Accuracy
-from pincal.identification.result import CalibrationResult
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import SymmetryGroup
 
 #: Unit in which people read a quantity, and its factor from SI.
-_SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
+#: How units are shown: as what, and how many of it.
+SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
 
 
 def plain_table() -> Table:
@@ -67,58 +67,6 @@ def selection_table(selection: Selection) -> Group:
         "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
         "O1: of the unweighted Jacobian, over the number of parameters",
     )
-
-
-def result_table(result: CalibrationResult) -> Group:
-    """Return a table of identified parameters with 95 % intervals and changes."""
-    table = plain_table()
-    table.add_column("leg")
-    table.add_column("parameter", no_wrap=True)
-    for name in ("nominal", "identified", "change", "± 95 %"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("unit")
-    table.add_column("σ", justify="right", no_wrap=True)
-    for leg in result.legs:
-        for i, p in enumerate(leg.parameters):
-            unit, factor = _SHOWN[p.unit]
-            change = p.identified - p.nominal
-            table.add_row(
-                leg.name if i == 0 else "",
-                p.name,
-                f"{p.nominal:.6f}",
-                f"{p.identified:.6f}",
-                f"{factor * change:+.4f}",
-                f"{factor * (p.high - p.low) / 2:.4f}",
-                unit,
-                f"{change / p.std:+.1f}" if p.std > 0 else "",
-                end_section=i == len(leg.parameters) - 1,
-            )
-    return titled(
-        f"{result.nominal.name} calibrated: {result.method}, {result.residual} residual",
-        table,
-        "nominal and identified in m, rad and 1; change and its 95 % interval in the unit behind; "
-        "σ: how many standard errors the parameter moved",
-    )
-
-
-def legs_table(result: CalibrationResult) -> Group:
-    """Return a table of residuals, rank and condition of each leg."""
-    table = plain_table()
-    table.add_column("leg")
-    for name in ("rms before", "rms after", "", "poses", "rank", "condition"):
-        table.add_column(name, justify="right" if name else "left")
-    for leg in result.legs:
-        unit, factor = _SHOWN[leg.unit]
-        table.add_row(
-            leg.name,
-            f"{factor * leg.rms_before:.4f}",
-            f"{factor * leg.rms_after:.4f}",
-            unit,
-            str(leg.n_residuals),
-            f"{leg.rank} of {len(leg.parameters)}",
-            f"{leg.condition:.3g}",
-        )
-    return titled("residuals", table)
 
 
 def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Group:
@@ -173,7 +121,7 @@ def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group
         place += len(leg.parameters)
     units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
     for name, unit in units.items():
-        shown, factor = _SHOWN[unit]
+        shown, factor = SHOWN[unit]
         cells = [errors[leg].get(name) for leg in mechanism.leg_names]
         table.add_row(
             name,
