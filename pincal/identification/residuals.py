@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
-from pincal.kinematics.inverse import close
+from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.starts import start
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
@@ -62,6 +62,7 @@ class LegResidual:
 
         Raises:
             MeasurementError: joint residual, and a pose out of reach.
+            MechanismError: a homed sensor, and a home pose out of reach.
         """
         closure = LegClosure(self.leg, self._platform, parameters)
         return self._closure(closure) if self.kind == "closure" else self._joint(closure)
@@ -70,7 +71,7 @@ class LegResidual:
         if self._joints is None:
             self._joints = start(closure, self._matrices)[0]
         joints, active = self._joints, self.leg.active
-        joints[:, active] = self.leg.sensor.position(self._readings, closure.by_name)
+        joints[:, active] = sensor_law(closure).position(self._readings)
         passive = [i for i in range(joints.shape[1]) if i != active]
         for _ in range(_STEPS):
             closed = closure.evaluate(joints, self._matrices)
@@ -89,7 +90,7 @@ class LegResidual:
                 "tried, so its joint residual does not exist there; use the closure residual "
                 "(--residual closure), which does"
             )
-        predicted = self.leg.sensor.reading(closed.joints[:, self.leg.active], closure.by_name)
+        predicted = sensor_law(closure).reading(closed.joints[:, self.leg.active])
         rows = demand(closure, closed.closure, predicted).as_joint()
         difference = (predicted - self._readings)[:, None]
         return Demand(difference, rows.parameter, rows.pose, rows.reading)

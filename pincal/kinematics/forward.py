@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
 from pincal.kinematics.closure import Closure, LegClosure, product, solve
-from pincal.kinematics.inverse import CHUNK, close
+from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import home_mode, mode_sign, start
 from pincal.model.mechanism import Mechanism
@@ -88,7 +88,7 @@ def _solve(
     matrices = guess.as_matrix().copy()
     joints = [_joints_near(leg, matrices) for leg in legs]
     for leg, column, q in zip(legs, readings.T, joints, strict=True):
-        q[:, leg.leg.active] = leg.leg.sensor.position(column, leg.by_name)
+        q[:, leg.leg.active] = sensor_law(leg).position(column)
     size = max(leg.size for leg in legs)
     open_ = np.ones(len(matrices), dtype=bool)
     steps = 0

@@ -162,7 +162,12 @@ def _permutation(
 ) -> tuple[tuple[int, ...], Break | None]:
     """Return where an element carries the legs, and what breaks it if something does."""
     permutation: list[int] = []
+    home = np.array([mechanism.platform.home])
+    carried_home = element.poses(mechanism.platform, home)
+    moved = float(np.abs(mechanism.platform.twists_between(home, carried_home)).max())
     for leg in legs:
+        if leg.sensor.homed and moved > tolerance:
+            return (), Break(element, leg.name, "home pose from which the sensor counts", moved)
         try:
             carried = carry(leg, element, leg.name, leg.point.name)
         except SymmetryError:
@@ -227,7 +232,9 @@ def _difference(
     )
     if abs(gains[0] - gains[1]) > tolerance:
         return "gain of the sensor", abs(gains[0] - gains[1])
-    zeros = (carried.sensor.zero, leg.sensor.zero)
+    if carried.sensor.homed != leg.sensor.homed:
+        return "zero of the sensor", None
+    zeros = [0.0 if isinstance(one.sensor.zero, str) else one.sensor.zero for one in (carried, leg)]
     for what, (first, second) in (("offset", offsets), ("zero", zeros)):
         shift = abs(wrapped(first - second) if turning else first - second)
         if shift > tolerance * (1.0 if turning else size):
