@@ -447,7 +447,7 @@ def test_missing_file_is_named(name: str, folder: Path) -> None:
 
 def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
     """A name that is neither folder nor bundled raises FileError with what there is."""
-    with pytest.raises(FileError, match=r"'nowhere'.*3RRR, 5R"):
+    with pytest.raises(FileError, match=r"'nowhere'.*3RRR, 4cable, 5R"):
         pincal.load_mechanism("nowhere")
     with pytest.raises(FileError, match="absent"):
         pincal.load_mechanism(tmp_path / "absent")
