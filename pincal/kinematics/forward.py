@@ -1,7 +1,8 @@
 """Forward kinematics: poses of readings, by Newton's method on the pose and all passive joints.
 
 Passive joints are eliminated leg by leg (projection on the left null space of their
-columns), so each step solves one small system for the platform's twist.
+columns), so each step solves one small system for the platform's twist. With more legs than
+freedoms it is a least-squares system, and the pose is that of the least gaps [m].
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _NEWTON_STEPS = 40
 _SMALL = 1e-9  # relative step after which the next error is rounding
+_CLOSED = 1e-8  # of the leg's size
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
 
 
@@ -34,7 +36,11 @@ class ForwardSolution:
     poses: Array
     """Platform coordinates, shape (N, dof), [m] and [rad]; NaN where not found."""
     converged: Mask
-    """Shape (N,)."""
+    """Whether no motion of the platform would close the legs further, in the modes of home,
+    shape (N,). Legs that are no more than the freedoms are closed then."""
+    gap: Array
+    """How far each leg stays from closing, shape (N, n_legs), [m]; NaN where not found. Rounding
+    errors, unless there are more legs than freedoms and their readings contradict each other."""
     iterations: int
     reasons: tuple[str, ...]
     """Why a row has no pose; empty strings where it has one."""
@@ -43,13 +49,18 @@ class ForwardSolution:
 def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -> ForwardSolution:
     """Return the poses of sensor readings, found from a guess in the assembly mode of home.
 
+    More legs than freedoms have no pose in common if their readings are not exact; the pose is
+    then that of the least sum of squared gaps between legs and platform, and ``gap`` says how
+    far the readings contradict each other.
+
     Args:
         mechanism: The mechanism, at its nominal parameters.
         readings: Sensor readings, shape (N, n_legs), [rad] or [m], legs in order.
         guess: N poses near the solutions; the home pose if not given.
 
     Raises:
-        MechanismError: readings or guess of a wrong shape, or not finite.
+        MechanismError: readings or guess of a wrong shape, or not finite; a homed sensor and a
+            home pose out of its leg's reach.
     """
     readings = np.asarray(readings, dtype=np.float64)
     if readings.ndim != 2 or readings.shape[1] != len(mechanism.legs):
@@ -68,23 +79,25 @@ def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
     poses = np.full((len(readings), platform.dof), np.nan)
+    gap = np.full(readings.shape, np.nan)
     reasons: list[str] = []
     iterations = 0
     for begin in range(0, len(readings), CHUNK):
         rows = slice(begin, begin + CHUNK)
-        matrices, why, steps = _solve(mechanism, legs, readings[rows], transforms[rows])
+        matrices, why, apart, steps = _solve(mechanism, legs, readings[rows], transforms[rows])
         found = np.array([not reason for reason in why], dtype=bool)
         poses[rows][found] = platform.from_matrices(matrices[found])
+        gap[rows][found] = apart[found]
         reasons += why
         iterations = max(iterations, steps)
     converged = np.array([not reason for reason in reasons], dtype=bool)
-    return ForwardSolution(poses, converged, iterations, tuple(reasons))
+    return ForwardSolution(poses, converged, gap, iterations, tuple(reasons))
 
 
 def _solve(
     mechanism: Mechanism, legs: list[LegClosure], readings: Array, guess: RigidTransform
-) -> tuple[Array, list[str], int]:
-    """Return matrices, reasons and the number of steps for one chunk."""
+) -> tuple[Array, list[str], Array, int]:
+    """Return matrices, reasons, gaps and the number of steps for one chunk."""
     matrices = guess.as_matrix().copy()
     joints = [_joints_near(leg, matrices) for leg in legs]
     for leg, column, q in zip(legs, readings.T, joints, strict=True):
@@ -116,7 +129,7 @@ def _solve(
         turn = Rotation.from_rotvec((shorten * angular)[finite]).as_matrix()
         matrices[good, :3, :3] = turn @ matrices[good, :3, :3]
         open_[rows] = finite & (moved > _SMALL)
-    return matrices, _reasons(mechanism, legs, joints, matrices, open_), steps
+    return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
 
 
 def _joints_near(leg: LegClosure, matrices: Array) -> Array:
@@ -149,16 +162,23 @@ def _reasons(
     joints: list[Array],
     matrices: Array,
     open_: Mask,
-) -> list[str]:
-    """Return why each row has no pose, or an empty string where it has one."""
+) -> tuple[list[str], Array]:
+    """Return why each row has no pose, an empty string where it has one, and the legs' gaps."""
     finite: Mask = np.isfinite(np.concatenate([matrices.reshape(-1, 16), *joints], axis=1))
     finite = np.asarray(finite.all(axis=1))
     safe = [np.where(finite[:, None], q, leg.leg.home) for leg, q in zip(legs, joints, strict=True)]
     closures = [leg.evaluate(q, matrices) for leg, q in zip(legs, safe, strict=True)]
     closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
+    twist = _platform_step(closures)[:, :, None]
     for leg, closure in zip(legs, closures, strict=True):
-        closes &= (np.abs(closure.gap) <= 1e-8 * leg.size).all(axis=1)
+        left = product(
+            closure.normal,
+            closure.constraint[:, :, None] + product(closure.project(closure.pose), twist),
+        )
+        closable = closure.gap - left[:, :, 0]  # by motions of platform and passive joints
+        closes &= (np.abs(closable) <= _CLOSED * leg.size).all(axis=1)
         in_mode &= mode_sign(closure) == home_mode(leg.leg, leg.platform)
     in_mode &= platform_margin(mechanism, closures) > 0.0
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
-    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")]
+    gaps = np.stack([np.linalg.norm(closure.gap, axis=1) for closure in closures], axis=1)
+    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], gaps
