@@ -372,6 +372,8 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
     "yaml-list": ([(YAML, "pincal: 1\n", "- 1\n"), (YAML, "name: 3RRR\n", "")], [YAML]),
     "yaml-version": ([(YAML, "pincal: 1", "pincal: 2")], [YAML, "pincal", "got 2"]),
     "key-unknown": ([(YAML, "description:", "remark:")], [YAML, "'remark'", "unknown"]),
+    "zero-word": ([(YAML, "zero: 0.0", "zero: house")], [YAML, "sensor.zero", "'home'"]),
+    "zero-infinite": ([(YAML, "zero: 0.0", "zero: .inf")], [YAML, "sensor.zero", "'home'"]),
     "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensor.form"]),
     "key-missing": ([(YAML, "  tip: tip\n", "")], [YAML, "tip", "missing"]),
     "key-twice": ([(YAML, "    k: 1.0\n", "    k: 1.0\n    k: 1.1\n")], [YAML, "k"]),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
+from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import Closure, LegClosure, product, solve
 from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.kinematics.singularity import platform_margin
@@ -108,9 +109,7 @@ def _solve(
     while open_.any() and steps < _NEWTON_STEPS:
         steps += 1
         rows = np.flatnonzero(open_)
-        closures = [
-            leg.evaluate(q[rows], matrices[rows]) for leg, q in zip(legs, joints, strict=True)
-        ]
+        closures = [_in_mode(leg, q, matrices, rows) for leg, q in zip(legs, joints, strict=True)]
         twist = _platform_step(closures)
         linear, angular = _split(mechanism, twist)
         length = np.maximum(np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1))
@@ -120,8 +119,7 @@ def _solve(
         for leg, q, closure in zip(legs, joints, closures, strict=True):
             change = product(closure.pose, (shorten * twist)[:, :, None])[:, :, 0]
             step = closure.passive_step(change)
-            passive = [i for i in range(q.shape[1]) if i != leg.leg.active]
-            q[rows[:, None], passive] += step
+            q[rows[:, None], _passive(leg)] += step
             moved = np.maximum(moved, np.abs(step).max(axis=1, initial=0.0))
         finite = np.isfinite(moved)
         good = rows[finite]
@@ -137,6 +135,21 @@ def _joints_near(leg: LegClosure, matrices: Array) -> Array:
     closed = close(leg, matrices)
     near, _ = start(leg, matrices)
     return np.where(closed.reached[:, None], closed.joints, near)
+
+
+def _in_mode(leg: LegClosure, joints: Array, matrices: Array, rows: NDArray[np.intp]) -> Closure:
+    """Return a leg's closure at rows; a line that a step turned over is called as at home again."""
+    closure = leg.evaluate(joints[rows], matrices[rows])
+    left = rows[mode_sign(closure) != home_mode(leg.leg, leg.platform)]
+    if not (len(left) and is_line(leg)):
+        return closure
+    joints[left[:, None], _passive(leg)] = start(leg, matrices[left])[0][:, _passive(leg)]
+    return leg.evaluate(joints[rows], matrices[rows])
+
+
+def _passive(leg: LegClosure) -> list[int]:
+    """Return the indices of a leg's passive joints."""
+    return [i for i in range(len(leg.leg.moving)) if i != leg.leg.active]
 
 
 def _platform_step(closures: list[Closure]) -> Array:

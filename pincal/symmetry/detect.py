@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import SymmetryError
-from pincal.kinematics.closed_forms import closed_form, universal_prismatic
+from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.reach import reach_of
@@ -79,7 +79,8 @@ class SymmetryGroup:
             else:
                 broken = "; ".join(str(b) for b in self.breaks)
                 raise SymmetryError(
-                    f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name} ({broken}). "
+                    f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name}"
+                    f"{broken and f' ({broken})'}. "
                     "Choose poses for each leg on its own (--independent)"
                 )
         return tuple(found)
@@ -215,14 +216,14 @@ def _difference(
         deviation = wrapped(a - b) if angle else float(a - b)
         if abs(deviation) > tolerance * (size if leg.units[name] == "m" else 1.0):
             return f"parameter {name!r}", abs(deviation)
-    line = _same_line(carried, leg, mechanism.platform, tolerance)
     for a, b in zip((*carried.joints, carried.point), (*leg.joints, leg.point), strict=True):
         shift = float(np.linalg.norm(np.subtract(a.placement.xyz, b.placement.xyz)))
         if shift > 2 * tolerance * size:
             return f"position of joint {b.name!r}", shift
         turn = float(np.abs(a.placement.origin() - b.placement.origin())[:3, :3].max())
         tilt = float(np.abs(np.subtract(a.axis, b.axis)).max()) if a.kind != "fixed" else 0.0
-        if max(turn, tilt) > tolerance and (a, b) != (carried.point, leg.point) and not line:
+        turned = max(turn, tilt) > tolerance and (a, b) != (carried.point, leg.point)
+        if turned and not _same_line(carried, leg, mechanism.platform, tolerance):
             return f"orientation of joint {b.name!r}", max(turn, tilt)
     if home_mode(carried, mechanism.platform) != home_mode(leg, mechanism.platform):
         return "working mode (the side on which the leg bends)", None
@@ -244,30 +245,26 @@ def _difference(
         if shift > tolerance * (1.0 if turning else size):
             return f"{what} of the sensor", shift
     for a, b in zip(carried.moving, leg.moving, strict=True):
-        if not (a.limited or b.limited) or (line and a.kind == "revolute"):
+        if not (a.limited or b.limited):
             continue
         ends = (a.lower - b.lower, a.upper - b.upper)
         shift = max(abs(wrapped(end) if a.kind == "revolute" else end) for end in ends)
-        if not shift <= 2 * tolerance * (size if a.kind == "prismatic" else 1.0):
+        if shift <= 2 * tolerance * (size if a.kind == "prismatic" else 1.0):
+            continue
+        if a.kind == "prismatic" or not _same_line(carried, leg, mechanism.platform, tolerance):
             return f"limits of joint {b.name!r}", shift if np.isfinite(shift) else None
     return None
 
 
 def _same_line(carried: Leg, leg: Leg, platform: Platform, tolerance: float) -> bool:
-    """Return whether two legs are lines of a driven slide that reach alike.
-
-    They are, however their universal joints are turned about the line, if those only keep
-    the line on the same side of the same planes.
-    """
-    reaches = []
+    """Return whether two legs are lines whose universal joints bar the same directions."""
+    normals = []
     for one in (carried, leg):
         closure = LegClosure(one, platform)
         reach = reach_of(closure)
-        if not (reach and reach.exact and closed_form(closure) is universal_prismatic):
+        if not (reach and reach.exact and is_line(closure)):
             return False
-        reaches.append(reach)
-    first, second = (reach.normals for reach in reaches)
-    apart = np.linalg.norm(first[:, None] - second, axis=2).min(axis=1, initial=np.inf)
-    forth = np.sign(carried.home[carried.active]) == np.sign(leg.home[leg.active])
-    driven = carried.active == leg.active == 2
-    return bool(driven and forth and len(first) == len(second) and (apart <= tolerance).all())
+        normals.append(np.sign(one.home[2]) * reach.normals)
+    first, second = normals
+    apart = np.linalg.norm(first[:, None] - second, axis=2)
+    return len(first) == len(second) and bool((apart.min(1, initial=np.inf) <= tolerance).all())
