@@ -209,6 +209,13 @@ def test_forward_undoes_inverse(cables: pincal.Mechanism, poses: Array) -> None:
     assert solution.gap.max() < 1e-12
 
 
+def test_lines_do_not_turn_over_on_the_way(cables: pincal.Mechanism, poses: Array) -> None:
+    """From home, however far, the poses are found: a line has no working mode to leave."""
+    solution = pincal.forward(cables, pincal.inverse(cables, poses).readings)
+    assert solution.converged.all()
+    assert np.abs(solution.poses - poses).max() < 1e-10
+
+
 def test_readings_that_contradict_give_the_pose_of_least_gaps(
     cables: pincal.Mechanism, poses: Array
 ) -> None:
