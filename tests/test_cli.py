@@ -16,7 +16,7 @@ from command_line import contents, done, run
 import pincal
 from pincal.cli.app import app
 
-KINDS = ["3RRR", "5R"]
+KINDS = ["3RRR", "5R", "4cable"]
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
 DISTURB = ["--disturb", "0.001"]
 COMMANDS = [str(c.callback.__name__) for c in app.registered_commands if c.callback]

@@ -14,7 +14,7 @@ import pincal
 from pincal.kinematics.closure import LegClosure, left_null, product, solve
 from pincal.kinematics.derivatives import demand
 from pincal.kinematics.forest import Elementary, forest
-from pincal.kinematics.inverse import close
+from pincal.kinematics.inverse import close, sensor_law
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def test_demand_derivatives(mechanism: pincal.Mechanism) -> None:
     for index, leg in enumerate(mechanism.legs):
         closure = LegClosure(leg, platform)
         closed = close(closure, platform.transforms(poses).as_matrix())
-        psi = leg.sensor.reading(closed.joints[:, leg.active], leg.nominal_by_name)
+        psi = sensor_law(closure).reading(closed.joints[:, leg.active])
         rows = demand(closure, closed.closure, psi)
         np.testing.assert_allclose(rows.value, 0.0, atol=1e-14)
         by_pose = -rows.pose[:, 0] / rows.reading  # of the reading, by implicit differentiation

@@ -372,6 +372,8 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
     "yaml-list": ([(YAML, "pincal: 1\n", "- 1\n"), (YAML, "name: 3RRR\n", "")], [YAML]),
     "yaml-version": ([(YAML, "pincal: 1", "pincal: 2")], [YAML, "pincal", "got 2"]),
     "key-unknown": ([(YAML, "description:", "remark:")], [YAML, "'remark'", "unknown"]),
+    "zero-word": ([(YAML, "zero: 0.0", "zero: house")], [YAML, "sensor.zero", "'home'"]),
+    "zero-infinite": ([(YAML, "zero: 0.0", "zero: .inf")], [YAML, "sensor.zero", "'home'"]),
     "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensor.form"]),
     "key-missing": ([(YAML, "  tip: tip\n", "")], [YAML, "tip", "missing"]),
     "key-twice": ([(YAML, "    k: 1.0\n", "    k: 1.0\n    k: 1.1\n")], [YAML, "k"]),
@@ -447,7 +449,7 @@ def test_missing_file_is_named(name: str, folder: Path) -> None:
 
 def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
     """A name that is neither folder nor bundled raises FileError with what there is."""
-    with pytest.raises(FileError, match=r"'nowhere'.*3RRR, 5R"):
+    with pytest.raises(FileError, match=r"'nowhere'.*3RRR, 4cable, 5R"):
         pincal.load_mechanism("nowhere")
     with pytest.raises(FileError, match="absent"):
         pincal.load_mechanism(tmp_path / "absent")

@@ -18,7 +18,7 @@ def poses() -> dict[str, np.ndarray]:
     """Some poses of each bundled mechanism."""
     return {
         name: pincal.sample_workspace(pincal.load_mechanism(name), 40, seed=0)
-        for name in ("5R", "3RRR", "6UPS")
+        for name in ("5R", "3RRR", "6UPS", "4cable")
     }
 
 
@@ -82,7 +82,7 @@ def test_information_equals_that_of_latent_poses(
         np.testing.assert_allclose(found.std[told], np.sqrt(variance[told]), rtol=1e-2)
 
 
-@pytest.mark.parametrize("name", ["5R", "3RRR", "6UPS"])
+@pytest.mark.parametrize("name", ["5R", "3RRR", "6UPS", "4cable"])
 def test_full_poses_give_the_covariance_of_the_calibration(
     poses: dict[str, np.ndarray], name: str
 ) -> None:

@@ -140,8 +140,9 @@ def test_generated_parameters_are_the_papers() -> None:
     first, second = pincal.load_mechanism("5R").legs
     assert (second.nominal_by_name["A_x"], first.nominal_by_name["A_x"]) == (0.5, -0.5)
     p = second.nominal_by_name | {"k": 1.3, "gamma": 0.2}
-    psi = np.array([0.4])
-    np.testing.assert_allclose(second.sensor.reading(psi, p), 1.3 * (np.pi - psi) + 0.2)
+    law = second.sensor.law(p, second.sensor.zero, np.zeros(len(p)))
+    theta = np.array([0.4])
+    np.testing.assert_allclose(law.reading(theta), 1.3 * (np.pi - theta) + 0.2)
 
 
 def test_canonical_form_of_a_leg_is_the_same_leg(mechanism: pincal.Mechanism) -> None:

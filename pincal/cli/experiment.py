@@ -139,7 +139,8 @@ def simulate(
 ) -> None:
     """Simulate measurements of a disturbed machine.
 
-    The nominal mechanism commands the poses, the true one moves.
+    The nominal mechanism commands the poses, the true one moves. With more legs than freedoms
+    it is taken to the poses themselves.
     Poses that the true mechanism cannot reach are left out and listed.
     """
     mechanism = load_mechanism(mech)

@@ -14,6 +14,7 @@ from pincal.cli.app import (
     Mech,
     app,
     output_option,
+    stderr,
     working,
     wrote,
 )
@@ -61,7 +62,8 @@ def forward(
 ) -> None:
     """Write the poses of sensor readings.
 
-    Poses are those in the assembly mode of home.
+    Poses are those in the assembly mode of home. Readings of more legs than freedoms
+    give the pose of least gaps, and how far they contradict each other is said.
     The search starts from the nearest of many sampled poses. Nothing is written if some
     readings have no pose.
     """
@@ -77,6 +79,12 @@ def forward(
     lost = np.flatnonzero(~solution.converged).tolist()
     _refuse_lost(readings, [(row, solution.reasons[row]) for row in lost], "reading")
     write_poses(output, mechanism, Plan(solution.poses), force=force)
+    if len(mechanism.legs) > mechanism.platform.dof:
+        row, leg = np.unravel_index(np.argmax(solution.gap), solution.gap.shape)
+        stderr.print(
+            f"readings fit together within {solution.gap[row, leg]:.2g} m "
+            f"(row {row + 1}, {mechanism.leg_names[leg]})"
+        )
     wrote(output)
 
 

@@ -2,6 +2,8 @@
 
 As in the papers: the nominal inverse kinematics commands readings, the true mechanism
 goes where its forward kinematics says, and pose and readings are measured with noise.
+More legs than freedoms cannot all obey the nominal mechanism: such a machine is taken to the
+planned poses, every leg kept taut, and read there.
 """
 
 from __future__ import annotations
@@ -63,6 +65,9 @@ def simulate(
 ) -> Simulation:
     """Return what a measurement of the true mechanism at planned poses would give.
 
+    With more legs than freedoms, nominal readings contradict each other on the true mechanism;
+    it is then moved to the planned poses themselves, and its own readings are taken there.
+
     Args:
         mechanism: The nominal mechanism, which commands the poses.
         truth: The true mechanism, which goes elsewhere.
@@ -71,28 +76,48 @@ def simulate(
         seed: Seed or generator.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite.
+        MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
+            out of its leg's reach.
     """
     noise = noise or Noise()
     rng = np.random.default_rng(seed)
     count, platform = len(plan.poses), mechanism.platform
-    commanded = inverse(mechanism, plan.poses)
-    driven = np.flatnonzero(commanded.reached.all(axis=1))
-    solution = forward(truth, commanded.readings[driven], plan.poses[driven])
-    reasons = {row: f"nominal mechanism: {commanded.reason(row)}" for row in range(count)}
-    for row, reason in zip(driven, solution.reasons, strict=True):
-        reasons[int(row)] = f"true mechanism: {reason}" if reason else ""
+    redundant = len(mechanism.legs) > platform.dof
+    poses, readings, reasons = (_taken if redundant else _driven)(mechanism, truth, plan.poses)
+    rows = np.flatnonzero([not reason for reason in reasons])
     # One draw for each planned pose, so that a lost pose does not shift the others' noise.
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
     reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.legs)))
-    rows = driven[solution.converged]
     measurements = Measurements(
-        poses=platform.moved(solution.poses[solution.converged], pose_noise[rows]),
-        readings=commanded.readings[rows] + reading_noise[rows],
+        poses=platform.moved(poses[rows], pose_noise[rows]),
+        readings=readings[rows] + reading_noise[rows],
         sets=None if plan.sets is None else tuple(plan.sets[row] for row in rows),
     )
-    lost = tuple((row, reason) for row, reason in reasons.items() if reason)
+    lost = tuple((row, reason) for row, reason in enumerate(reasons) if reason)
     return Simulation(measurements, rows, lost)
+
+
+def _driven(
+    mechanism: Mechanism, truth: Mechanism, planned: Array
+) -> tuple[Array, Array, list[str]]:
+    """Return true poses and readings of nominal commands, and why a pose is not reached."""
+    commanded = inverse(mechanism, planned)
+    driven = np.flatnonzero(commanded.reached.all(axis=1))
+    solution = forward(truth, commanded.readings[driven], planned[driven])
+    reasons = [f"nominal mechanism: {commanded.reason(row)}" for row in range(len(planned))]
+    for row, reason in zip(driven, solution.reasons, strict=True):
+        reasons[row] = f"true mechanism: {reason}" if reason else ""
+    poses = np.full(planned.shape, np.nan)
+    poses[driven] = solution.poses
+    return poses, commanded.readings, reasons
+
+
+def _taken(_: Mechanism, truth: Mechanism, planned: Array) -> tuple[Array, Array, list[str]]:
+    """Return planned poses and true readings there, and why a pose is not reached."""
+    there = inverse(truth, planned)
+    found = [there.reason(row) for row in range(len(planned))]
+    reasons = [f"true mechanism: {reason}" if reason else "" for reason in found]
+    return planned, there.readings, reasons
 
 
 @dataclass(frozen=True)
@@ -112,6 +137,8 @@ class Accuracy:
 
 def platform_errors(model: Mechanism, truth: Mechanism, poses: Poses) -> Array:
     """Return how far the true mechanism goes from poses that a model commands, shape (N, dof).
+
+    With more legs than freedoms it goes to the pose of least gaps (see ``forward``).
 
     Twists from the commanded pose to the true one at the platform's origin, base axes, [m] and
     [rad]; NaN where the model cannot command a pose or the true mechanism cannot reach it.

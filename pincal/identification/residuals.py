@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.kinematics.closure import Closure, LegClosure
 from pincal.kinematics.derivatives import Demand, demand
-from pincal.kinematics.inverse import close
+from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.starts import start
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
@@ -65,6 +65,7 @@ class LegResidual:
 
         Raises:
             MeasurementError: joint residual, and a pose out of reach.
+            MechanismError: a homed sensor, and a home pose out of reach.
         """
         closure = LegClosure(self.leg, self.platform, parameters)
         if self._kind == "joint":
@@ -89,7 +90,7 @@ class LegResidual:
         """
         joints = start(closure, matrices)[0] if joints is None else joints.copy()
         active = self.leg.active
-        joints[:, active] = self.leg.sensor.position(self.readings, closure.by_name)
+        joints[:, active] = sensor_law(closure).position(self.readings)
         passive = [i for i in range(joints.shape[1]) if i != active]
         for _ in range(steps):
             closed = closure.evaluate(joints, matrices)
@@ -108,7 +109,7 @@ class LegResidual:
                 "tried, so its joint residual does not exist there; use the closure residual "
                 "(--residual closure), which does"
             )
-        predicted = self.leg.sensor.reading(closed.joints[:, self.leg.active], closure.by_name)
+        predicted = sensor_law(closure).reading(closed.joints[:, self.leg.active])
         rows = demand(closure, closed.closure, predicted).as_joint()
         difference = (predicted - self.readings)[:, None]
         return Demand(difference, rows.parameter, rows.pose, rows.reading), closed.joints

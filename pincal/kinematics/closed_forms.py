@@ -34,6 +34,14 @@ def closed_form(closure: LegClosure) -> ClosedForm | None:
     return None
 
 
+def is_line(closure: LegClosure) -> bool:
+    """Return whether a leg is a driven slide on a universal joint, which only measures a length.
+
+    The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
+    """
+    return closure.leg.active == 2 and closed_form(closure) is universal_prismatic
+
+
 def planar_dyad(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
     """Return the two angles of a planar dyad by the cosine law, bent to the side of home.
 

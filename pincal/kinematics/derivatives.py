@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.inverse import CHUNK, close
+from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -48,15 +48,14 @@ class Demand:
 
 def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
     """Return what a leg demands, from its closure and the readings, shape (N,)."""
-    by_reading, by_gain, by_offset = leg.leg.sensor.derivatives(readings, leg.by_name)
-    names = leg.leg.parameter_names
-    parameter = closure.project(closure.parameter)
-    drive = closure.drive[:, :, 0]
-    if isinstance(leg.leg.sensor.gain, str):
-        parameter[:, :, names.index(leg.leg.sensor.gain)] += drive * by_gain[:, None]
-    if isinstance(leg.leg.sensor.offset, str):
-        parameter[:, :, names.index(leg.leg.sensor.offset)] += drive * by_offset
-    return Demand(closure.constraint, parameter, closure.project(closure.pose), drive * by_reading)
+    law = sensor_law(leg)
+    driven = closure.drive * law.by_parameter(readings)[:, None, :]
+    return Demand(
+        closure.constraint,
+        closure.project(closure.parameter) + driven,
+        closure.project(closure.pose),
+        closure.drive[:, :, 0] * law.slope,
+    )
 
 
 def demand_chunks(
@@ -78,7 +77,7 @@ def demand_chunks(
     for begin in range(0, len(transforms), CHUNK):
         rows = slice(begin, min(begin + CHUNK, len(transforms)))
         closed = close(closure, transforms[rows].as_matrix())
-        psi = closure.leg.sensor.reading(closed.joints[:, closure.leg.active], closure.by_name)
+        psi = sensor_law(closure).reading(closed.joints[:, closure.leg.active])
         part = demand(closure, closed.closure, psi)
         for array in (part.value, part.parameter, part.pose, part.reading):
             array[~closed.reached] = np.nan

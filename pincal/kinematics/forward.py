@@ -1,7 +1,8 @@
 """Forward kinematics: poses of readings, by Newton's method on the pose and all passive joints.
 
 Passive joints are eliminated leg by leg (projection on the left null space of their
-columns), so each step solves one small system for the platform's twist.
+columns), so each step solves one small system for the platform's twist. With more legs than
+freedoms it is a least-squares system, and the pose is that of the least gaps [m].
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
+from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import Closure, LegClosure, product, solve
-from pincal.kinematics.inverse import CHUNK, close
+from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import home_mode, mode_sign, start
 from pincal.model.mechanism import Mechanism
@@ -24,6 +26,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _NEWTON_STEPS = 40
 _SMALL = 1e-9  # relative step after which the next error is rounding
+_CLOSED = 1e-8  # of the leg's size
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
 
 
@@ -34,7 +37,11 @@ class ForwardSolution:
     poses: Array
     """Platform coordinates, shape (N, dof), [m] and [rad]; NaN where not found."""
     converged: Mask
-    """Shape (N,)."""
+    """Whether no motion of the platform would close the legs further, in the modes of home,
+    shape (N,). Legs that are no more than the freedoms are closed then."""
+    gap: Array
+    """How far each leg stays from closing, shape (N, n_legs), [m]; NaN where not found. Rounding
+    errors, unless there are more legs than freedoms and their readings contradict each other."""
     iterations: int
     reasons: tuple[str, ...]
     """Why a row has no pose; empty strings where it has one."""
@@ -43,13 +50,18 @@ class ForwardSolution:
 def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -> ForwardSolution:
     """Return the poses of sensor readings, found from a guess in the assembly mode of home.
 
+    More legs than freedoms have no pose in common if their readings are not exact; the pose is
+    then that of the least sum of squared gaps between legs and platform, and ``gap`` says how
+    far the readings contradict each other.
+
     Args:
         mechanism: The mechanism, at its nominal parameters.
         readings: Sensor readings, shape (N, n_legs), [rad] or [m], legs in order.
         guess: N poses near the solutions; the home pose if not given.
 
     Raises:
-        MechanismError: readings or guess of a wrong shape, or not finite.
+        MechanismError: readings or guess of a wrong shape, or not finite; a homed sensor and a
+            home pose out of its leg's reach.
     """
     readings = np.asarray(readings, dtype=np.float64)
     if readings.ndim != 2 or readings.shape[1] != len(mechanism.legs):
@@ -68,36 +80,36 @@ def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
     poses = np.full((len(readings), platform.dof), np.nan)
+    gap = np.full(readings.shape, np.nan)
     reasons: list[str] = []
     iterations = 0
     for begin in range(0, len(readings), CHUNK):
         rows = slice(begin, begin + CHUNK)
-        matrices, why, steps = _solve(mechanism, legs, readings[rows], transforms[rows])
+        matrices, why, apart, steps = _solve(mechanism, legs, readings[rows], transforms[rows])
         found = np.array([not reason for reason in why], dtype=bool)
         poses[rows][found] = platform.from_matrices(matrices[found])
+        gap[rows][found] = apart[found]
         reasons += why
         iterations = max(iterations, steps)
     converged = np.array([not reason for reason in reasons], dtype=bool)
-    return ForwardSolution(poses, converged, iterations, tuple(reasons))
+    return ForwardSolution(poses, converged, gap, iterations, tuple(reasons))
 
 
 def _solve(
     mechanism: Mechanism, legs: list[LegClosure], readings: Array, guess: RigidTransform
-) -> tuple[Array, list[str], int]:
-    """Return matrices, reasons and the number of steps for one chunk."""
+) -> tuple[Array, list[str], Array, int]:
+    """Return matrices, reasons, gaps and the number of steps for one chunk."""
     matrices = guess.as_matrix().copy()
     joints = [_joints_near(leg, matrices) for leg in legs]
     for leg, column, q in zip(legs, readings.T, joints, strict=True):
-        q[:, leg.leg.active] = leg.leg.sensor.position(column, leg.by_name)
+        q[:, leg.leg.active] = sensor_law(leg).position(column)
     size = max(leg.size for leg in legs)
     open_ = np.ones(len(matrices), dtype=bool)
     steps = 0
     while open_.any() and steps < _NEWTON_STEPS:
         steps += 1
         rows = np.flatnonzero(open_)
-        closures = [
-            leg.evaluate(q[rows], matrices[rows]) for leg, q in zip(legs, joints, strict=True)
-        ]
+        closures = [_in_mode(leg, q, matrices, rows) for leg, q in zip(legs, joints, strict=True)]
         twist = _platform_step(closures)
         linear, angular = _split(mechanism, twist)
         length = np.maximum(np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1))
@@ -107,8 +119,7 @@ def _solve(
         for leg, q, closure in zip(legs, joints, closures, strict=True):
             change = product(closure.pose, (shorten * twist)[:, :, None])[:, :, 0]
             step = closure.passive_step(change)
-            passive = [i for i in range(q.shape[1]) if i != leg.leg.active]
-            q[rows[:, None], passive] += step
+            q[rows[:, None], _passive(leg)] += step
             moved = np.maximum(moved, np.abs(step).max(axis=1, initial=0.0))
         finite = np.isfinite(moved)
         good = rows[finite]
@@ -116,7 +127,7 @@ def _solve(
         turn = Rotation.from_rotvec((shorten * angular)[finite]).as_matrix()
         matrices[good, :3, :3] = turn @ matrices[good, :3, :3]
         open_[rows] = finite & (moved > _SMALL)
-    return matrices, _reasons(mechanism, legs, joints, matrices, open_), steps
+    return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
 
 
 def _joints_near(leg: LegClosure, matrices: Array) -> Array:
@@ -124,6 +135,21 @@ def _joints_near(leg: LegClosure, matrices: Array) -> Array:
     closed = close(leg, matrices)
     near, _ = start(leg, matrices)
     return np.where(closed.reached[:, None], closed.joints, near)
+
+
+def _in_mode(leg: LegClosure, joints: Array, matrices: Array, rows: NDArray[np.intp]) -> Closure:
+    """Return a leg's closure at rows; a line that a step turned over is called as at home again."""
+    closure = leg.evaluate(joints[rows], matrices[rows])
+    left = rows[mode_sign(closure) != home_mode(leg.leg, leg.platform)]
+    if not (len(left) and is_line(leg)):
+        return closure
+    joints[left[:, None], _passive(leg)] = start(leg, matrices[left])[0][:, _passive(leg)]
+    return leg.evaluate(joints[rows], matrices[rows])
+
+
+def _passive(leg: LegClosure) -> list[int]:
+    """Return the indices of a leg's passive joints."""
+    return [i for i in range(len(leg.leg.moving)) if i != leg.leg.active]
 
 
 def _platform_step(closures: list[Closure]) -> Array:
@@ -149,16 +175,23 @@ def _reasons(
     joints: list[Array],
     matrices: Array,
     open_: Mask,
-) -> list[str]:
-    """Return why each row has no pose, or an empty string where it has one."""
+) -> tuple[list[str], Array]:
+    """Return why each row has no pose, an empty string where it has one, and the legs' gaps."""
     finite: Mask = np.isfinite(np.concatenate([matrices.reshape(-1, 16), *joints], axis=1))
     finite = np.asarray(finite.all(axis=1))
     safe = [np.where(finite[:, None], q, leg.leg.home) for leg, q in zip(legs, joints, strict=True)]
     closures = [leg.evaluate(q, matrices) for leg, q in zip(legs, safe, strict=True)]
     closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
+    twist = _platform_step(closures)[:, :, None]
     for leg, closure in zip(legs, closures, strict=True):
-        closes &= (np.abs(closure.gap) <= 1e-8 * leg.size).all(axis=1)
+        left = product(
+            closure.normal,
+            closure.constraint[:, :, None] + product(closure.project(closure.pose), twist),
+        )
+        closable = closure.gap - left[:, :, 0]  # by motions of platform and passive joints
+        closes &= (np.abs(closable) <= _CLOSED * leg.size).all(axis=1)
         in_mode &= mode_sign(closure) == home_mode(leg.leg, leg.platform)
     in_mode &= platform_margin(mechanism, closures) > 0.0
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
-    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")]
+    gaps = np.stack([np.linalg.norm(closure.gap, axis=1) for closure in closures], axis=1)
+    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], gaps

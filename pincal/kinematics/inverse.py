@@ -1,22 +1,26 @@
 """Inverse kinematics: joints and readings of poses, each leg in its working mode.
 
 Newton's method on closure from a start in the mode. A pose that a leg cannot reach in
-its mode is NaN with a reason, never a wrong branch.
+its mode is NaN with a reason, never a wrong branch. A homed sensor counts from the joint's
+position at the platform's home pose, which is inverse kinematics too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.errors import MechanismError
 from pincal.kinematics.closed_forms import wrapped
 from pincal.kinematics.closure import Closure, LegClosure
 from pincal.kinematics.starts import home_mode, mode_sign, start
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
+from pincal.model.sensor import SensorLaw
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -112,6 +116,35 @@ def _small(leg: LegClosure, closure: Closure) -> Mask:
     return np.asarray((np.abs(closure.gap) <= _SMALL * leg.size).all(axis=1))
 
 
+@lru_cache(maxsize=64)
+def sensor_law(leg: LegClosure) -> SensorLaw:
+    """Return what a leg's sensor reads at the leg's parameter values, made once.
+
+    Raises:
+        MechanismError: a homed sensor, and a home pose out of the leg's reach.
+    """
+    zero = leg.leg.sensor.zero
+    position, slopes = _at_home(leg) if isinstance(zero, str) else (zero, np.zeros(1))
+    return leg.leg.sensor.law(leg.by_name, position, slopes)
+
+
+def _at_home(leg: LegClosure) -> tuple[float, Array]:
+    """Return the active joint's position at the home pose, and its derivative.
+
+    q_home in [rad] or [m], and ∂q_home/∂φ = −(Nᵀ ∂c/∂φ) / (Nᵀ ∂c/∂θ), shape (n_params,).
+    """
+    closed = close(leg, leg.platform.home_pose.as_matrix())
+    if not closed.reached[0]:
+        values = ", ".join(f"{name} = {value:.6g}" for name, value in leg.by_name.items())
+        raise MechanismError(
+            f"{leg.leg.name}: its readings count from the platform's home pose, which it does not "
+            f"reach with {values}; correct the home pose or these values"
+        )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = -closed.closure.project(closed.closure.parameter) / closed.closure.drive
+    return float(closed.joints[0, leg.leg.active]), slopes[0, 0]
+
+
 def close_chunks(
     mechanism: Mechanism, poses: Poses, chunk: int = CHUNK
 ) -> Iterator[tuple[slice, Array, list[ClosedLeg]]]:
@@ -152,17 +185,18 @@ def inverse(mechanism: Mechanism, poses: Poses) -> InverseSolution:
         poses: N platform poses: coordinates, shape (N, dof), [m] and [rad], or transforms.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite.
+        MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
+            out of its leg's reach.
     """
     transforms = mechanism.platform.transforms(poses)
+    laws = [sensor_law(LegClosure(leg, mechanism.platform)) for leg in mechanism.legs]
     count = len(transforms)
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
     readings = np.empty((count, len(mechanism.legs)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
     for rows, _, closed in close_chunks(mechanism, transforms):
-        for index, (leg, one) in enumerate(zip(mechanism.legs, closed, strict=True)):
+        for index, (leg, law, one) in enumerate(zip(mechanism.legs, laws, closed, strict=True)):
             joints[leg.name][rows] = one.joints
-            active = one.joints[:, leg.active]
-            readings[rows, index] = leg.sensor.reading(active, leg.nominal_by_name)
+            readings[rows, index] = law.reading(one.joints[:, leg.active])
             reached[rows, index] = one.reached
     return InverseSolution(joints, readings, reached, mechanism.leg_names)

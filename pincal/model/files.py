@@ -190,7 +190,7 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
             gain=sensor.gain,
             offset=sensor.offset,
             direction=sensor.direction,
-            zero=float(sensor.zero),
+            zero=sensor.zero if isinstance(sensor.zero, str) else float(sensor.zero),
         ),
         "parameters": {name: float(value) for name, value in leg.parameters},
         "placements": {

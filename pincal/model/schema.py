@@ -14,6 +14,8 @@ from pydantic import (
     Field,
     FiniteFloat,
     ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
 )
 
 from pincal.errors import FileError, MechanismError, PincalError
@@ -33,6 +35,16 @@ Number = Annotated[FiniteFloat, BeforeValidator(_no_bool)]
 Value = Name | Number
 
 
+def _number_or_home(value: object, number: ValidatorFunctionWrapHandler) -> object:
+    try:
+        return value if value == "home" else number(value)
+    except ValidationError as error:
+        raise ValueError("a finite number or 'home' is expected") from error
+
+
+Zero = Annotated[Literal["home"] | Number, WrapValidator(_number_or_home)]
+
+
 Form = TypeVar("Form", bound=BaseModel)
 
 
@@ -50,7 +62,7 @@ class SensorSpec(Strict):
     gain: Value = 1.0
     offset: Value = 0.0
     direction: Literal[1, -1] = 1
-    zero: Number = 0.0
+    zero: Zero = 0.0
 
 
 class LegSpec(Strict):

@@ -13,10 +13,36 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class SensorLaw:
+    """Joint position of a reading at some parameter values: q = slope ψ + start."""
+
+    slope: float
+    """∂q/∂ψ, [1]."""
+    start: float
+    """Joint position at which the reading is zero, [rad] or [m]."""
+    slope_by_parameter: Array
+    """∂slope/∂φ, shape (n_params,)."""
+    start_by_parameter: Array
+    """∂start/∂φ, shape (n_params,)."""
+
+    def reading(self, joint: Array) -> Array:
+        """Return the readings ψ of joint positions, same shape, [rad] or [m]."""
+        return (joint - self.start) / self.slope
+
+    def position(self, reading: Array) -> Array:
+        """Return the joint positions of readings ψ, same shape, [rad] or [m]."""
+        return self.slope * reading + self.start
+
+    def by_parameter(self, reading: Array) -> Array:
+        """Return ∂q/∂φ at given readings, shape (N,) to (N, n_params)."""
+        return reading[:, None] * self.slope_by_parameter + self.start_by_parameter
+
+
+@dataclass(frozen=True)
 class Sensor:
     """Linear sensor on an active joint, in one of the two forms of the papers.
 
-    With joint coordinate q (taken from ``zero``), direction d = ±1, gain k and offset γ:
+    With joint coordinate q (counted from ``zero``), direction d = ±1, gain k and offset γ:
 
     - form ``"joint"``:   q = d k ψ + γ, ψ the reading (3-RRR paper, Eq. 6)
     - form ``"reading"``: ψ = d k q + γ, ψ the reading (5R paper, Eq. 9)
@@ -30,8 +56,14 @@ class Sensor:
     offset: str | float = 0.0
     """Offset's parameter name, or a constant [rad] or [m]."""
     direction: int = 1
-    zero: float = 0.0
-    """Joint position from which q counts, [rad] or [m]."""
+    zero: float | Literal["home"] = 0.0
+    """Joint position from which q counts, [rad] or [m]; ``"home"``: the joint's position at the
+    platform's home pose, whatever the parameters, as on machines that are zeroed there."""
+
+    @property
+    def homed(self) -> bool:
+        """Whether the reading counts from the platform's home pose."""
+        return self.zero == "home"
 
     def constants(self, parameters: Mapping[str, float]) -> tuple[float, float]:
         """Return d k and γ at the given parameter values."""
@@ -39,25 +71,24 @@ class Sensor:
         offset = parameters[self.offset] if isinstance(self.offset, str) else self.offset
         return self.direction * gain, offset
 
-    def reading(self, joint: Array, parameters: Mapping[str, float]) -> Array:
-        """Return the readings ψ of joint positions, same shape, [rad] or [m]."""
-        gain, offset = self.constants(parameters)
-        if self.form == "joint":
-            return (joint - self.zero - offset) / gain
-        return gain * (joint - self.zero) + offset
+    def law(
+        self, parameters: Mapping[str, float], zero: float, zero_by_parameter: Array
+    ) -> SensorLaw:
+        """Return the law at parameter values.
 
-    def position(self, reading: Array, parameters: Mapping[str, float]) -> Array:
-        """Return the joint positions of readings ψ, same shape, [rad] or [m]."""
+        Args:
+            parameters: Values of the leg's parameters by name, in order.
+            zero: Joint position from which q counts, [rad] or [m].
+            zero_by_parameter: Its derivative, shape (n_params,).
+        """
         gain, offset = self.constants(parameters)
+        by_gain = np.array([float(name == self.gain) for name in parameters])
+        by_offset = np.array([float(name == self.offset) for name in parameters])
         if self.form == "joint":
-            return gain * reading + offset + self.zero
-        return (reading - offset) / gain + self.zero
-
-    def derivatives(
-        self, reading: Array, parameters: Mapping[str, float]
-    ) -> tuple[float, Array, float]:
-        """Return ∂q/∂ψ, ∂q/∂k (shape of the readings) and ∂q/∂γ at given readings."""
-        gain, offset = self.constants(parameters)
-        if self.form == "joint":
-            return gain, self.direction * reading, 1.0
-        return 1.0 / gain, -self.direction * (reading - offset) / gain**2, -1.0 / gain
+            slope, start = gain, offset
+            slopes, starts = self.direction * by_gain, by_offset
+        else:
+            slope, start = 1.0 / gain, -offset / gain
+            slopes = -self.direction * slope**2 * by_gain
+            starts = -slope * by_offset + offset * self.direction * slope**2 * by_gain
+        return SensorLaw(slope, start + zero, slopes, starts + zero_by_parameter)

@@ -90,12 +90,13 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
         offset = sensor.offset
         if sensor.form == "joint":
             offset = _changed(offset, parameters, lambda value: -value)
-        sensor = replace(sensor, direction=-sensor.direction, zero=0.0 - sensor.zero, offset=offset)
+        zero = sensor.zero if isinstance(sensor.zero, str) else 0.0 - sensor.zero
+        sensor = replace(sensor, direction=-sensor.direction, zero=zero, offset=offset)
     return _with(leg, index, flipped, sensor, parameters)
 
 
 def _absorb_turn(leg: Leg, index: int) -> Leg:
-    joint, sensor = leg.joints[index], leg.sensor
+    joint, sensor, zero = leg.joints[index], leg.sensor, leg.sensor.zero
     rest = joint.placement.rest(leg.nominal_by_name, leg.name)
     axis = np.array(joint.axis)
     if joint.kind != "revolute" or not np.allclose(rest[:3, :3] @ axis, axis, atol=1e-12):
@@ -105,7 +106,7 @@ def _absorb_turn(leg: Leg, index: int) -> Leg:
         return leg
     rest[:3, :3] = np.eye(3)
     parameters = leg.nominal_by_name
-    if sensor.joint != joint.name:
+    if sensor.joint != joint.name or isinstance(zero, str):  # home turns along
         turn = wrapped(joint.home + turn) - joint.home
     elif sensor.form == "joint":
         _, offset = sensor.constants(parameters)
@@ -113,8 +114,8 @@ def _absorb_turn(leg: Leg, index: int) -> Leg:
         offset_value = _changed(sensor.offset, parameters, lambda value: value + turn)
         sensor = replace(sensor, offset=offset_value)
     else:
-        turn = wrapped(sensor.zero + turn) - sensor.zero
-        sensor = replace(sensor, zero=sensor.zero + turn)
+        turn = wrapped(zero + turn) - zero
+        sensor = replace(sensor, zero=zero + turn)
     limited = joint.upper - joint.lower < 2 * np.pi
     turned = replace(
         joint,

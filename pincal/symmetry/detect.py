@@ -14,11 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import SymmetryError
+from pincal.kinematics.closed_forms import is_line
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import inverse
+from pincal.kinematics.reach import reach_of
 from pincal.kinematics.starts import home_mode
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Poses
+from pincal.model.platform import Platform, Poses
 from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import Element, wrapped
 
@@ -76,7 +79,8 @@ class SymmetryGroup:
             else:
                 broken = "; ".join(str(b) for b in self.breaks)
                 raise SymmetryError(
-                    f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name} ({broken}). "
+                    f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name}"
+                    f"{broken and f' ({broken})'}. "
                     "Choose poses for each leg on its own (--independent)"
                 )
         return tuple(found)
@@ -162,7 +166,12 @@ def _permutation(
 ) -> tuple[tuple[int, ...], Break | None]:
     """Return where an element carries the legs, and what breaks it if something does."""
     permutation: list[int] = []
+    home = np.array([mechanism.platform.home])
+    carried_home = element.poses(mechanism.platform, home)
+    moved = float(np.abs(mechanism.platform.twists_between(home, carried_home)).max())
     for leg in legs:
+        if leg.sensor.homed and moved > tolerance:
+            return (), Break(element, leg.name, "home pose from which the sensor counts", moved)
         try:
             carried = carry(leg, element, leg.name, leg.point.name)
         except SymmetryError:
@@ -213,7 +222,8 @@ def _difference(
             return f"position of joint {b.name!r}", shift
         turn = float(np.abs(a.placement.origin() - b.placement.origin())[:3, :3].max())
         tilt = float(np.abs(np.subtract(a.axis, b.axis)).max()) if a.kind != "fixed" else 0.0
-        if max(turn, tilt) > tolerance and (a, b) != (carried.point, leg.point):
+        turned = max(turn, tilt) > tolerance and (a, b) != (carried.point, leg.point)
+        if turned and not _same_line(carried, leg, mechanism.platform, tolerance):
             return f"orientation of joint {b.name!r}", max(turn, tilt)
     if home_mode(carried, mechanism.platform) != home_mode(leg, mechanism.platform):
         return "working mode (the side on which the leg bends)", None
@@ -227,7 +237,9 @@ def _difference(
     )
     if abs(gains[0] - gains[1]) > tolerance:
         return "gain of the sensor", abs(gains[0] - gains[1])
-    zeros = (carried.sensor.zero, leg.sensor.zero)
+    if carried.sensor.homed != leg.sensor.homed:
+        return "zero of the sensor", None
+    zeros = [0.0 if isinstance(one.sensor.zero, str) else one.sensor.zero for one in (carried, leg)]
     for what, (first, second) in (("offset", offsets), ("zero", zeros)):
         shift = abs(wrapped(first - second) if turning else first - second)
         if shift > tolerance * (1.0 if turning else size):
@@ -237,6 +249,22 @@ def _difference(
             continue
         ends = (a.lower - b.lower, a.upper - b.upper)
         shift = max(abs(wrapped(end) if a.kind == "revolute" else end) for end in ends)
-        if not shift <= 2 * tolerance * (size if a.kind == "prismatic" else 1.0):
+        if shift <= 2 * tolerance * (size if a.kind == "prismatic" else 1.0):
+            continue
+        if a.kind == "prismatic" or not _same_line(carried, leg, mechanism.platform, tolerance):
             return f"limits of joint {b.name!r}", shift if np.isfinite(shift) else None
     return None
+
+
+def _same_line(carried: Leg, leg: Leg, platform: Platform, tolerance: float) -> bool:
+    """Return whether two legs are lines whose universal joints bar the same directions."""
+    normals = []
+    for one in (carried, leg):
+        closure = LegClosure(one, platform)
+        reach = reach_of(closure)
+        if not (reach and reach.exact and is_line(closure)):
+            return False
+        normals.append(np.sign(one.home[2]) * reach.normals)
+    first, second = normals
+    apart = np.linalg.norm(first[:, None] - second, axis=2)
+    return len(first) == len(second) and bool((apart.min(1, initial=np.inf) <= tolerance).all())
