@@ -108,6 +108,10 @@ def calibrate(
         list[str] | None,
         typer.Option(metavar="NAME=SIGMA", help="A nominal value known to SIGMA [m, rad or 1]."),
     ] = None,
+    rough: Annotated[
+        bool,
+        typer.Option("--rough", help="The nominal mechanism is known roughly: fewer checks."),
+    ] = False,
     folds: Annotated[
         int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")
     ] = FOLDS,
@@ -135,6 +139,7 @@ def calibrate(
         "fixed": fix or (),
         "tied": tie or (),
         "priors": _priors(prior or ()),
+        "rough": rough,
     }
     with working("identifying parameters") as tell:
         result = identify(mechanism, data, progress=tell, **options)

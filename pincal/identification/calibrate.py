@@ -20,7 +20,7 @@ from pincal.identification.latent_fit import latent_fit
 from pincal.identification.losses import LossName
 from pincal.identification.measured import measured_fits
 from pincal.identification.noise import noise_model
-from pincal.identification.plausibility import check_noise, check_plausible
+from pincal.identification.plausibility import check_copies, check_noise, check_plausible
 from pincal.identification.residuals import Residual
 from pincal.identification.result import CalibrationResult
 from pincal.identification.task import Method, Task
@@ -42,6 +42,7 @@ def calibrate(
     fixed: Iterable[str] = (),
     tied: Iterable[str] = (),
     priors: Mapping[str, float] | None = None,
+    rough: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> CalibrationResult:
     """Return the identified parameters of a mechanism, with uncertainties.
@@ -64,6 +65,8 @@ def calibrate(
         fixed: Parameters held at their nominal values: ``"l"`` of every leg, ``"leg_1.l"`` of one.
         tied: Parameters that have one value for all legs; the result tests whether that holds.
         priors: Standard deviations with which nominal values are known, by name as above.
+        rough: Whether the nominal mechanism is known so roughly that measurements need not look
+            like its own; units, signs and the order of legs are then not checked.
         progress: Called with what is being done.
 
     Raises:
@@ -84,9 +87,11 @@ def calibrate(
         fixed=fixed,
         tied=tied,
         priors=priors,
+        rough=rough,
         progress=progress,
     )
-    if task.setup.plain:
+    check_copies(measurements)
+    if task.setup.plain and not task.rough:
         check_plausible(mechanism, measurements)
     found = estimate(task)
     return assemble(task, found, estimate(replace(task, tied=())) if task.tied else None)
@@ -115,6 +120,7 @@ def calibration_task(
     fixed: Iterable[str] = (),
     tied: Iterable[str] = (),
     priors: Mapping[str, float] | None = None,
+    rough: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Task:
     """Return what is to be identified, checked: arguments and errors are those of ``calibrate``."""
@@ -140,6 +146,7 @@ def calibration_task(
         method=method,
         kind=residual,
         every_pose=method == "latent" or poses == "all",
+        rough=rough,
         tell=progress or (lambda _: None),
     )
 

@@ -48,7 +48,8 @@ def check_gaps(mechanism: Mechanism, poses: Array, readings: Array, gaps: Array)
         raise MeasurementError(
             f"{mechanism.leg_names[worst]}: {missed}, and no single fault in units, signs, order "
             "or frame explains it. Check the units, the order and signs of the readings, the frame "
-            "of the poses, and that this is the right mechanism"
+            "of the poses, and that this is the right mechanism. If it is known but roughly, say "
+            "so (--rough)"
         )
 
 
@@ -86,6 +87,8 @@ def _explained(mechanism: Mechanism, gaps: Array, suspect: Suspect) -> Array | N
     """
     right = np.full(len(gaps), np.nan)
     doubtful = gaps > DOUBTFUL
+    if gaps.max() < suspect.least:
+        return None
     for index in np.argsort(-gaps):
         if suspect.by_leg and not doubtful[index]:
             continue

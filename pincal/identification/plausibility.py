@@ -38,7 +38,6 @@ def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
     complete = np.flatnonzero(np.isfinite(data.poses).all(axis=1))
     if len(complete) < 2:
         return
-    _check_copies(data, complete)
     some = complete[:: -(-len(complete) // _ROWS)]
     poses, readings = data.poses[some], data.readings[some]
     fits = [leg_fit(mechanism, i, poses, readings[:, i]) for i in range(len(mechanism.legs))]
@@ -50,8 +49,8 @@ def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
     _check_readings(mechanism, data, complete)
 
 
-def _check_copies(data: Measurements, rows: NDArray[np.intp]) -> None:
-    """Raise if rows chosen for the same leg are equal in everything measured.
+def check_copies(data: Measurements) -> None:
+    """Raise if rows chosen for the same leg are equal in whole pose and readings.
 
     Where equal readings come with different poses, measurements were repeated, and poses
     written with few digits may be equal by chance.
@@ -61,7 +60,7 @@ def _check_copies(data: Measurements, rows: NDArray[np.intp]) -> None:
     """
     first: dict[tuple[str, bytes], int] = {}
     copies = []
-    for row in rows.tolist():
+    for row in np.flatnonzero(np.isfinite(data.poses).all(axis=1)).tolist():
         served = "" if data.sets is None else data.sets[row]
         other = first.setdefault((served, data.readings[row].tobytes()), row)
         if other == row:

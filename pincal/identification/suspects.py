@@ -51,6 +51,9 @@ class Suspect:
     """Readings put right, shape (N, n_legs), [rad] or [m]."""
     by_leg: bool = False
     """Whether it may concern the readings of some legs only."""
+    least: float = 0.0
+    """Gap as given, over the leg's size, below which it is out of the question: lengths a
+    thousand times too large miss by far, and shrinking them makes any gap small."""
 
 
 def single_faults(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Suspect]:
@@ -154,9 +157,17 @@ def _units(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[tupl
             scales[on_readings][(columns if on_readings else coordinates) == unit] = factor
         words = " and ".join(f"{name} are {how}" for (name, _, _), (how, _) in wrong)
         only_readings = all(on_readings for (_, _, on_readings), _ in wrong)
+        shrinks = any(unit == "m" and factor < 1.0 for (_, unit, _), (_, factor) in wrong)
         yield (
             len(wrong),
-            Suspect(words, _UNITS, poses * scales[0], readings * scales[1], by_leg=only_readings),
+            Suspect(
+                words,
+                _UNITS,
+                poses * scales[0],
+                readings * scales[1],
+                by_leg=only_readings,
+                least=1.0 if shrinks else 0.0,
+            ),
         )
 
 

@@ -37,6 +37,8 @@ class Task:
     """What is minimised where poses were measured in full."""
     every_pose: bool
     """Whether every pose serves every leg, or those of its set."""
+    rough: bool
+    """Whether the nominal mechanism is known so roughly that nothing is checked against it."""
     tell: Callable[[str], None]
     """Called with what is being done."""
 
