@@ -61,12 +61,13 @@ def read_measurements(
     platform = mechanism.platform
     if platform.kind == "spatial" and partial and _way(table) is None:
         more |= {name: "rad" for name in _ANGLES if name in table}
+    poses = _poses(table, mechanism, partial=partial)
     extra = {name: table.numbers(name, unit, blank=True) for name, unit in more.items()}
     named = {f"sigma_{name}": name for name in more if f"sigma_{name}" in table}
     units = {leg.name: leg.reading_unit for leg in mechanism.legs}
     readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
     data = Measurements(
-        poses=_poses(table, mechanism, partial=partial),
+        poses=poses,
         sets=_sets(table, mechanism),
         readings=np.column_stack(readings),
         sigma_poses=_sigmas(
