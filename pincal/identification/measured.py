@@ -54,11 +54,11 @@ def measured_fits(task: Task) -> Estimate:
             f"the legs' parameters can take up {len(gauge.directions)} of the {n_external} "
             "unknowns outside the mechanism only; --method latent identifies the others with them"
         )
-    external = problem.first.external
+    external = first = problem.first.external
     for _ in range(_ROUNDS):
         poses = given_poses(task, problem.observation, external)
         fits = _fit_groups(task, groups, unknowns, *poses)
-        step = _toward_nominal(gauge, problem, external_unknowns, fits, external)
+        step = _toward_nominal(gauge, problem, external_unknowns, fits, external, first)
         if np.abs(step).max(initial=0.0) <= _STANDS:
             break
         external = problem.observation.external.moved(external, step)
@@ -149,7 +149,12 @@ def given_poses(
 
 
 def _toward_nominal(
-    gauge: Gauge, problem: LatentPoses, unknowns: Unknowns, fits: list[Robust], external: External
+    gauge: Gauge,
+    problem: LatentPoses,
+    unknowns: Unknowns,
+    fits: list[Robust],
+    external: External,
+    first: External,
 ) -> Array:
     """Return the step of the external unknowns that brings the parameters nearest to nominal."""
     n = problem.columns[-1].stop
@@ -159,7 +164,7 @@ def _toward_nominal(
             place = [leg.name for leg in problem.legs].index(leg.name)
             values[problem.columns[place]] = one.fit.parameters[columns]
     outside = problem.observation.external
-    values[n:] = outside.coordinates(external) - outside.coordinates(outside.start)
+    values[n:] = outside.coordinates(external) - outside.coordinates(first)
     off = np.linalg.lstsq(unknowns.map, values - unknowns.start, rcond=None)[0]
     along = gauge.constraints @ gauge.directions.T
     amounts = -np.linalg.solve(along, gauge.constraints @ off)

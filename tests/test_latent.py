@@ -1,0 +1,454 @@
+"""Latent poses: derivatives, recovery from any part of the pose, other solvers, the bound."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+from closed_forms import angles, near, reading
+from measured import (
+    EXACT,
+    NOISE,
+    error,
+    machine,
+    platform_accuracy,
+    seen_from_elsewhere,
+    targets,
+)
+from scipy.optimize import least_squares
+
+import pincal
+from pincal.experiment.observation import Observation
+from pincal.identification.calibrate import calibration_task
+from pincal.identification.gauge import find_gauge
+from pincal.identification.latent_fit import latent_problem
+
+KINDS = ["5R", "3RRR", "6UPS"]
+FRAME = pincal.Setup(unknown_frame=True)
+FREE = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=True)})
+
+
+def everything(kind: str) -> tuple[pincal.Mechanism, pincal.Measurements, pincal.Setup]:
+    """Return measurements of all kinds at once: targets, distances, angles, partial poses."""
+    mechanism, _, data = machine(kind, 6)
+    rng, poses = np.random.default_rng(3), data.poses.copy()
+    extra = targets(mechanism, poses, {"ball": (0.3, -0.1, 0.0)}, 1e-2)
+    extra["wire"] = rng.uniform(1, 2, len(data))
+    if mechanism.platform.kind == "spatial":
+        extra |= {"pitch": rng.uniform(-0.3, 0.3, len(data)), "yaw": rng.normal(size=len(data))}
+        poses[2, 3:5] = np.nan
+    poses[1, 0] = np.nan
+    setup = pincal.Setup(
+        True,
+        {
+            "platform": pincal.Target((0.1, 0.2, 0.0), True),
+            "ball": pincal.Target((0.3, 0, 0), True),
+        },
+        {"wire": pincal.Distance((1.0, 2.0, 3.0), "ball")},
+    )
+    return mechanism, replace(data, poses=poses, extra=extra), setup
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_of_what_is_measured(kind: str) -> None:
+    """By the platform's twist and by frame and targets, against central differences."""
+    mechanism, data, setup = everything(kind)
+    observation, platform = Observation(mechanism, data, setup), mechanism.platform
+    unknowns, rng, h = observation.external, np.random.default_rng(0), 1e-6
+    external = unknowns.moved(unknowns.start, 0.3 * rng.standard_normal(len(unknowns)))
+    matrices = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
+    matrices = platform.displaced(matrices, 0.2 * rng.standard_normal((len(data), platform.dof)))
+    rows = observation.evaluate(matrices, external)
+    for column, unit in enumerate(np.eye(platform.dof)):
+        step = np.tile(h * unit, (len(data), 1))
+        ahead, behind = (
+            observation.evaluate(platform.displaced(matrices, d), external).value
+            for d in (step, -step)
+        )
+        np.testing.assert_allclose(rows.pose[:, :, column], (ahead - behind) / (2 * h), atol=1e-8)
+    for column, unit in enumerate(h * np.eye(len(unknowns))):
+        ahead, behind = (
+            observation.evaluate(matrices, unknowns.moved(external, d)).value for d in (unit, -unit)
+        )
+        numeric = (ahead - behind) / (2 * h)
+        np.testing.assert_allclose(rows.external[:, :, column], numeric, atol=1e-8)
+    assert not rows.value[~observation.measured].any()
+    assert not rows.pose[~observation.measured].any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_of_the_problem(kind: str) -> None:
+    """Closure rows by parameters and poses, against central differences of the rows."""
+    mechanism, _, data = machine(kind, 8)
+    problem, unknowns = latent_problem(calibration_task(mechanism, data, method="latent"))
+    state = problem.start(unknowns.start)
+    rows, _ = problem.rows(state)
+    n_legs, h = len(mechanism.legs), 1e-6
+    scale = np.abs(rows.value / np.maximum(np.abs(rows.value), 1e-300))  # weights stand still
+    assert np.isfinite(scale).all()
+
+    def raw(parameters: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+        """Return closure residuals over the weights at the state, shape (N, n_legs)."""
+        moved, plain = problem.rows(replace(state, parameters=parameters, matrices=matrices))
+        gaps = np.concatenate([d.value for d in plain.demands], axis=1)
+        del moved
+        return gaps * weights
+
+    _, plain = problem.rows(state)
+    gaps = np.concatenate([d.parameter for d in plain.demands], axis=2)
+    own = np.concatenate(
+        [rows.parameter[:, i, columns] for i, columns in enumerate(problem.columns)], axis=1
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(gaps[:, 0] == 0.0, np.nan, own / gaps[:, 0])
+    weights = np.stack([np.nanmedian(ratio[:, c], axis=1) for c in problem.columns], axis=1)
+    for column, unit in enumerate(h * np.eye(len(unknowns.start))):
+        ahead, behind = (raw(state.parameters + d, state.matrices) for d in (unit, -unit))
+        numeric = (ahead - behind) / (2 * h)
+        size = np.abs(rows.parameter[:, :n_legs]).max()
+        assert np.abs(rows.parameter[:, :n_legs, column] - numeric).max() < 1e-7 * size
+    for column, unit in enumerate(np.eye(mechanism.platform.dof)):
+        step = np.tile(h * unit, (len(data), 1))
+        ahead, behind = (
+            raw(state.parameters, mechanism.platform.displaced(state.matrices, d))
+            for d in (step, -step)
+        )
+        numeric, size = (ahead - behind) / (2 * h), np.abs(rows.pose[:, :n_legs]).max()
+        assert np.abs(rows.pose[:, :n_legs, column] - numeric).max() < 1e-7 * size
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_clean_full_poses_recover_the_parameters(kind: str) -> None:
+    """Disturbed by 5e-3, parameters come back to 1e-9, exact readings or noisy ones said."""
+    mechanism, truth, data = machine(kind, noise=EXACT, sigma=5e-3)
+    for noise in (None, pincal.Noise(1e-4, 1e-4, 5e-5)):
+        result = pincal.calibrate(mechanism, data, method="latent", noise=noise)
+        assert result.converged
+        assert error(result, truth) < 1e-9
+        assert result.gauge == ()
+
+
+@pytest.mark.parametrize("kind", ["3RRR", "6UPS"])
+def test_clean_positions_alone_recover_the_platform(kind: str) -> None:
+    """But for turns of the platform's frame, which are named; readings exact or not."""
+    mechanism, truth, data = machine(kind, noise=EXACT)
+    lengths = mechanism.platform.units.count("m")
+    data.poses[:, lengths:] = np.nan
+    result = pincal.calibrate(mechanism, data, method="latent", noise=pincal.Noise(1e-4, 0, 1e-5))
+    assert result.converged
+    assert len(result.gauge) == 1
+    assert "platform's frame" in result.gauge[0]
+    assert result.estimated_poses is not None
+    position, orientation = platform_accuracy(result.identified, truth, result.estimated_poses)
+    assert position < 1e-9
+    assert orientation < 1e-9
+
+
+def test_single_coordinates_and_rows_with_nothing_measured() -> None:
+    """A 3-RRR from x alone, or from orientation alone, is told; a row without a pose is found."""
+    mechanism, truth, data = machine("3RRR", 60, noise=EXACT)
+    poses = data.poses.copy()
+    data.poses[10:, 1] = np.nan
+    data.poses[30:, 2] = np.nan
+    data.poses[-5:] = np.nan
+    result = pincal.calibrate(
+        mechanism, data, method="latent", noise=pincal.Noise(1e-4, 1e-4, 1e-5)
+    )
+    assert error(result, truth) < 1e-8
+    assert result.estimated_poses is not None
+    np.testing.assert_allclose(result.estimated_poses, poses, atol=1e-8)
+    counts = {one.name: one.count for one in result.observed}
+    assert counts == {"x": len(data) - 5, "y": 10, "phi": 30}
+
+
+def test_missing_readings_are_left_out() -> None:
+    """Rows of full poses without some readings serve the other legs, and do no harm."""
+    mechanism, truth, data = machine("3RRR", 50, noise=EXACT)
+    data.readings[:12, 1] = np.nan
+    result = pincal.calibrate(mechanism, data, method="latent")
+    assert error(result, truth) < 1e-9
+    assert [leg.n_residuals for leg in result.legs] == [len(data), len(data) - 12, len(data)]
+    with pytest.raises(pincal.MeasurementError, match="row 1: 'leg_2' is not measured.*latent"):
+        pincal.calibrate(mechanism, data)
+
+
+def test_targets_distances_and_angles_take_the_place_of_poses() -> None:
+    """A hexapod from three reflectors, or from one, wires and an inclinometer, clean: 1e-9."""
+    mechanism, truth, data = machine("6UPS", noise=EXACT)
+    poses = np.full_like(data.poses, np.nan)
+    offsets = {"a": (0.2, 0.0, 0.05), "b": (-0.1, 0.2, 0.05), "c": (-0.1, -0.2, 0.0)}
+    balls = targets(mechanism, data.poses, offsets)
+    setup = pincal.Setup(targets={name: pincal.Target(o) for name, o in offsets.items()})
+    noise = pincal.Noise(1e-4, 1e-4, 1e-5)
+    three = replace(data, poses=poses, extra=balls)
+    result = pincal.calibrate(mechanism, three, method="latent", noise=noise, setup=setup)
+    assert error(result, truth) < 1e-9
+    stations = {"u": (2.0, 0.0, 0.0), "v": (-1.0, 2.0, 0.0), "w": (-1.0, -2.0, 0.5)}
+    matrices = mechanism.platform.transforms(data.poses).as_matrix()
+    R = matrices[:, :3, :3]
+    wires = {
+        n: np.linalg.norm(matrices[:, :3, 3] - np.array(p), axis=1) for n, p in stations.items()
+    }
+    tilts = {
+        "pitch": -np.arcsin(R[:, 2, 0]),
+        "roll": np.arctan2(R[:, 2, 1], R[:, 2, 2]),
+        "yaw": np.arctan2(R[:, 1, 0], R[:, 0, 0]),
+    }
+    setup = pincal.Setup(distances={n: pincal.Distance(p) for n, p in stations.items()})
+    some = replace(data, poses=poses, extra=wires | tilts)
+    result = pincal.calibrate(mechanism, some, method="latent", noise=noise, setup=setup)
+    assert error(result, truth) < 1e-8
+
+
+def test_unknown_offsets_of_targets_are_found() -> None:
+    """Three reflectors 50 mm from where they were thought: offsets and platform to 1e-9.
+
+    The platform's frame is nobody's but theirs and the platform points': a gauge.
+    """
+    mechanism, truth, data = machine("6UPS", noise=EXACT)
+    offsets = {"a": (0.2, 0.0, 0.05), "b": (-0.1, 0.2, 0.05), "c": (-0.1, -0.2, 0.0)}
+    thought = {name: (x + 0.05, y, z - 0.03) for name, (x, y, z) in offsets.items()}
+    setup = pincal.Setup(targets={n: pincal.Target(o, unknown=True) for n, o in thought.items()})
+    some = replace(
+        data,
+        poses=np.full_like(data.poses, np.nan),
+        extra=targets(mechanism, data.poses, offsets),
+    )
+    noise = pincal.Noise(1e-4, 1e-4, 1e-5)
+    result = pincal.calibrate(mechanism, some, method="latent", noise=noise, setup=setup)
+    position, orientation = platform_accuracy(result.identified, truth, data.poses)
+    assert position < 1e-9
+    assert orientation < 1e-9
+    assert [p.name for p in result.external][:3] == ["a x", "a y", "a z"]
+    found = np.array([p.identified for p in result.external]).reshape(3, 3)
+    apart = [np.linalg.norm(found[i] - found[i - 1]) for i in range(3)]
+    true = np.array(list(offsets.values()))
+    np.testing.assert_allclose(apart, [np.linalg.norm(true[i] - true[i - 1]) for i in range(3)])
+
+
+@pytest.mark.parametrize("method", ["latent", "together", "per-leg"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_tracker_anywhere_and_a_target_anywhere(kind: str, method: str) -> None:
+    """Clean data: the platform to 1e-9 but for frames; all methods give the same parameters."""
+    mechanism, truth, data = machine(kind, noise=EXACT)
+    setup, offset, turn = FREE, (0.05, -0.03, 0.04), 0.2
+    if mechanism.platform.space == 2:
+        offset = (0.05, -0.03, 0.0)
+    if kind == "5R":  # a point has no frame of its own
+        setup, offset, turn = FRAME, (0.0, 0.0, 0.0), 0.0
+    moved = seen_from_elsewhere(mechanism, data, offset, turn)
+    options = {"setup": setup, "poses": "all", "noise": pincal.Noise(1e-4, 1e-4, 0.0)}
+    result = pincal.calibrate(mechanism, moved, method=method, **options)  # type: ignore[arg-type]
+    assert result.converged
+    position, orientation = platform_accuracy(result.identified, truth, data.poses)
+    assert position < 1e-9
+    assert orientation < 1e-9
+    frames = 6 if mechanism.platform.space == 3 else 3
+    assert f"{frames} freedoms" in result.gauge[0]
+    if method != "latent":
+        other = pincal.calibrate(mechanism, moved, method="latent", **options)  # type: ignore[arg-type]
+        for one, two in zip(result.legs, other.legs, strict=True):
+            np.testing.assert_allclose(one.identified, two.identified, atol=1e-7)
+
+
+def test_of_equal_parameters_the_nearest_to_nominal_are_taken() -> None:
+    """Changes have no part along the gauge directions, each measured by what it alone does."""
+    mechanism, _, data = machine("3RRR")
+    moved = seen_from_elsewhere(mechanism, data)
+    task = calibration_task(mechanism, moved, method="latent", noise=NOISE, setup=FRAME)
+    gauge = find_gauge(mechanism, *latent_problem(task))
+    assert gauge.directions.shape[0] == 3
+    result = pincal.calibrate(mechanism, moved, method="latent", noise=NOISE, setup=FRAME)
+    change = np.concatenate(
+        [
+            leg.identified - start.nominal
+            for leg, start in zip(result.legs, mechanism.legs, strict=True)
+        ]
+    )
+    assert np.abs(change).max() > 1e-4
+    parts = gauge.constraints[:, : len(change)] @ change
+    sizes = np.linalg.norm(gauge.constraints[:, : len(change)], axis=1) * np.linalg.norm(change)
+    assert np.abs(parts / sizes).max() < 1e-9
+
+
+def test_frames_that_legs_cannot_take_up_need_latent_poses() -> None:
+    """With base points fixed the tracker's place is no gauge: latent finds it, per leg says so."""
+    mechanism, truth, data = machine("3RRR", noise=EXACT)
+    truth = truth.with_parameters(
+        {leg.name: {"OA": leg.nominal[2], "beta": leg.nominal[3]} for leg in mechanism.legs}
+    )
+    plan = pincal.Plan(pincal.sample_workspace(mechanism, 40, 0))
+    data = pincal.simulate(mechanism, truth, plan, EXACT).measurements
+    moved = seen_from_elsewhere(mechanism, data)
+    options = {"setup": FRAME, "fixed": ("OA", "beta"), "noise": pincal.Noise(1e-4, 1e-4)}
+    result = pincal.calibrate(mechanism, moved, method="latent", **options)  # type: ignore[arg-type]
+    assert result.gauge == ()
+    assert error(result, truth) < 1e-9
+    frame = [p.identified for p in result.external]
+    np.testing.assert_allclose(frame, [1.0, 2.0, 1.0], atol=1e-9)
+    with pytest.raises(pincal.ObservabilityError, match="--method latent identifies"):
+        pincal.calibrate(mechanism, moved, **options)  # type: ignore[arg-type]
+
+
+def closed_form_problem(
+    data: pincal.Measurements, start: np.ndarray
+) -> tuple[object, np.ndarray, list[str]]:
+    """Return residuals of a five-bar with all poses unknown, by closed-form inverse kinematics."""
+    mechanism = pincal.load_mechanism("5R")
+    names = list(mechanism.legs[0].parameter_names)
+    count, n = len(data), len(names)
+
+    def residual(values: np.ndarray) -> np.ndarray:
+        poses = values[2 * n :].reshape(count, 2)
+        rows = [(poses - data.poses).ravel() / NOISE.position]
+        for index, (leg, bend) in enumerate(zip(mechanism.legs, [-1, 1], strict=True)):
+            p = dict(zip(names, values[index * n : (index + 1) * n], strict=True))
+            shoulder = leg.home[0] + near(angles("5R", p, poses, bend)[0], leg.home[0])
+            rows.append(
+                (reading("5R", index, p, shoulder) - data.readings[:, index]) / NOISE.reading
+            )
+        return np.concatenate(rows)
+
+    return residual, np.concatenate((start, data.poses.ravel())), names
+
+
+def test_the_optimum_equals_that_of_another_solver() -> None:
+    """SciPy on closed forms, all poses among its unknowns: parameters within 1 % of their errors.
+
+    Closure over ∂e/∂ψ is the error of the reading to first order, hence not to more digits.
+    """
+    mechanism, _, data = machine("5R")
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    start = np.concatenate([leg.nominal for leg in mechanism.legs])
+    residual, first, _ = closed_form_problem(data, start)
+    other = least_squares(residual, first, x_scale="jac", xtol=1e-15, ftol=1e-15)  # type: ignore[arg-type]
+    identified = np.concatenate([leg.identified for leg in result.legs])
+    std = np.concatenate([leg.std for leg in result.legs])
+    assert np.abs((identified - other.x[: len(identified)]) / std).max() < 0.01
+    assert result.estimated_poses is not None
+    poses = other.x[len(identified) :].reshape(-1, 2)
+    np.testing.assert_allclose(result.estimated_poses, poses, atol=1e-6)
+    assert result.reduced_chi2 * result.degrees_of_freedom == pytest.approx(
+        2 * other.cost, rel=1e-3
+    )
+
+
+def statistics(kind: str) -> dict[str, float]:
+    """Return what 300 noisy data sets of a machine tell about the estimators."""
+    mechanism, truth, clean = machine(kind, 40, EXACT)
+    true = np.concatenate([leg.nominal for leg in truth.legs])
+    bound = pincal.forecast(truth, clean.poses, NOISE).std
+    platform, off = mechanism.platform, {"latent": [], "per-leg": []}
+    errors: list[np.ndarray] = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        shake = NOISE.of_poses(mechanism) * rng.standard_normal(clean.poses.shape)
+        data = replace(
+            clean,
+            poses=platform.moved(clean.poses, shake),
+            readings=clean.readings + NOISE.reading * rng.standard_normal(clean.readings.shape),
+        )
+        for method, own in off.items():
+            result = pincal.calibrate(
+                mechanism,
+                data,
+                method=method,
+                poses="all",
+                noise=NOISE,  # type: ignore[arg-type]
+            )
+            own.append(np.concatenate([leg.identified for leg in result.legs]) - true)
+            if method == "latent":
+                errors.append(np.concatenate([leg.std for leg in result.legs]))
+    latent, alone = (np.array(off[method]) for method in ("latent", "per-leg"))
+    return {
+        "rms over bound": float(np.sqrt(((latent / bound) ** 2).mean())),
+        "std over spread": float((np.mean(errors, axis=0) / latent.std(axis=0)).mean()),
+        "per leg over latent": float(
+            np.sqrt(((alone / bound) ** 2).mean() / ((latent / bound) ** 2).mean())
+        ),
+    }
+
+
+@pytest.mark.slow
+def test_latent_poses_reach_the_cramer_rao_bound() -> None:
+    """RMS error over 300 data sets within 5 % of the bound, standard errors within 10 % of spread.
+
+    Noise on poses and readings. Each leg alone, on the same rows, loses against it.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("OPENBLAS_NUM_THREADS", "1")
+        with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+            found = dict(zip(KINDS, pool.map(statistics, ["5R", "3RRR", "6UPS"]), strict=True))
+    for kind, one in found.items():
+        print(kind, one)
+        assert abs(one["rms over bound"] - 1) < 0.05, kind
+        assert abs(one["std over spread"] - 1) < 0.10, kind
+        assert one["per leg over latent"] > 1.0, kind
+
+
+@pytest.mark.parametrize("kind", ["3RRR", "6UPS"])
+def test_an_unknown_frame_and_target_cost_no_accuracy(kind: str) -> None:
+    """Platform errors with frame and target unknown are those with both known.
+
+    Over 10 noisy data sets, frames aligned for both; means within two of their standard errors.
+    """
+    pairs = []
+    offset = (0.05, -0.03, 0.0 if kind == "3RRR" else 0.04)
+    for seed in range(10):
+        mechanism, truth, data = machine(kind, seed=seed)
+        known = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+        moved = seen_from_elsewhere(mechanism, data, offset, 0.2)
+        unknown = pincal.calibrate(mechanism, moved, method="latent", noise=NOISE, setup=FREE)
+        poses = data.poses
+        pairs.append([platform_accuracy(one.identified, truth, poses) for one in (known, unknown)])
+    errors = np.array(pairs)
+    difference = errors[:, 1] - errors[:, 0]
+    spread = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
+    assert (np.abs(difference.mean(axis=0)) <= 2 * spread + 1e-3 * errors.mean(axis=(0, 1))).all()
+
+
+def test_positions_alone_calibrate_a_hexapod() -> None:
+    """Position-only measurements bring a 6-UPS from millimetres to its noise, as forecast."""
+    mechanism, truth, data = machine("6UPS", 120)
+    poses = data.poses.copy()
+    data.poses[:, 3:] = np.nan
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    before, _ = platform_accuracy(mechanism, truth, poses)
+    after, _ = platform_accuracy(result.identified, truth, poses)
+    expected = pincal.expected_error(result, poses).position
+    assert before > 1e-3
+    assert after < before / 5
+    assert 0.4 < after / expected < 2.5
+    planned = pincal.forecast(mechanism, poses, NOISE, ["x", "y", "z"])
+    assert planned.platform_error(poses).position == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        ("mirror", {"setup": FRAME}, "look mirrored"),
+        ("millimetres", {"setup": FRAME}, "miss the nominal machine's by"),
+        ("line", {"setup": FRAME}, "all on a line|all at one place"),
+        ("nothing", {}, "2 measured quantities, which do not fix the 3 freedoms"),
+        ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "nothing that was measured has noise"),
+    ],
+)
+def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> None:
+    """Mirrored frames, wrong units, points that fix no frame, rows with too little."""
+    mechanism, _, data = machine("3RRR" if change == "nothing" else "6UPS")
+    data = seen_from_elsewhere(mechanism, data) if "setup" in options else data
+    if change == "mirror":
+        data.poses[:, 1] *= -1
+        data.poses[:, 3:] = np.nan
+    elif change == "millimetres":
+        data.poses[:, :3] *= 1e3
+    elif change == "line":
+        data.poses[2:] = np.nan
+    elif change == "nothing":
+        data.poses[4] = np.nan
+        data.readings[4, 0] = np.nan
+    with pytest.raises(pincal.MeasurementError, match=message):
+        pincal.calibrate(mechanism, data, method="latent", **({"noise": NOISE} | options))

@@ -1,0 +1,294 @@
+"""Outliers, noise of rows and repeats, priors, fixed parameters and ties."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured import EXACT, NOISE, error, machine
+from scipy.stats import chi2
+
+import pincal
+from pincal.identification.losses import LOSSES
+
+METHODS = ["per-leg", "together", "latent"]
+
+
+def spoiled(data: pincal.Measurements, seed: int, sigma: float) -> tuple:
+    """Return data in which a tenth of the rows have a coordinate 100 σ off, and these rows."""
+    rng = np.random.default_rng(seed)
+    rows = rng.choice(len(data), len(data) // 10, replace=False)
+    poses = data.poses.copy()
+    columns = rng.integers(poses.shape[1], size=len(rows))
+    poses[rows, columns] += 100 * sigma * rng.choice([-1, 1], len(rows))
+    return replace(data, poses=poses), set(rows.tolist())
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("loss", ["tukey", "reject", "cauchy"])
+def test_gross_outliers_are_listed_and_do_little_harm(method: str, loss: str) -> None:
+    """10 % of rows 100 σ off: error within 1.3 times the clean fits', all listed, few others.
+
+    Root mean square over 8 machines in standard errors of the clean fits. Legs alone see
+    single coordinates only as far as they take part in their closure.
+    """
+    clean_errors, errors, missed, false, good = [], [], 0, 0, 0
+    for seed in range(8):
+        mechanism, truth, data = machine("3RRR", 60, seed=seed)
+        true = np.concatenate([leg.nominal for leg in truth.legs])
+        bad, rows = spoiled(data, seed, 1e-4)
+        options = {"method": method, "poses": "all", "noise": NOISE}
+        clean = pincal.calibrate(mechanism, data, **options)  # type: ignore[arg-type]
+        result = pincal.calibrate(mechanism, bad, loss=loss, **options)  # type: ignore[arg-type]
+        std = np.concatenate([leg.std for leg in clean.legs])
+        for own, one in ((clean_errors, clean), (errors, result)):
+            own.append((np.concatenate([leg.identified for leg in one.legs]) - true) / std)
+        listed = {one.row for one in result.outliers}
+        missed += len(rows - listed)
+        false += len(listed - rows)
+        good += len(data) - len(rows)
+        assert result.shift is None or result.shift > 3
+    ratio = np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(clean_errors)))
+    assert ratio <= 1.3
+    assert missed == 0
+    assert false <= 0.02 * good
+
+
+def test_rejected_rows_really_leave_the_fit() -> None:
+    """The result equals that of the other rows alone, bit by bit of ten digits."""
+    mechanism, _, data = machine("3RRR", 60)
+    bad, rows = spoiled(data, 0, 1e-4)
+    result = pincal.calibrate(mechanism, bad, method="latent", noise=NOISE, loss="reject")
+    assert {one.row for one in result.outliers} == rows
+    assert all(one.weight == 0.0 for one in result.outliers)
+    kept = np.setdiff1d(np.arange(len(data)), list(rows))
+    alone = pincal.calibrate(mechanism, bad.rows(kept), method="latent", noise=NOISE)
+    for one, two in zip(result.legs, alone.legs, strict=True):
+        np.testing.assert_allclose(one.identified, two.identified, atol=1e-10)
+        np.testing.assert_allclose(one.std, two.std, rtol=1e-6)
+        assert one.n_residuals == two.n_residuals
+    assert result.degrees_of_freedom == alone.degrees_of_freedom
+
+
+def test_a_wrong_reading_is_named() -> None:
+    """A reading 100 σ off: the row, the leg and how far, with the scale of the noise unknown."""
+    mechanism, _, data = machine("6UPS", 60)
+    data.readings[7, 2] += 5e-3
+    for noise in (NOISE, None):
+        result = pincal.calibrate(mechanism, data, method="latent", noise=noise, loss="tukey")
+        worst = result.outliers[0]
+        assert worst.row == 7
+        if noise:
+            assert "leg_3" in worst.why
+        assert worst.sigma > 10
+
+
+def test_without_a_loss_outliers_are_warned_of() -> None:
+    """The plain fit keeps them, says which rows do not fit, and what to do."""
+    mechanism, _, data = machine("3RRR", 60)
+    data.poses[4, 0] += 0.01
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    assert result.outliers[0].row == 4
+    assert result.outliers[0].weight == 1.0
+    assert any("data row 5" in text and "--loss reject" in text for text in result.warnings)
+
+
+@pytest.mark.parametrize("name", list(LOSSES))
+@pytest.mark.parametrize("equations", [1, 3, 6])
+def test_losses_cost_little_on_good_data(name: str, equations: int) -> None:
+    """Efficiency 95 % on one residual, better on more; as the median weight of χ² draws says."""
+    loss = LOSSES[name]
+    assert 1.0 <= loss.inflation(equations) <= 1.0 / 0.93
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((200_000, equations))
+    w = loss.weights((x**2).sum(axis=1), np.full(len(x), equations))
+    # variance of a location estimate Σ w x = 0 by the delta method, slope by differences
+    h, slopes = 1e-3, []
+    for shift in (h, -h):
+        y = x + np.eye(equations)[0] * shift
+        wy = loss.weights((y**2).sum(axis=1), np.full(len(x), equations))
+        slopes.append((wy * y[:, 0]).mean())
+    slope = (slopes[0] - slopes[1]) / (2 * h)
+    assert ((w * x[:, 0]) ** 2).mean() / slope**2 == pytest.approx(
+        loss.inflation(equations), rel=0.05
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey", "reject"])
+def test_standard_errors_of_robust_fits_equal_the_spread(loss: str) -> None:
+    """Over 150 data sets with a tenth of outliers (none for Huber), within 10 %."""
+    mechanism, truth, clean = machine("5R", 60, EXACT)
+    found, std = [], []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        poses = clean.poses + NOISE.position * rng.standard_normal(clean.poses.shape)
+        readings = clean.readings + NOISE.reading * rng.standard_normal(clean.readings.shape)
+        data = replace(clean, poses=poses, readings=readings)
+        if loss != "huber":
+            data, _ = spoiled(data, seed, 1e-4)
+        result = pincal.calibrate(
+            mechanism,
+            data,
+            method="latent",
+            noise=NOISE,
+            loss=loss,  # type: ignore[arg-type]
+        )
+        found.append(np.concatenate([leg.identified for leg in result.legs]))
+        std.append(np.concatenate([leg.std for leg in result.legs]))
+    ratio = np.mean(std, axis=0) / np.std(found, axis=0)
+    assert abs(ratio.mean() - 1) < 0.10
+
+
+def test_noise_of_repeated_rows_is_found() -> None:
+    """Ten poses measured five times each tell the noise within a fifth; a ``pose`` column too."""
+    mechanism, truth, clean = machine("3RRR", 10, EXACT)
+    rows = np.repeat(np.arange(len(clean)), 5)
+    many = clean.rows(rows)
+    rng = np.random.default_rng(0)
+    shake = np.array([1e-4, 1e-4, 3e-4]) * rng.standard_normal(many.poses.shape)
+    same = replace(many, poses=many.poses + shake)
+    result = pincal.calibrate(mechanism, same, method="together", poses="all")
+    assert result.noise_source == "repeats"
+    assert result.noise is not None
+    assert result.noise.position == pytest.approx(1e-4, rel=0.2)
+    assert result.noise.orientation == pytest.approx(3e-4, rel=0.2)
+    assert result.noise.reading < 1e-15
+    readings = many.readings + 5e-5 * rng.standard_normal(many.readings.shape)
+    named = replace(same, readings=readings, places=tuple(f"p{i}" for i in rows))
+    result = pincal.calibrate(mechanism, named, method="latent")
+    assert result.noise is not None
+    assert result.noise.reading == pytest.approx(5e-5, rel=0.2)
+    assert 0.5 < result.reduced_chi2 < 1.6
+    few = pincal.calibrate(mechanism, same.rows(np.r_[0:2, 5:50:1]), method="together", poses="all")
+    assert few.noise_source == "repeats"
+    none = pincal.calibrate(mechanism, machine("3RRR", 30)[2])
+    assert none.noise_source == "estimated"
+
+
+def test_rows_with_their_own_noise_count_by_it() -> None:
+    """Rows ten times as noisy, and said so, leave the estimate as good as without them."""
+    mechanism, truth, data = machine("3RRR", 60)
+    worse = np.arange(len(data)) % 2 == 0
+    rng = np.random.default_rng(1)
+    poses = data.poses + np.where(worse[:, None], 1e-3, 0.0) * rng.standard_normal(data.poses.shape)
+    sigma = np.where(worse[:, None], 1e-3, 1e-4) * np.ones((1, 3))
+    readings = np.full(data.readings.shape, 5e-5)
+    told = replace(data, poses=poses, sigma_poses=sigma, sigma_readings=readings)
+    for method in METHODS:
+        result = pincal.calibrate(mechanism, told, method=method, poses="all")  # type: ignore[arg-type]
+        half = pincal.calibrate(
+            mechanism,
+            data.rows(~worse),
+            method=method,
+            poses="all",
+            noise=NOISE,  # type: ignore[arg-type]
+        )
+        assert result.noise_source == "rows"
+        for one, two in zip(result.legs, half.legs, strict=True):
+            assert (one.std <= two.std * 1.001).all()
+        assert 0.6 < result.reduced_chi2 < 1.5
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_fixed_parameters_stay(method: str) -> None:
+    """Of every leg or of one; the others are those of a mechanism in which they are constants."""
+    mechanism, truth, data = machine("3RRR", noise=EXACT)
+    truth = truth.with_parameters({"leg_2": {"k": 1.0}})
+    plan = pincal.Plan(data.poses)
+    data = pincal.simulate(mechanism, truth, plan, EXACT).measurements
+    result = pincal.calibrate(mechanism, data, method=method, fixed=("leg_2.k",), poses="all")  # type: ignore[arg-type]
+    parameter = {p.name: p for p in result.leg("leg_2").parameters}["k"]
+    assert (parameter.identified, parameter.std) == (1.0, 0.0)
+    assert error(result, truth) < 1e-9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_ties_hold_or_do_not(method: str) -> None:
+    """A length shared by all legs comes back as one; the test says when legs differ.
+
+    Where the tie holds it makes all estimates better; its p-value is uniform (mean near ½).
+    """
+    mechanism = pincal.load_mechanism("3RRR")
+    truth = pincal.disturb(mechanism, 2e-3, 1)
+    same = truth.with_parameters({leg.name: {"ob": 0.867} for leg in mechanism.legs})
+    plan = pincal.Plan(pincal.sample_workspace(mechanism, 40, 0))
+    options = {"method": method, "noise": NOISE, "poses": "all"}
+    values = []
+    for seed in range(10):
+        data = pincal.simulate(mechanism, same, plan, NOISE, seed).measurements
+        result = pincal.calibrate(mechanism, data, tied=("ob",), **options)  # type: ignore[arg-type]
+        lengths = {leg.parameters[4].identified for leg in result.legs}
+        assert len(lengths) == 1
+        assert result.ties[0].restrictions == 2
+        values.append(result.ties[0].p_value)
+    free = pincal.calibrate(mechanism, data, **options)  # type: ignore[arg-type]
+    assert result.legs[0].std[4] < free.legs[0].std[4]
+    assert 0.2 < np.mean(values) < 0.8
+    unlike = same.with_parameters({"leg_2": {"ob": 0.873}})
+    other = pincal.simulate(mechanism, unlike, plan, NOISE, 0).measurements
+    result = pincal.calibrate(mechanism, other, tied=("ob",), **options)  # type: ignore[arg-type]
+    assert not result.ties[0].holds
+    assert any("contradict" in text for text in result.warnings)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_priors_are_measurements(method: str) -> None:
+    """A tight prior holds a parameter, a loose one changes nothing; between, information adds."""
+    mechanism, _, data = machine("3RRR", 40)
+    options = {"method": method, "noise": NOISE, "poses": "all"}
+    free = pincal.calibrate(mechanism, data, **options)  # type: ignore[arg-type]
+    tight = pincal.calibrate(mechanism, data, priors={"leg_1.L": 1e-9}, **options)  # type: ignore[arg-type]
+    loose = pincal.calibrate(mechanism, data, priors={"L": 1e3}, **options)  # type: ignore[arg-type]
+    assert tight.leg("leg_1").parameters[1].identified == pytest.approx(1.5, abs=1e-9)
+    for one, two in zip(free.legs, loose.legs, strict=True):
+        np.testing.assert_allclose(one.identified, two.identified, atol=1e-9)
+    sigma = free.legs[0].std[1]
+    both = pincal.calibrate(mechanism, data, priors={"leg_1.L": sigma}, **options)  # type: ignore[arg-type]
+    assert both.legs[0].std[1] == pytest.approx(sigma / np.sqrt(2), rel=0.01)
+    middle = (free.legs[0].identified[1] + 1.5) / 2
+    assert both.legs[0].identified[1] == pytest.approx(middle, abs=0.05 * sigma)
+
+
+def test_priors_determine_what_measurements_do_not() -> None:
+    """At one orientation azimuth and radius of the platform point are lost; a prior gives them."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = np.zeros((40, 3))
+    poses[:, :2] = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 2))
+    data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), EXACT).measurements
+    with pytest.raises(pincal.ObservabilityError, match="move together"):
+        pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    result = pincal.calibrate(
+        mechanism, data, method="latent", noise=NOISE, priors={"ob": 1e-3, "beta_b": 1e-3}
+    )
+    assert result.converged
+    assert result.legs[0].std[4] == pytest.approx(1e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"fixed": ("m",)}, "no parameter 'm'; expected one of l, L, .* 'leg_1.l'"),
+        ({"tied": ("leg_1.l",)}, "cannot be tied"),
+        ({"tied": ("l",), "fixed": ("l",)}, "both fixed and tied"),
+        ({"priors": {"l": 0.0}}, "expected a standard deviation above 0"),
+        ({"loss": "none at all"}, "unknown loss"),
+        ({"method": "best"}, "unknown method"),
+        ({"method": "latent", "residual": "joint"}, "closure residual"),
+    ],
+)
+def test_wrong_choices_are_named(options: dict, message: str) -> None:
+    """Parameters, losses and methods that do not exist, or exclude each other."""
+    mechanism, _, data = machine("3RRR", 20)
+    with pytest.raises(pincal.MeasurementError, match=message):
+        pincal.calibrate(mechanism, data, **options)
+
+
+def test_the_probability_of_a_listed_row() -> None:
+    """Of 20,000 good rows one in a thousand is listed, whatever its number of equations."""
+    from pincal.identification.losses import outlying
+
+    for k in (1, 4):
+        squares = chi2.rvs(k, size=20_000, random_state=0)
+        assert outlying(squares, np.full(20_000, k)).mean() == pytest.approx(1e-3, rel=0.5)

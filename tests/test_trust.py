@@ -1,0 +1,124 @@
+"""Held-out rows, drift, and runs compared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured import EXACT, NOISE, machine, seen_from_elsewhere
+
+import pincal
+
+FRAME = pincal.Setup(unknown_frame=True)
+
+
+@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+@pytest.mark.parametrize("known", [True, False])
+def test_held_out_rows_miss_as_expected(method: str, known: bool) -> None:
+    """With the right model held-out residuals are those of the fit grown by what it lacks."""
+    ratios = []
+    for seed in range(4):
+        mechanism, _, data = machine("3RRR", 60, seed=seed)
+        found = pincal.validate(
+            mechanism, data, method=method, poses="all", noise=NOISE if known else None
+        )
+        ratios.append(found.held_out / found.expected)
+        assert found.warnings == ()
+        assert found.rows == len(data)
+        assert found.position is not None
+        assert found.position[1] > found.position[0]
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)
+
+
+def test_held_out_rows_of_an_unknown_frame() -> None:
+    """Frames are those of the fit: errors are as expected there too, for each estimator."""
+    mechanism, _, data = machine("3RRR", 60)
+    moved = seen_from_elsewhere(mechanism, data)
+    for method in ("latent", "per-leg"):
+        found = pincal.validate(
+            mechanism, moved, method=method, poses="all", noise=NOISE, setup=FRAME, folds=3
+        )
+        assert found.held_out == pytest.approx(found.expected, rel=0.15)
+        assert found.position is not None
+        assert found.position[1] == pytest.approx(1.6e-4, rel=0.3)
+
+
+def test_a_model_that_lacks_something_is_told() -> None:
+    """Ten places measured ten times each, every place 1 mm off in its own way: repeats hide it.
+
+    The fit bends to its ten places; places that it has not seen show it.
+    """
+    mechanism, _, data = machine("3RRR", 10, pincal.Noise(1e-5, 1e-5, 0.0))
+    rng = np.random.default_rng(0)
+    data.poses[:] += 1e-3 * rng.standard_normal(data.poses.shape)
+    rows = np.repeat(np.arange(len(data)), 10)
+    many = replace(data.rows(rows), places=tuple(f"p{i}" for i in rows))
+    many.poses[:] += 1e-4 * rng.standard_normal(many.poses.shape)
+    found = pincal.validate(mechanism, many, folds=10, poses="all")
+    assert found.held_out > 1.5 * found.expected
+    assert found.p_value < 1e-3
+    assert any("follows its rows more closely" in text for text in found.warnings)
+
+
+def test_drift_is_told() -> None:
+    """A tracker that moves by 0.6 mm over the rows: residuals follow their order, by leg."""
+    mechanism, _, data = machine("3RRR", 80)
+    still = pincal.validate(mechanism, data, noise=NOISE, poses="all")
+    assert still.drift == ()
+    data.poses[:, 0] += np.linspace(-3e-4, 3e-4, len(data))
+    moving = pincal.validate(mechanism, data, noise=NOISE, poses="all")
+    assert moving.drift
+    assert any("drift" in text for text in moving.warnings)
+
+
+def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:
+    """Rows of one pose are never on both sides; too many folds are refused."""
+    from pincal.identification.validation import _folds
+
+    mechanism, _, data = machine("3RRR", 12)
+    places = tuple(f"p{i // 3}" for i in range(len(data)))
+    folds = _folds(replace(data, places=places), 2)
+    assert all(len({folds[i] for i in range(3 * p, 3 * p + 3)}) == 1 for p in range(4))
+    sets = tuple("leg_1" if i < 6 else "leg_2" for i in range(len(data)))
+    folds = _folds(replace(data, sets=sets), 3)
+    assert sorted(folds[:6].tolist()) == sorted(folds[6:12].tolist()) == [0, 0, 1, 1, 2, 2]
+    for count in (1, 13):
+        with pytest.raises(pincal.MeasurementError, match="at least two folds"):
+            pincal.validate(mechanism, data, folds=count, method="latent")
+
+
+def test_runs_that_agree_and_runs_that_do_not() -> None:
+    """Spread over runs is that of the standard errors; a leg moved between runs shows."""
+    mechanism, truth, clean = machine("3RRR", 40, EXACT)
+    plan = pincal.Plan(clean.poses)
+    ratios = []
+    for trial in range(4):
+        parts = [
+            pincal.simulate(mechanism, truth, plan, NOISE, 10 * trial + run).measurements
+            for run in range(3)
+        ]
+        data = joined(parts)
+        found = pincal.compare_runs(mechanism, data, method="latent", noise=NOISE)
+        assert found.runs == ("run 0", "run 1", "run 2")
+        assert found.consistent
+        assert found.warnings == ()
+        ratios.append(found.ratio)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
+    bent = truth.with_parameters({"leg_2": {"OA": truth.leg("leg_2").nominal[2] + 1e-3}})
+    parts[1] = pincal.simulate(mechanism, bent, plan, NOISE, 99).measurements
+    found = pincal.compare_runs(mechanism, joined(parts), method="latent", noise=NOISE)
+    assert not found.consistent
+    assert found.ratio > 3
+    assert "something changed between runs" in found.warnings[0]
+    with pytest.raises(pincal.MeasurementError, match="at least two runs"):
+        pincal.compare_runs(mechanism, parts[0])
+
+
+def joined(parts: list[pincal.Measurements]) -> pincal.Measurements:
+    """Return measurements of several runs as one."""
+    return pincal.Measurements(
+        np.concatenate([p.poses for p in parts]),
+        readings=np.concatenate([p.readings for p in parts]),
+        runs=tuple(f"run {i}" for i, p in enumerate(parts) for _ in range(len(p))),
+    )
