@@ -171,7 +171,7 @@ def test_missing_readings_are_left_out() -> None:
     result = pincal.calibrate(mechanism, data, method="latent")
     assert error(result, truth) < 1e-9
     assert [leg.n_residuals for leg in result.legs] == [len(data), len(data) - 12, len(data)]
-    with pytest.raises(pincal.MeasurementError, match="row 1: 'leg_2' is not measured.*latent"):
+    with pytest.raises(pincal.MeasurementError, match=r"row 1: 'leg_2' is not measured.*latent"):
         pincal.calibrate(mechanism, data)
 
 

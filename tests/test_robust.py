@@ -119,7 +119,7 @@ def test_losses_cost_little_on_good_data(name: str, equations: int) -> None:
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey", "reject"])
 def test_standard_errors_of_robust_fits_equal_the_spread(loss: str) -> None:
     """Over 150 data sets with a tenth of outliers (none for Huber), within 10 %."""
-    mechanism, truth, clean = machine("5R", 60, EXACT)
+    mechanism, _truth, clean = machine("5R", 60, EXACT)
     found, std = [], []
     for seed in range(150):
         rng = np.random.default_rng(seed)
@@ -143,7 +143,7 @@ def test_standard_errors_of_robust_fits_equal_the_spread(loss: str) -> None:
 
 def test_noise_of_repeated_rows_is_found() -> None:
     """Ten poses measured five times each tell the noise within a fifth; a ``pose`` column too."""
-    mechanism, truth, clean = machine("3RRR", 10, EXACT)
+    mechanism, _truth, clean = machine("3RRR", 10, EXACT)
     rows = np.repeat(np.arange(len(clean)), 5)
     many = clean.rows(rows)
     rng = np.random.default_rng(0)
@@ -169,7 +169,7 @@ def test_noise_of_repeated_rows_is_found() -> None:
 
 def test_rows_with_their_own_noise_count_by_it() -> None:
     """Rows ten times as noisy, and said so, leave the estimate as good as without them."""
-    mechanism, truth, data = machine("3RRR", 60)
+    mechanism, _truth, data = machine("3RRR", 60)
     worse = np.arange(len(data)) % 2 == 0
     rng = np.random.default_rng(1)
     poses = data.poses + np.where(worse[:, None], 1e-3, 0.0) * rng.standard_normal(data.poses.shape)
