@@ -1,8 +1,8 @@
 """Unknown poses eliminated from linear rows r + A δφ + B δx, pose by pose.
 
-Each pose's rows are turned by the orthogonal factor of B: the part across B is free of the
-pose and goes on to the parameters (the square root of the Schur complement); the part along B
-gives the pose once the parameters are known. The cost is linear in the number of poses.
+Each pose's rows are turned by an orthogonal matrix that makes B triangular: the rows below it are
+free of the pose and go on to the parameters (the square root of the Schur complement); the rows
+beside it give the pose once the parameters are known. The cost is linear in the number of poses.
 """
 
 from __future__ import annotations
@@ -21,22 +21,34 @@ Array = NDArray[np.float64]
 class Eliminated:
     """Rows free of the poses, and the way back to these."""
 
-    value: Array
-    """Shape (N, k)."""
-    parameter: Array
-    """Shape (N, k, n)."""
-    back_value: Array
-    """Shape (N, dof)."""
-    back_parameter: Array
-    """Shape (N, dof, n)."""
+    triangle: Array
+    """Rows of [B, A, r] turned, the first dof columns triangular, shape (N, k, dof + n + 1)."""
+    dof: int
+
+    @property
+    def value(self) -> Array:
+        """Residuals free of the poses, shape (N, k - dof)."""
+        return self.triangle[:, self.dof :, -1]
+
+    @property
+    def parameter(self) -> Array:
+        """Their derivatives by the parameters, shape (N, k - dof, n)."""
+        return self.triangle[:, self.dof :, self.dof : -1]
 
     def poses(self, step: Array) -> Array:
         """Return the poses' steps for a step of the parameters, shape (n,) to (N, dof)."""
-        return -(self.back_value + self.back_parameter @ step)
+        top = self.triangle[:, : self.dof]
+        wanted = top[:, :, -1] + top[:, :, self.dof : -1] @ step
+        return -solve(top[:, :, : self.dof], wanted[:, :, None])[:, :, 0]
+
+    def poses_by_parameter(self) -> Array:
+        """Return by how much poses follow the parameters, ∂x/∂φ, shape (N, dof, n)."""
+        top = self.triangle[:, : self.dof]
+        return -solve(top[:, :, : self.dof], top[:, :, self.dof : -1])
 
 
 def eliminate(value: Array, parameter: Array, pose: Array, damping: float = 0.0) -> Eliminated:
-    """Return rows free of the poses: the left null space of their columns.
+    """Return rows free of the poses.
 
     Args:
         value: r, shape (N, k).
@@ -45,12 +57,10 @@ def eliminate(value: Array, parameter: Array, pose: Array, damping: float = 0.0)
         damping: Of the poses' steps, relative to the squares of their columns
             (Levenberg-Marquardt).
     """
-    k, dof = pose.shape[1:]
+    (count, k, dof), n = pose.shape, parameter.shape[2]
+    rows = np.zeros((count, k + (dof if damping > 0.0 else 0), dof + n + 1))
+    rows[:, :k, :dof], rows[:, :k, dof:-1], rows[:, :k, -1] = pose, parameter, value
     if damping > 0.0:
         lengths = np.sqrt(damping) * np.linalg.norm(pose, axis=1)
-        pose = np.concatenate((pose, lengths[:, :, None] * np.eye(dof)), axis=1)
-    Q, R = np.linalg.qr(pose, mode="complete")
-    along, across = Q[:, :k, :dof].transpose(0, 2, 1), Q[:, :k, dof:].transpose(0, 2, 1)
-    both = np.concatenate((parameter, value[:, :, None]), axis=2)
-    free, back = across @ both, solve(R[:, :dof], along @ both)
-    return Eliminated(free[:, :, -1], free[:, :, :-1], back[:, :, -1], back[:, :, :-1])
+        rows[:, k:, :dof] = lengths[:, :, None] * np.eye(dof)
+    return Eliminated(np.asarray(np.linalg.qr(rows, mode="r")), dof)

@@ -55,7 +55,9 @@ def align(
     seen, platform = problem.observation, problem.residuals[0].platform
     external = seen.external.start
     if not seen.external.frame_rows:
-        return placed(problem, data, parameters, external)
+        state = placed(problem, data, parameters, external)
+        whole = np.isfinite(data.poses).all() and len(seen.setup.targets) == 1
+        return state if whole else settle(problem, state)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     state = State(parameters, home, (None,) * len(problem.legs), external)
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:  # from home to where the readings say
@@ -94,9 +96,7 @@ def _where_measured(problem: LatentPoses, data: Measurements, state: State) -> A
 def placed(
     problem: LatentPoses, data: Measurements, parameters: Array, external: External
 ) -> State:
-    """Return poses settled at known parameters and frames.
-
-    What was not measured starts as at home; orientations in full or not at all.
+    """Return poses as measured, what was not measured as at home; orientations in full or not.
 
     Args:
         problem: The problem.
@@ -117,7 +117,7 @@ def placed(
     there = (measured - external.frame[:3, 3]) @ F - matrices[:, :3, :3] @ external.offsets[0]
     matrices[:, :3, 3] = np.where(np.isfinite(there), there, matrices[:, :3, 3])
     joints = (None,) * len(problem.legs)
-    return settle(problem.eased(), State(parameters, matrices, joints, external))
+    return State(parameters, matrices, joints, external)
 
 
 def settle(problem: LatentPoses, state: State) -> State:

@@ -20,6 +20,7 @@ from pincal.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 _CLEARLY = 3.0  # times what noise makes
+_POSES = 500  # enough to judge by: both grow alike with the number of poses
 _TAKES_PART = 0.1  # of the largest entry of a direction
 
 
@@ -37,6 +38,7 @@ def check_rank(problem: Problem, unknowns: Unknowns, linear: Linear) -> list[tup
             f"{', '.join(names)}: a residual or its derivative is not finite at some measured "
             "pose; a leg may be folded or stretched there"
         )
+    J = np.asarray(np.linalg.qr(J, mode="r"))  # the same columns but for a rotation
     _, prior = unknowns.prior_rows(unknowns.start)
     all_ = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
     if not all_.complete:
@@ -66,7 +68,10 @@ def check_information(
     Raises:
         ObservabilityError: there is one; the message names the parameters that take part.
     """
-    shaken = problem.linearise(problem.shaken(linear)).comparable()
+    some = np.linspace(0, len(linear.white) - 1, min(_POSES, len(linear.white))).astype(int)
+    part = problem.part(some)
+    linear = part.linearise(linear.state.rows(some))
+    shaken = part.linearise(part.shaken(linear)).comparable()
     here, T = linear.comparable(), unknowns.map
     _, prior = unknowns.prior_rows(unknowns.start)
     own = np.concatenate(((here @ T).reshape(-1, T.shape[1]), prior))

@@ -25,6 +25,7 @@ _STEPS = 300  # of the search
 _STANDS = 1e-8  # of a standard error: no step is left, with the weights renewed
 _STANDS_ROBUST = 1e-6  # weights of rows follow their residuals: convergence is slower
 _ROUNDS = 30
+_LEAST_DAMPING = 1e-6
 _LARGEST_DAMPING = 1e10
 _LIGHT = 1e-3  # damping that hardly shortens a step
 
@@ -87,13 +88,14 @@ def fit(
         MeasurementError: residuals that do not exist, or have no noise.
     """
     system = _System(problem, unknowns, known, loss, kept)
-    first = problem.linearise(start or problem.start(unknowns.start[: problem.columns[-1].stop]))
+    easy = replace(system, problem=problem.eased())
+    start = start or problem.start(unknowns.start[: problem.columns[-1].stop])
+    first = easy.problem.linearise(start)
     check_rank(problem, unknowns, first)
     if known:
         check_information(problem, unknowns, first)
-    easy = replace(system, problem=problem.eased())
-    near, evaluations = _search(easy, easy.problem.linearise(first.state), tell)
-    linear = problem.linearise(near.state)
+    near, evaluations = _search(easy, first, tell)
+    linear = near if easy.problem is problem else problem.linearise(near.state)
     stands = _STANDS if loss is None else _STANDS_ROBUST
     for _ in range(_ROUNDS if loss is None else 10 * _ROUNDS):
         weights, scale = system.weights(linear)
@@ -233,13 +235,13 @@ def _search(
     was made with.
     """
     problem, T = system.problem, system.unknowns.map
-    damping, growth, evaluations = 1e-6, 10.0, 1
+    damping, growth, evaluations = 0.0, 10.0, 1
     while evaluations < _STEPS and damping < _LARGEST_DAMPING:
         weights, _ = system.weights(linear)
         cost = system.cost(linear, weights)
         if tell and evaluations % 5 == 0:
             tell(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
-        held = linear.damped(damping)
+        held = linear.damped(damping) if damping else linear
         step, std = system.step(held, weights, damping)
         trial = problem.linearise(problem.moved(held, T @ step))
         evaluations += 1
@@ -251,9 +253,9 @@ def _search(
         if near or (better and fall <= _STALLS * cost):
             break
         if better:
-            damping, growth = max(0.1 * damping, 1e-12), 10.0
+            damping, growth = (0.1 * damping if damping > _LEAST_DAMPING else 0.0), 10.0
         else:
-            damping, growth = damping * growth, 2.0 * growth
+            damping, growth = max(damping, _LEAST_DAMPING) * growth, 2.0 * growth
     return linear, evaluations
 
 

@@ -64,7 +64,7 @@ class LatentLinear(Linear):
 
     def comparable(self) -> Array:
         """Return the Jacobian less its part along the poses, shape (N, k, n)."""
-        return self.rows.parameter - self.rows.pose @ self.eliminated.back_parameter
+        return self.rows.parameter + self.rows.pose @ self.eliminated.poses_by_parameter()
 
 
 class LatentPoses:
@@ -124,9 +124,26 @@ class LatentPoses:
         return replace(self.first, parameters=parameters)
 
     def eased(self) -> LatentPoses:
-        """Return the problem with what is exact as uncertain as the rest: no narrow valleys."""
+        """Return the problem with what is exact as uncertain as the rest: no narrow valleys.
+
+        Itself, if nothing is exact.
+        """
+        exact = (self.used & (self.sigma_readings <= 0.0)).any()
+        seen = self.observation.measured
+        if not (exact or (seen & (self.sigma_observed <= 0.0)).any()):
+            return self
         found = copy(self)
         found.exact = 1.0
+        return found
+
+    def part(self, rows: NDArray[np.intp]) -> LatentPoses:
+        """Return the problem of some poses."""
+        found = copy(self)
+        found.residuals = [residual.part(rows) for residual in self.residuals]
+        found.used, found.observation = self.used[rows], self.observation.rows(rows)
+        found.sigma_readings = self.sigma_readings[rows]
+        found.sigma_observed = self.sigma_observed[rows]
+        found._noisy = self._noisy[rows]
         return found
 
     def without_observation(self) -> LatentPoses:

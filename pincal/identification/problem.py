@@ -37,6 +37,11 @@ class State:
     external: External
     """Unknowns outside the mechanism."""
 
+    def rows(self, chosen: NDArray[np.intp]) -> State:
+        """Return the state at some poses."""
+        joints = tuple(None if q is None else q[chosen] for q in self.joints)
+        return replace(self, matrices=self.matrices[chosen], joints=joints)
+
 
 @dataclass(frozen=True)
 class Linear:
@@ -115,6 +120,9 @@ class Problem(Protocol):
     def eased(self) -> Problem:
         """Return a problem with the optimum nearby that is searched more easily."""
 
+    def part(self, rows: NDArray[np.intp]) -> Problem:
+        """Return the problem of some poses."""
+
     def linearise(self, state: State) -> Linear:
         """Return residuals and derivatives at a state."""
 
@@ -177,6 +185,17 @@ class MeasuredPoses:
     def eased(self) -> MeasuredPoses:
         """Return the problem itself."""
         return self
+
+    def part(self, rows: NDArray[np.intp]) -> MeasuredPoses:
+        """Return the problem of some poses."""
+        return MeasuredPoses(
+            [residual.part(rows) for residual in self.residuals],
+            self._coordinates[rows],
+            self.used[rows],
+            self._pose_roots[rows],
+            self._sigma_readings[rows],
+            weighted=self._weighted,
+        )
 
     def linearise(self, state: State) -> Linear:
         """Return residuals and derivatives at a state.

@@ -24,7 +24,7 @@ from pincal.model.platform import Platform
 Array = NDArray[np.float64]
 Residual = Literal["closure", "joint"]
 _STEPS = 60
-_SMALL = 1e-11  # of the leg's size, and [rad]
+_SMALL = 1e-6  # step, of the leg's size, and [rad]: of its square, e is off at most
 
 
 class LegResidual:
@@ -52,6 +52,12 @@ class LegResidual:
         self.readings = readings
         self._kind = kind
         self._rows = np.arange(len(readings)) if rows is None else rows
+
+    def part(self, rows: NDArray[np.intp]) -> LegResidual:
+        """Return the residual at some of its rows."""
+        return LegResidual(
+            self.leg, self.platform, self.readings[rows], self._kind, self._rows[rows]
+        )
 
     def __call__(
         self, parameters: Array, matrices: Array, joints: Array | None = None

@@ -159,7 +159,8 @@ def _judged(found: Estimate, unseen: Task) -> list[tuple[Fit, Linear]]:
     if found.latent is not None:
         latent = unaligned_problem(unseen)
         state = placed(latent, unseen.data, fits[0].parameters, fits[0].last.state.external)
-        return [(fits[0], latent.linearise(settle(latent, state)))]
+        settled = settle(latent, settle(latent.eased(), state))
+        return [(fits[0], latent.linearise(settled))]
     names = list(unseen.mechanism.leg_names)
     pairs: list[tuple[Fit, Linear]] = []
     for one in fits:
