@@ -124,14 +124,7 @@ class LatentPoses:
         return replace(self.first, parameters=parameters)
 
     def eased(self) -> LatentPoses:
-        """Return the problem with what is exact as uncertain as the rest: no narrow valleys.
-
-        Itself, if nothing is exact.
-        """
-        exact = (self.used & (self.sigma_readings <= 0.0)).any()
-        seen = self.observation.measured
-        if not (exact or (seen & (self.sigma_observed <= 0.0)).any()):
-            return self
+        """Return the problem with what is exact as uncertain as the rest: no narrow valleys."""
         found = copy(self)
         found.exact = 1.0
         return found

@@ -24,7 +24,7 @@ from pincal.model.platform import Platform
 Array = NDArray[np.float64]
 Residual = Literal["closure", "joint"]
 _STEPS = 60
-_SMALL = 1e-6  # step, of the leg's size, and [rad]: of its square, e is off at most
+_SMALL = 1e-8  # step, of the leg's size, and [rad]: of its square, e is off at most
 
 
 class LegResidual:
