@@ -141,11 +141,15 @@ def _words(count: int, unknowns: Unknowns, directions: Array) -> tuple[str, ...]
     words = []
     if n_base:
         words.append(
-            f"the base frame: {n_base} freedoms, since the frame of the measurements is unknown"
+            f"the base frame: {_freedoms(n_base)}, since the frame of the measurements is unknown"
         )
     if count > n_base:
         words.append(
-            f"the platform's frame: {count - n_base} freedoms, since what was measured does not "
+            f"the platform's frame: {_freedoms(count - n_base)}, since what was measured does not "
             "say how the platform's points lie in it"
         )
     return tuple(words)
+
+
+def _freedoms(count: int) -> str:
+    return f"{count} freedom" + ("s" if count > 1 else "")
