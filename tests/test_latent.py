@@ -389,6 +389,7 @@ def test_latent_poses_reach_the_cramer_rao_bound() -> None:
         assert one["per leg over latent"] > 1.0, kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["3RRR", "6UPS"])
 def test_an_unknown_frame_and_target_cost_no_accuracy(kind: str) -> None:
     """Platform errors with frame and target unknown are those with both known.

@@ -74,7 +74,8 @@ def _well(mechanism: Mechanism, problem: LatentPoses, state: State) -> Mask:
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
     joints = [j for j in state.joints if j is not None]
     closures = [leg.evaluate(q, state.matrices) for leg, q in zip(legs, joints, strict=True)]
-    good = platform_margin(mechanism, closures) > 0.0
+    told = problem.used.sum(axis=1) >= mechanism.platform.dof  # readings alone give the pose
+    good = told & (platform_margin(mechanism, closures) > 0.0)
     for leg, closure, own in zip(legs, closures, problem.used.T, strict=True):
         closes = (np.abs(closure.gap) <= _CLOSES * leg.size).all(axis=1)
         good &= ~own | (closes & (mode_sign(closure) == home_mode(leg.leg, leg.platform)))
@@ -202,6 +203,12 @@ def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
         MeasurementError: too few points, points on a line, or points that fit mirrored only.
     """
     least = platform.space
+    if not len(here):
+        raise MeasurementError(
+            "the frame of the measurements is unknown and cannot be aligned: no row has a measured "
+            "position and as many readings as the platform has freedoms, from which the nominal "
+            "machine would say where it is"
+        )
     a, b = here - here.mean(axis=0), there - there.mean(axis=0)
     spread = np.linalg.svd(a, compute_uv=False) if len(a) else np.zeros(3)
     if len(here) < least or spread[least - 2] <= 1e-3 * max(spread[0], 1e-300):

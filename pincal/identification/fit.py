@@ -154,12 +154,15 @@ class _System:
         kept = np.ones(len(linear.white)) if self.kept is None else self.kept.astype(float)
         if self.loss is None:
             return kept, 1.0
-        own = kept > 0
-        equations = linear.equations[own]
-        share = 1.0 - self.unknowns.map.shape[1] / max(equations.sum(), 1)
-        scale = robust_scale(linear.squares[own], equations, max(share, 0.1))
-        scale = max(scale, 1.0 if self.known else 1e-300)
+        scale = max(self._scale(linear), 1.0 if self.known else 1e-300)
         return kept * self.loss.weights(linear.squares / scale**2, linear.equations), scale
+
+    def _scale(self, linear: Linear) -> float:
+        """Return the scale of the noise that the rows in the middle tell."""
+        own = np.ones(len(linear.white), dtype=bool) if self.kept is None else self.kept
+        equations = linear.equations[own]
+        share = 1.0 - self.unknowns.map.shape[1] / max(int(equations.sum()), 1)
+        return robust_scale(linear.squares[own], equations, max(share, 0.1))
 
     def stacked(self, linear: Linear, weights: Array) -> tuple[Array, Array]:
         """Return the Jacobian in the free unknowns and the residuals, priors included."""
@@ -195,12 +198,17 @@ class _System:
         return float(weights @ squares + prior @ prior)
 
     def chi2(self, linear: Linear, weights: Array) -> tuple[float, int]:
-        """Return χ² and the degrees of freedom of rows in use and priors."""
+        """Return χ² and the degrees of freedom of rows in use and priors.
+
+        With a robust loss, what χ² would be if all rows were like the middle ones.
+        """
         prior, _ = self.unknowns.prior_rows(self._all(linear.state))
         own = weights > 0.0
         equations = int(linear.equations[own].sum()) + len(prior)
-        chi2 = float(weights[own] @ linear.squares[own] + prior @ prior)
-        return chi2, equations - self.unknowns.map.shape[1]
+        dof = equations - self.unknowns.map.shape[1]
+        if self.loss is not None:
+            return dof * self._scale(linear) ** 2, dof
+        return float(weights[own] @ linear.squares[own] + prior @ prior), dof
 
     def covariance(self, linear: Linear, weights: Array, scale: float) -> Array:
         """Return the covariance of all unknowns, shape (n, n).
