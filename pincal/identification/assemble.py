@@ -113,6 +113,7 @@ def _leg_results(task: Task, one: Robust) -> list[LegResult]:
                 n_residuals=int(own.sum()),
                 sigma=after.sigma[own],
                 rows=one.rows[own],
+                residuals_before=before.value[own],
                 residuals=after.value[own],
             )
         )
