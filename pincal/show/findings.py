@@ -13,7 +13,7 @@ from pincal.experiment.observability import r_diagonal
 from pincal.experiment.observation import Observation
 from pincal.identification.calibrate import calibration_task
 from pincal.identification.measured import given_poses
-from pincal.identification.result import CalibrationResult, LegResult
+from pincal.identification.result import CalibrationResult
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.model.measurements import Measurements
 from pincal.model.setup import Setup
@@ -56,15 +56,6 @@ class Findings:
     def turns(self) -> bool:
         """Whether the platform has an orientation."""
         return "rad" in self.result.nominal.platform.units
-
-    def sigma(self, leg: LegResult) -> Array:
-        """Return standard deviations of a leg's residuals, shape (n_residuals,).
-
-        Those modelled; where the noise was estimated, with its scale.
-        """
-        if self.result.noise_source != "estimated":
-            return leg.sigma
-        return leg.sigma * np.sqrt(self.result.reduced_chi2)
 
     @cached_property
     def observability(self) -> dict[str, dict[str, float]]:

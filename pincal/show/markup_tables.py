@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import floor, log10
 
-from pincal.identification.result import CalibrationResult, IdentifiedParameter
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult
 from pincal.model.mechanism import Mechanism
 from pincal.show.markup import Element, table
 from pincal.show.tables import SHOWN
 
+Array = NDArray[np.float64]
 LISTED = 50  # outliers in the table; all are in result.json
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
 
@@ -45,16 +48,22 @@ def external_table(result: CalibrationResult) -> Element:
     )
 
 
-def residuals_table(result: CalibrationResult, sigmas: Sequence[float]) -> Element:
-    """Return residuals of each leg.
+def residual_sigma(result: CalibrationResult, leg: LegResult) -> Array:
+    """Return standard deviations of a leg's residuals, shape (n_residuals,).
 
-    Args:
-        result: The calibration.
-        sigmas: Standard deviations that the noise gives them, leg by leg.
+    Those modelled; where the noise was estimated, with its scale.
     """
+    if result.noise_source != "estimated":
+        return leg.sigma
+    return leg.sigma * np.sqrt(result.reduced_chi2)
+
+
+def residuals_table(result: CalibrationResult) -> Element:
+    """Return residuals of each leg, and the standard deviations that the noise gives them."""
     rows = []
-    for leg, sigma in zip(result.legs, sigmas, strict=True):
+    for leg in result.legs:
         unit, factor = SHOWN[leg.unit]
+        sigma = float(np.sqrt(np.mean(residual_sigma(result, leg) ** 2)))
         sizes = (f"{factor * value:.4f}" for value in (leg.rms_before, leg.rms_after, sigma))
         rows.append((leg.name, *sizes, unit, str(leg.n_residuals)))
     heads = ("leg", "rms before", "rms after", "σ", "unit", "poses")

@@ -16,6 +16,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.colours import COLOURS
 from pincal.show.findings import Findings
 from pincal.show.markup import Element
+from pincal.show.markup_tables import residual_sigma
 from pincal.show.plots import (
     MARKERS,
     draw_bars,
@@ -156,7 +157,7 @@ def residuals_figure(found: Findings) -> Element:
             marker, rows = MARKERS[index % len(MARKERS)], leg.rows + 1
             left.plot(rows, factor * leg.residuals_before, marker, ms=3, mfc="none", **style)
             right.plot(rows, factor * leg.residuals, marker, ms=3, **style)
-            bound = 1.96 * factor * found.sigma(leg)
+            bound = 1.96 * factor * residual_sigma(found.result, leg)
             ends = np.stack((np.stack((rows, -bound), 1), np.stack((rows, bound), 1)), 1)
             bars = LineCollection(list(ends), colors="0.8", lw=3, zorder=0)
             bars.set_rasterized(len(rows) > _MANY)
@@ -202,7 +203,9 @@ def _mark_outliers(axes: Axes, found: Findings, leg: LegResult, factor: float) -
 
 def histogram_figure(found: Findings) -> Element:
     """Return the distribution of residuals in standard deviations, against the normal one."""
-    white = np.concatenate([leg.residuals / found.sigma(leg) for leg in found.result.legs])
+    white = np.concatenate(
+        [leg.residuals / residual_sigma(found.result, leg) for leg in found.result.legs]
+    )
     white = white[np.isfinite(white)]
     with drawing():
         drawn = Figure(figsize=(WIDTH, 2.4), layout="constrained")

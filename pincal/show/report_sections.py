@@ -165,11 +165,10 @@ def parameters(found: Findings) -> Element:
 
 def residuals(found: Findings) -> Element:
     """Return residuals by leg, row and size."""
-    sigmas = [float(np.sqrt(np.mean(found.sigma(leg) ** 2))) for leg in found.result.legs]
     return section(
         "residuals",
         "Residuals before and after",
-        residuals_table(found.result, sigmas),
+        residuals_table(found.result),
         residuals_figure(found),
         histogram_figure(found),
         observed_table(found.result) if found.result.observed else None,

@@ -15,6 +15,7 @@ from typing import Any
 
 import matplotlib as mpl
 from lxml import etree
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from pincal.show.markup import Element, clean, tag
@@ -31,7 +32,7 @@ _STYLE: dict[Any, Any] = {
     "xtick.labelsize": 7.5,
     "ytick.labelsize": 7.5,
     "legend.fontsize": 7.5,
-    "figure.dpi": 100,
+    "figure.dpi": 150,
     "hatch.linewidth": 0.6,
 }
 
@@ -58,9 +59,10 @@ def figure(drawn: Figure, name: str, alt: str, caption: str) -> Element:
     """
     mpl.rcParams["svg.hashsalt"] = name  # ids differ from those of other figures
     buffer = io.BytesIO()
+    canvas: Any = FigureCanvasSVG(drawn)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
-        drawn.savefig(buffer, format="svg", metadata={"Date": None})
+        canvas.print_svg(buffer, metadata={"Date": None})  # savefig would draw twice
     picture = _inline(buffer.getvalue())
     for key, value in (("role", "img"), ("aria-label", clean(alt)), ("id", name)):
         picture.set(key, value)
