@@ -376,6 +376,10 @@ _CUT = """() => [...document.querySelectorAll("svg")].flatMap((svg) => {
 })"""
 
 
+_SPILLED = """() => [...document.querySelectorAll("article, dd, li, pre")].filter(
+  (one) => one.scrollWidth > one.clientWidth + 1).length"""
+
+
 @pytest.mark.parametrize("which", ["planar", "cables", "hexapod"])
 def test_in_a_browser(
     which: str, browser: Any, tmp_path: Path, request: pytest.FixtureRequest
@@ -395,9 +399,11 @@ def test_in_a_browser(
     assert page.evaluate(_CUT) == []
     page.screenshot(path=tmp_path / "wide.png", full_page=True)
     assert len(page.pdf(prefer_css_page_size=True)) > 30_000
-    for width in (1024, 400):
+    for width, media in ((1024, "screen"), (400, "screen"), (680, "print")):
+        page.emulate_media(media=media)
         page.set_viewport_size({"width": width, "height": 768})
         assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+        assert page.evaluate(_SPILLED) == 0
     assert said == []
     assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
     page.close()
