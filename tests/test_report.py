@@ -105,6 +105,22 @@ def test_the_first_section_answers(planar: Any) -> None:
     assert order[-1] == "reproduction"
 
 
+def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
+    """Where χ² contradicts the noise, no answer takes the uncertainties at their word."""
+    result, data, report = planar
+    poor = replace(result, reduced_chi2=36.0, warnings=("reduced χ² is 36",))
+    first = page_of(pincal.report(poor, data)).get_element_by_id("answers")
+    verdicts = [one.text_content() for one in first.find_class("verdict")]
+    assert verdicts[0] == "Probably"
+    assert verdicts[1].endswith("mm or more")
+    assert verdicts[2] == "Not as it stands: one warning above"
+    after = 1e3 * report.found.errors.mean_after()[0]
+    assert f"{6 * after:.3g} mm" in first.text_content()
+    assert "Residuals are 6 times" in first.text_content()
+    sound = page_of(report).get_element_by_id("answers").find_class("verdict")
+    assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
+
+
 def test_parameters_are_those_of_the_result(planar: Any) -> None:
     """Every number of the table is the result's, in its unit, to the last digit shown."""
     result, _, report = planar
@@ -268,7 +284,21 @@ def test_unknown_frames(cables: Report) -> None:
     np.testing.assert_allclose(poses, data.poses, atol=0.02)
 
 
-def test_errors_where_there_is_no_workspace(planar: Any) -> None:
+def test_without_a_workspace(planar: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Means are then over the measured poses, and there is no map; the report says so."""
+    result, data, _ = planar
+
+    def fail(*_: object) -> None:
+        raise pincal.WorkspaceError("none")
+
+    monkeypatch.setattr("pincal.show.workspace_errors.sample_workspace", fail)
+    report = pincal.report(result, data)
+    page = page_of(report)
+    assert "over the measured poses" in page.get_element_by_id("answers").text_content()
+    assert "no workspace was found" in page.get_element_by_id("platform").text_content()
+
+
+def test_errors_where_poses_are_out_of_reach(planar: Any) -> None:
     """Poses out of reach are NaN, and means are taken over the others."""
     result, data, _ = planar
     far = np.concatenate((data.poses[:3], [[9.0, 9.0, 0.0]]))

@@ -81,7 +81,7 @@ def observed_table(result: CalibrationResult) -> Element:
     return table("The platform as measured, against the estimated poses", heads, rows, groups=1)
 
 
-def outliers_table(result: CalibrationResult) -> Element:
+def outliers_table(result: CalibrationResult, most: int = LISTED) -> Element:
     """Return the rows that do not fit, the worst of them."""
     every = {leg.name for leg in result.legs}
     rows = [
@@ -92,7 +92,7 @@ def outliers_table(result: CalibrationResult) -> Element:
             "all legs" if set(one.legs) == every else ", ".join(one.legs),
             one.why,
         )
-        for one in result.outliers[:LISTED]
+        for one in result.outliers[:most]
     ]
     heads = ("data row", "residual [σ]", "weight", "of", "what")
     return table("Rows that do not fit, the worst first", heads, rows)

@@ -14,6 +14,8 @@ from pincal.model.mechanism import Mechanism
 if TYPE_CHECKING:  # lxml and matplotlib are imported where they are needed
     from pincal.show.markup import Element
 
+_LISTED = 10  # outliers in a notebook
+
 
 def register() -> None:
     """Give mechanisms and results their looks in notebooks."""
@@ -28,7 +30,7 @@ def mechanism_html(mechanism: Mechanism) -> str:
 
     platform = mechanism.platform
     title = f"{mechanism.name}: {len(mechanism.legs)} legs, {', '.join(platform.coordinates)}"
-    whole = tag("div", tag("h3", title))
+    whole = tag("div", tag("h2", title))
     if mechanism.description:
         whole.append(tag("p", mechanism.description))
     if platform.space == 2:
@@ -43,7 +45,7 @@ def result_html(result: CalibrationResult) -> str:
     from pincal.show.markup_tables import outliers_table, parameters_table, residuals_table
     from pincal.show.report_answers import warnings_box
 
-    whole = tag("div", tag("h3", f"{result.nominal.name}: calibration, {result.message}"))
+    whole = tag("div", tag("h2", f"{result.nominal.name}: calibration, {result.message}"))
     if (box := warnings_box(result)) is not None:
         whole.append(box)
     if not result.converged:
@@ -60,7 +62,7 @@ def result_html(result: CalibrationResult) -> str:
     whole.append(parameters_table(result))
     whole.append(residuals_table(result))
     if result.outliers:
-        whole.append(outliers_table(result))
+        whole.append(outliers_table(result, _LISTED))
     return serialised(whole)
 
 

@@ -15,6 +15,7 @@ from pincal.show.tables import SHOWN
 from pincal.show.workspace_errors import WorkspaceErrors
 
 _CLEARLY = 2.0  # by how much an error must fall to be called better without reserve
+_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 
 
 def warnings_box(result: CalibrationResult) -> Element | None:
@@ -54,6 +55,25 @@ def answers(found: Findings, notes: Sequence[str]) -> Element:
     return section
 
 
+def excess(result: CalibrationResult) -> float:
+    """Return how many times larger residuals are than the noise given, 1 if it explains them."""
+    dof = result.degrees_of_freedom
+    if result.noise_source == "estimated" or not dof:
+        return 1.0
+    chi2 = result.reduced_chi2
+    return float(np.sqrt(chi2)) if chi2_law.sf(dof * chi2, dof) < _UNLIKELY else 1.0
+
+
+def doubtful(result: CalibrationResult) -> bool:
+    """Return whether noise, held-out rows, runs or ties contradict the model."""
+    return (
+        excess(result) > 1.0
+        or (result.validation is not None and bool(result.validation.warnings))
+        or (result.runs is not None and not result.runs.consistent)
+        or not all(tie.holds for tie in result.ties)
+    )
+
+
 def _answer(question: str, verdict: str, *lines: Element | str) -> Element:
     card = tag("article", tag("h2", question), tag("p", verdict, class_="verdict"))
     card.extend(tag("p", line) if isinstance(line, str) else line for line in lines)
@@ -62,10 +82,11 @@ def _answer(question: str, verdict: str, *lines: Element | str) -> Element:
 
 def _better(found: Findings, errors: WorkspaceErrors) -> Element:
     (before, turned), (after, turning) = errors.mean_before(), errors.mean_after()
-    ratios = [before / after] + ([turned / turning] if found.turns else [])
+    more = excess(found.result)
+    ratios = [before / after / more] + ([turned / turning / more] if found.turns else [])
     worst = min(ratios)
     if worst >= _CLEARLY:
-        verdict = "Yes"
+        verdict = "Probably" if doubtful(found.result) else "Yes"
         said = f"The platform's error should be {_times(ratios)} smaller {errors.where}."
     elif max(ratios) > 1.0:
         verdict = "Hardly"
@@ -113,6 +134,9 @@ def _how_much(found: Findings, errors: WorkspaceErrors) -> Element:
         size_in_words(position, 0.0, turns=False)
         for position in (errors.mean_before()[0], errors.mean_after()[0])
     )
+    more = excess(found.result)
+    if more > 1.0:
+        verdict += " or more"
     frames = ", but for where the base and platform frames lie" if found.result.gauge else ""
     return _answer(
         "By how much?",
@@ -120,6 +144,15 @@ def _how_much(found: Findings, errors: WorkspaceErrors) -> Element:
         tag("table", tag("thead", head), rows, id="platform-error"),
         f"Error of the platform, root mean square {errors.where}{frames}. After: to be expected "
         "by the parameters' uncertainties, if the model is right.",
+        *(
+            [
+                f"Residuals are {more:.2g} times as large as the noise given makes them. If the "
+                f"noise is larger, so are these errors: {1e3 * more * errors.mean_after()[0]:.3g} "
+                "mm; if the model lacks something, no number says how large."
+            ]
+            if more > 1.0
+            else []
+        ),
     )
 
 
@@ -127,7 +160,8 @@ def _trust(result: CalibrationResult, notes: Sequence[str]) -> Element:
     count = len(result.warnings)
     verdict = "Nothing speaks against it"
     if count:
-        verdict = f"With care: {'one warning' if count == 1 else f'{count} warnings'} above"
+        start = "Not as it stands" if doubtful(result) else "With care"
+        verdict = f"{start}: {'one warning' if count == 1 else f'{count} warnings'} above"
     elif result.validation is None:
         verdict = "Not tested on rows left out"
     lines = [_chi2(result)]

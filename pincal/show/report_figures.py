@@ -38,7 +38,8 @@ _NAMED = 6  # outliers with their row written beside them
 def poses_figure(found: Findings) -> Element:
     """Return the measured poses, with the mechanism in the plane (3-RRR paper, Figs. 4, 8)."""
     mechanism = found.result.nominal
-    plan = Plan(found.poses, found.data.sets)
+    sets = found.data.sets or ("",) * len(found.data)
+    plan = Plan(found.poses, tuple(one or EVERY_LEG for one in sets))
     with drawing():
         if mechanism.platform.space == 2:
             drawn = Figure(figsize=(WIDTH, 3.4), layout="constrained")
@@ -71,7 +72,7 @@ def _projection(axes: Axes, mechanism: Mechanism, plan: Plan, pair: tuple[int, i
         if np.isfinite(home.joints[leg.name]).all():
             points = skeleton(leg, home.joints[leg.name][0])[:, across]
             axes.plot(*points.T, "-", color="0.75", lw=1.5, zorder=1)
-    sets = tuple(EVERY_LEG if one == "" else one for one in plan.sets or ("",) * len(plan.poses))
+    sets = plan.sets or ()
     for index, name in enumerate(name for name in (*legs, EVERY_LEG) if name in sets):
         own = plan.poses[[s == name for s in sets]]
         if len(own):
