@@ -23,7 +23,9 @@ from lxml import html as lxml_html
 import pincal
 from pincal.identification.robust import Outlier
 from pincal.show.findings import Findings
+from pincal.show.markup import serialised
 from pincal.show.report import Origin, Report
+from pincal.show.report_answers import answers
 from pincal.show.workspace_errors import errors_at
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -107,9 +109,10 @@ def test_the_first_section_answers(planar: Any) -> None:
 
 def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     """Where χ² contradicts the noise, no answer takes the uncertainties at their word."""
-    result, data, report = planar
+    result, _, report = planar
     poor = replace(result, reduced_chi2=36.0, warnings=("reduced χ² is 36",))
-    first = page_of(pincal.report(poor, data)).get_element_by_id("answers")
+    section = serialised(answers(replace(report.found, result=poor), []))
+    first = lxml_html.fromstring(section)
     verdicts = [one.text_content() for one in first.find_class("verdict")]
     assert verdicts[0] == "Probably"
     assert verdicts[1].endswith("mm or more")
@@ -366,10 +369,10 @@ def test_nothing_is_written_without_the_report(work: Path, monkeypatch: Any) -> 
     ],
 )
 def test_answers_as_json(typed: list[object], key: str) -> None:
-    """With --json stdout is one JSON document; with --quiet nothing is said."""
-    assert key in json.loads(done(*typed, "--json").out)
-    quiet = done(*typed, "--quiet")
-    assert (quiet.out, quiet.err) == ("", "")
+    """With --json stdout is one JSON document, and with --quiet stderr is empty."""
+    outcome = done(*typed, "--json", "--quiet")
+    assert key in json.loads(outcome.out)
+    assert outcome.err == ""
 
 
 def test_json_of_plan_and_simulation(work: Path) -> None:
