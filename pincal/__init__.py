@@ -50,6 +50,8 @@ from pincal.model.placement import Placement, along, cartesian, placed, polar, s
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.model.setup import Distance, Setup, Target, read_setup
+from pincal.show.notebook import register
+from pincal.show.report import Report, report
 from pincal.show.view import View, view
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element, mirror, rotations
@@ -68,6 +70,8 @@ from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import Grid, Samples
 from pincal.workspace.region import Workspace, compute_workspace
 from pincal.workspace.sampling import sample_workspace
+
+register()  # mechanisms and results show themselves in notebooks
 
 __all__ = [
     "Accuracy",
@@ -99,6 +103,7 @@ __all__ = [
     "Plan",
     "Platform",
     "PlatformError",
+    "Report",
     "RunConsistency",
     "Samples",
     "Selection",
@@ -146,6 +151,7 @@ __all__ = [
     "read_readings",
     "read_result",
     "read_setup",
+    "report",
     "rotations",
     "sample_workspace",
     "select_poses",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,9 +48,19 @@ def done(*arguments: object) -> Outcome:
     return outcome
 
 
+def undated(report: bytes) -> bytes:
+    """Return a report without its date and the command that was typed."""
+    return re.sub(rb"\d{4}-\d\d-\d\d \d\d:\d\d [+-]\d{4}|<pre>.*?</pre>", b"", report)
+
+
 def contents(folder: Path) -> dict[str, bytes | None]:
-    """Return the bytes of all files below a folder, None for folders, by relative path."""
+    """Return the bytes of all files below a folder, None for folders, by relative path.
+
+    Reports are undated.
+    """
     return {
-        str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None
+        str(p.relative_to(folder)): (undated if p.name == "report.html" else bytes)(p.read_bytes())
+        if p.is_file()
+        else None
         for p in folder.rglob("*")
     }

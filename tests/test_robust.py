@@ -98,7 +98,7 @@ def test_without_a_loss_outliers_are_warned_of() -> None:
     result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
     assert result.outliers[0].row == 4
     assert result.outliers[0].weight == 1.0
-    assert any("data row 5" in text and "--loss reject" in text for text in result.warnings)
+    assert any("data row 5" in text and "--robust reject" in text for text in result.warnings)
 
 
 @pytest.mark.parametrize("name", list(LOSSES))

@@ -1,21 +1,33 @@
-"""The application, and what its commands share: consoles, options, progress."""
+"""The application, and what its commands share: consoles, options, progress, answers.
+
+A command says what it found on stdout, and what it does on stderr. ``--quiet`` and ``--json`` are
+no matter of the commands: ``command`` gives them the options and turns the consoles down.
+"""
 
 from __future__ import annotations
 
+import inspect
+import json
+import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import wraps
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 _WIDTH = None if sys.stdout.isatty() else 100  # of tables in a file or pipe
 stdout = Console(highlight=False, width=_WIDTH)
-stderr = Console(stderr=True, highlight=False, soft_wrap=True)
+stderr = Console(stderr=True, highlight=False, soft_wrap=True)  # warnings and errors
+_remarks = Console(stderr=True, highlight=False, soft_wrap=True)  # all else that is no answer
+_asked = {"json": False}
+_typed: list[str] = []
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -51,6 +63,78 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random cho
 Count = Annotated[int, typer.Option("--count", min=1, help="Number of poses.")]
 
 
+Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
+
+
+def command(*, answers: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that registers a command with ``--quiet``.
+
+    Args:
+        answers: Whether the command calls ``answer``, so that it can have ``--json`` too.
+    """
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        own = inspect.signature(function, eval_str=True)
+        more = {"quiet": Quiet} | ({"as_json": Json} if answers else {})
+        options = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+            for name, kind in more.items()
+        ]
+
+        @wraps(function)
+        def run(*, quiet: bool = False, as_json: bool = False, **options: Any) -> None:
+            with _turned_down(quiet, as_json):
+                function(**options)
+
+        parameters = [*own.parameters.values(), *options]
+        run.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {one.name: one.annotation for one in parameters}
+        app.command()(run)
+        return function
+
+    return register
+
+
+@contextmanager
+def _turned_down(quiet: bool, as_json: bool) -> Iterator[None]:
+    """Silence what was not asked for."""
+    stdout.quiet, _remarks.quiet, _asked["json"] = quiet or as_json, quiet, as_json
+    try:
+        yield
+    finally:
+        stdout.quiet, _remarks.quiet, _asked["json"] = False, False, False
+
+
+def answer(found: Mapping[str, Any]) -> None:
+    """Print what a command found as JSON, if that was asked for; infinities are null."""
+    if _asked["json"]:
+        typer.echo(json.dumps(_plain(found), indent=2, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    """Return plain data for JSON."""
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def remember(typed: Sequence[str]) -> None:
+    """Keep what was typed behind ``pincal``, for ``typed``."""
+    _typed[:] = typed
+
+
+def typed() -> str:
+    """Return the command line, to be typed again."""
+    return shlex.join(["pincal", *_typed])
+
+
 def output_option(metavar: str, text: str) -> typer.models.OptionInfo:
     """Return the ``-o`` option of a command."""
     option: typer.models.OptionInfo = typer.Option("-o", "--output", metavar=metavar, help=text)
@@ -63,11 +147,11 @@ def working(text: str) -> Iterator[Callable[[str], None]]:
 
     Yields a function that changes the text.
     """
-    if stderr.is_terminal:
-        with stderr.status(text) as status:
+    if _remarks.is_terminal and not _remarks.quiet:
+        with _remarks.status(text) as status:
             yield lambda now: status.update(now)
     else:
-        stderr.print(f"{text} …", markup=False)
+        remark(f"{text} …")
         yield lambda _: None
 
 
@@ -77,16 +161,26 @@ def counting(text: str, total: int) -> Iterator[Callable[[int], None]]:
 
     Yields a function that takes how much is done.
     """
-    if not stderr.is_terminal:
-        stderr.print(f"{text} …", markup=False)
+    if not _remarks.is_terminal or _remarks.quiet:
+        remark(f"{text} …")
         yield lambda _: None
         return
     columns = (TextColumn(text), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=stderr, transient=True) as progress:
+    with Progress(*columns, console=_remarks, transient=True) as progress:
         task = progress.add_task(text, total=total)
         yield lambda done: progress.update(task, completed=done)
 
 
+def remark(text: str) -> None:
+    """Say what is done, or was found by the way (stderr)."""
+    _remarks.print(text, markup=False)
+
+
+def warn(text: str) -> None:
+    """Say what to know first (stderr), however quiet."""
+    stderr.print(f"warning: {text}", style="yellow", markup=False)
+
+
 def wrote(path: str | Path) -> None:
     """Say which file was written."""
-    stderr.print(f"wrote {path}", markup=False)
+    remark(f"wrote {path}")

@@ -1,8 +1,7 @@
-"""``pincal calibrate`` and ``pincal demo``: the main job."""
+"""``pincal calibrate``: the main job."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import StrEnum
@@ -12,24 +11,33 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pincal.cli.app import Force, Mech, Seed, app, output_option, stderr, stdout, working, wrote
-from pincal.cli.experiment import select, simulate
+from pincal.cli.app import (
+    Force,
+    Mech,
+    answer,
+    command,
+    output_option,
+    stdout,
+    typed,
+    warn,
+    working,
+    wrote,
+)
 from pincal.cli.setups import SetupFile, UnknownFrame, UnknownTarget, setup_from
-from pincal.cli.workspace import workspace
-from pincal.errors import FileError, MeasurementError, PincalError
+from pincal.errors import MeasurementError, PincalError
 from pincal.experiment.angles import ANGLES
-from pincal.experiment.simulation import accuracy
 from pincal.identification.calibrate import calibrate as identify
 from pincal.identification.result import CalibrationResult
+from pincal.identification.result_files import as_json
 from pincal.identification.runs import compare_runs
 from pincal.identification.validation import FOLDS, validate
-from pincal.model.files import load_mechanism
-from pincal.model.measurement_files import read_measurements, read_poses
+from pincal.model.files import load_mechanism, mechanism_files
+from pincal.model.measurement_files import read_measurements
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing
 from pincal.show.calibration import calibration_summary, calibration_tables
-from pincal.show.tables import accuracy_table
+from pincal.show.report import report
 
 
 class Method(StrEnum):
@@ -64,7 +72,7 @@ class Robust(StrEnum):
     reject = "reject"
 
 
-@app.command()
+@command(answers=True)
 def calibrate(
     mech: Mech,
     measurements: Annotated[
@@ -121,9 +129,9 @@ def calibrate(
 
     --method latent takes rows in which part of the pose, or all of it, was not measured (empty
     cells or no columns). Without noise options, repeated rows tell the noise; else equal noise is
-    assumed and its scale estimated from the residuals. RESULT holds result.json, residuals.csv
-    and the calibrated mechanism; every command takes it as MECH. The exit code is 1, and no
-    mechanism is written, if the fit does not converge.
+    assumed and its scale estimated from the residuals. RESULT holds report.html to read,
+    result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
+    exit code is 1, and no mechanism is written, if the fit does not converge.
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force, folder=True)
@@ -145,15 +153,18 @@ def calibrate(
         result = identify(mechanism, data, progress=tell, **options)
         result, said = _trusted(mechanism, data, result, folds, options, tell)
         tell("sampling the workspace for the platform's errors")
-        summary = [*calibration_summary(data, result), *said]
-    result.save(output, force=force)
+        files = [*mechanism_files(mech), measurements, *([] if setup is None else [setup])]
+        page = report(result, data, setup=how, command=typed(), files=files, notes=said)
+        tell("drawing the report")
+        result.save(output, force=force, report=page)
     for table in calibration_tables(result):
         stdout.print(table)
-    for line in summary:
+    for line in (*calibration_summary(data, result, page.found.errors), *said):
         stdout.print(line, markup=False)
     for text in result.warnings:
-        stderr.print(f"warning: {text}", style="yellow", markup=False)
+        warn(text)
     wrote(output)
+    answer(as_json(result))
     if not result.converged:
         raise typer.Exit(1)
 
@@ -236,54 +247,3 @@ def _noise(
             "is then estimated)"
         )
     return Noise(position or 0.0, orientation or 0.0, reading or 0.0)
-
-
-@app.command()
-def demo(
-    mech: Annotated[str, typer.Argument(metavar="[MECH]", help="Mechanism.")] = "3RRR",
-    output: Annotated[
-        Path | None, output_option("FOLDER", "Folder for all files; else a temporary one.")
-    ] = None,
-    seed: Seed = 0,
-    force: Force = False,
-) -> None:
-    """See it all at work on a simulated machine.
-
-    Samples the workspace, chooses poses, simulates measurements of a disturbed mechanism,
-    calibrates, and compares the platform's errors before and after.
-    """
-    mechanism = load_mechanism(mech)
-    if output is None:
-        folder = Path(tempfile.mkdtemp(prefix="pincal-demo-"))
-    else:
-        folder = Path(output)
-        if not folder.is_dir():
-            refuse_existing(folder, force=False).mkdir()
-        elif any(folder.iterdir()) and not force:
-            raise FileError(f"{folder} is not empty; choose another, or say --force to write there")
-    candidates, plan = folder / "candidates.csv", folder / "plan.csv"
-    truth, measured, result = folder / "truth", folder / "measurements.csv", folder / "result"
-
-    _step(f"pincal workspace {mech} --count 30000 --seed {seed} -o {candidates}")
-    workspace(mech, candidates, count=30_000, seed=seed, force=force)
-    _step(f"pincal select {mech} --count 24 --candidates {candidates} --seed {seed} -o {plan}")
-    select(mech, plan, 24, candidates, seed=seed, force=force)
-    _step(
-        f"pincal simulate {mech} {plan} --disturb 0.002 --seed {seed} --truth {truth} -o {measured}"
-    )
-    simulate(mech, plan, measured, 0.002, seed=seed, truth=truth, force=force)
-    noise = "--noise-position 1e-4 --noise-orientation 1e-4"
-    _step(f"pincal calibrate {mech} {measured} {noise} -o {result}")
-    calibrate(mech, measured, result, noise_position=1e-4, noise_orientation=1e-4, force=force)
-    _step("true machine driven by the nominal and by the calibrated model")
-    poses = read_poses(candidates, mechanism).poses
-    true_mechanism = load_mechanism(truth)
-    with working("driving the true machine over the workspace"):
-        before = accuracy(mechanism, true_mechanism, poses)
-        after = accuracy(load_mechanism(result / "mechanism"), true_mechanism, poses)
-    stdout.print(accuracy_table(before, after, "rad" in mechanism.platform.units))
-    stdout.print(f"All files are in {folder}", markup=False, soft_wrap=True)
-
-
-def _step(text: str) -> None:
-    stdout.print(f"\n$ {text}", style="bold", markup=False, soft_wrap=True)

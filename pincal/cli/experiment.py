@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-from pincal.cli.app import Force, Mech, Seed, app, output_option, stderr, stdout, working, wrote
+from pincal.cli.app import (
+    Force,
+    Mech,
+    Seed,
+    answer,
+    command,
+    output_option,
+    remark,
+    stdout,
+    working,
+    wrote,
+)
 from pincal.errors import FileError, MeasurementError, SymmetryError
 from pincal.experiment.selection import Protocol, select_poses
 from pincal.experiment.simulation import disturb as disturbed
@@ -28,7 +40,7 @@ NoiseOrientation = Annotated[float, typer.Option(help="Standard deviation of ang
 NoiseReading = Annotated[float, typer.Option(help="Standard deviation of readings [rad or m].")]
 
 
-@app.command()
+@command(answers=True)
 def select(
     mech: Mech,
     output: Annotated[Path, output_option("PLAN.csv", "Poses to measure, with their sets.")],
@@ -88,8 +100,20 @@ def select(
     write_poses(output, mechanism, selection.plan, force=force)
     stdout.print(selection_table(selection))
     if selection.unreachable:
-        stderr.print(f"{selection.unreachable} candidate poses are out of reach and were left out")
+        remark(f"{selection.unreachable} candidate poses are out of reach and were left out")
     wrote(output)
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "plan": str(output),
+            "protocol": selection.protocol,
+            "poses": len(selection.plan.poses),
+            "candidates": selection.candidates,
+            "unreachable": selection.unreachable,
+            "efficiency": selection.efficiency,
+            "legs": [asdict(leg) for leg in selection.legs],
+        }
+    )
 
 
 def _protocol(
@@ -110,12 +134,12 @@ def _protocol(
     try:
         symmetry_group(mechanism).carriers()
     except SymmetryError as error:
-        stderr.print(f"independent selection: {error}", markup=False)
+        remark(f"independent selection: {error}")
         return "independent"
     return "symmetric"
 
 
-@app.command()
+@command(answers=True)
 def simulate(
     mech: Mech,
     plan: Annotated[Path, typer.Argument(metavar="PLAN.csv", help="Poses to command.")],
@@ -174,10 +198,21 @@ def simulate(
     if truth is not None and not given:
         wrote(truth)
     for row, reason in simulation.unreachable:
-        stderr.print(f"row {row + 1} of the plan is not measured: {reason}", markup=False)
+        remark(f"row {row + 1} of the plan is not measured: {reason}")
     lost = len(simulation.unreachable)
-    stderr.print(f"{len(simulation.measurements)} poses measured, {lost} not reached")
+    remark(f"{len(simulation.measurements)} poses measured, {lost} not reached")
     wrote(output)
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "measurements": str(output),
+            "truth": None if truth is None else str(truth),
+            "poses": len(simulation.measurements),
+            "not_reached": [
+                {"row": row + 1, "reason": reason} for row, reason in simulation.unreachable
+            ],
+        }
+    )
 
 
 def _same_kind(truth: Mechanism, mechanism: Mechanism, path: Path) -> Mechanism:

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from pincal.cli.app import Mech, Seed, app, stdout, working
+from pincal.cli.app import Mech, Seed, answer, command, stdout, working
 from pincal.cli.experiment import NoiseOrientation, NoisePosition, NoiseReading
 from pincal.cli.setups import SetupFile, UnknownFrame, UnknownTarget, setup_from
 from pincal.experiment.forecast import forecast
@@ -21,7 +21,7 @@ from pincal.show.tables import forecast_table
 from pincal.workspace.sampling import sample_workspace
 
 
-@app.command()
+@command(answers=True)
 def identifiability(
     mech: Mech,
     plan: Annotated[
@@ -71,10 +71,29 @@ def identifiability(
     found = forecast(mechanism, poses, noise, measured, how)
     error = found.platform_error(over)
     stdout.print(forecast_table(found, error, len(poses)))
-    if accuracy is not None:
-        needed = found.poses_for(accuracy, over)
+    needed = None if accuracy is None else found.poses_for(accuracy, over)
+    if accuracy is not None and needed is not None:
         text = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
         stdout.print(f"for {1e3 * accuracy:g} mm: {text}", markup=False)
+    names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "poses": found.poses,
+            "measured": found.measured,
+            "rank": found.rank.rank,
+            "unknowns": found.rank.n_params,
+            "condition": found.rank.condition,
+            "not_told_apart": found.rank.groups,
+            "freedoms_of_frames": found.gauge.shape[1],
+            "parameters": [
+                {"leg": leg, "name": name, "std": std}
+                for (leg, name), std in zip(names, found.std, strict=True)
+            ],
+            "platform_error": {"position": error.position, "orientation": error.orientation},
+            "poses_for_accuracy": needed,
+        }
+    )
 
 
 def _measured(mechanism: Mechanism, measure: str, setup: Setup) -> tuple[str, ...]:

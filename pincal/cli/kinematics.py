@@ -12,9 +12,9 @@ from scipy.spatial import KDTree
 from pincal.cli.app import (
     Force,
     Mech,
-    app,
+    command,
     output_option,
-    stderr,
+    remark,
     working,
     wrote,
 )
@@ -31,7 +31,7 @@ from pincal.workspace.sampling import sample_workspace
 _SHOWN = 5
 
 
-@app.command()
+@command()
 def inverse(
     mech: Mech,
     poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
@@ -53,7 +53,7 @@ def inverse(
     wrote(output)
 
 
-@app.command()
+@command()
 def forward(
     mech: Mech,
     readings: Annotated[Path, typer.Argument(metavar="READINGS.csv", help="leg_1 [rad], …")],
@@ -81,7 +81,7 @@ def forward(
     write_poses(output, mechanism, Plan(solution.poses), force=force)
     if len(mechanism.legs) > mechanism.platform.dof:
         row, leg = np.unravel_index(np.argmax(solution.gap), solution.gap.shape)
-        stderr.print(
+        remark(
             f"readings fit together within {solution.gap[row, leg]:.2g} m "
             f"(row {row + 1}, {mechanism.leg_names[leg]})"
         )

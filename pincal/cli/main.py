@@ -7,6 +7,7 @@ import sys
 
 from pincal.cli import (
     calibration,
+    demo,
     experiment,
     identifiability,
     kinematics,
@@ -16,7 +17,7 @@ from pincal.cli import (
     view,
     workspace,
 )
-from pincal.cli.app import app, stderr
+from pincal.cli.app import app, remember, stderr
 from pincal.errors import PincalError
 
 # as people come to need them
@@ -29,6 +30,7 @@ _GROUPS = (
     experiment,
     identifiability,
     calibration,
+    demo,
     study,
 )
 app.registered_commands.sort(
@@ -43,6 +45,7 @@ def main(argv: list[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")
+    remember(sys.argv[1:] if argv is None else argv)
     try:
         app(args=argv, prog_name="pincal")
     except PincalError as error:

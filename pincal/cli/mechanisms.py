@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pincal.cli.app import Mech, app, stdout, working
+from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.experiment.observability import identifiability
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import identification_jacobian
@@ -15,17 +15,28 @@ from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.sampling import sample_workspace
 
 
-@app.command()
+@command(answers=True)
 def mechanisms() -> None:
     """List the mechanisms that come with pincal."""
+    found = []
     for name, folder in bundled().items():
         mechanism = load_mechanism(folder)
         legs, platform = len(mechanism.legs), mechanism.platform
         stdout.print(f"{name:8s} {legs} legs, {', '.join(platform.coordinates)}", markup=False)
         stdout.print(f"         {mechanism.description}", markup=False)
+        coordinates = dict(zip(platform.coordinates, platform.units, strict=True))
+        found.append(
+            {
+                "name": name,
+                "legs": mechanism.leg_names,
+                "coordinates": coordinates,
+                "description": mechanism.description,
+            }
+        )
+    answer({"mechanisms": found})
 
 
-@app.command()
+@command(answers=True)
 def check(mech: Mech) -> None:
     """Say whether a mechanism is sound.
 
@@ -33,7 +44,7 @@ def check(mech: Mech) -> None:
     """
     mechanism = load_mechanism(mech)
     stdout.print(parameters_table(mechanism))
-    platform = mechanism.platform
+    platform, legs = mechanism.platform, []
     home = platform.home_pose.as_matrix()
     for leg in mechanism.legs:
         closure = LegClosure(leg, platform)
@@ -49,9 +60,10 @@ def check(mech: Mech) -> None:
         stdout.print(f"{leg.name}: {close}", markup=False)
         readers = " and ".join(tips)
         stdout.print(f"{leg.name}: URDF read alike by {readers} within {off:.2g} m", markup=False)
+        legs.append({"name": leg.name, "home_gap": gap, "readers_differ_by": off})
     with working("sampling the workspace"):
         poses = sample_workspace(mechanism, 500)
-    for leg in mechanism.legs:
+    for leg, told in zip(mechanism.legs, legs, strict=True):
         C = identification_jacobian(mechanism, leg.name, poses)
         found = identifiability(C, leg.parameter_names)
         words = "" if found.complete else f": {found.in_words(leg.name)}"
@@ -60,4 +72,12 @@ def check(mech: Mech) -> None:
             f"(condition {found.condition:.3g}){words}",
             markup=False,
         )
-    stdout.print(f"symmetry: {symmetry_group(mechanism)}", markup=False)
+        told |= {
+            "parameters": dict(zip(leg.parameter_names, leg.nominal.tolist(), strict=True)),
+            "rank": found.rank,
+            "condition": found.condition,
+            "not_told_apart": found.groups,
+        }
+    group = symmetry_group(mechanism)
+    stdout.print(f"symmetry: {group}", markup=False)
+    answer({"mechanism": mechanism.name, "legs": legs, "symmetry": group.name})

@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from pincal.cli.app import Force, Seed, app, output_option, stderr, working, wrote
+from pincal.cli.app import Force, Seed, command, output_option, remark, working, wrote
 from pincal.model.output import refuse_existing
 
 
-@app.command()
+@command()
 def study(
     name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|all", help="Whose paper.")],
     output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
@@ -56,4 +56,4 @@ def study(
         write_page(page, pages, force=force)
         wrote(page)
     else:
-        stderr.print(f"read {folders[0] / 'study.md'}", markup=False)
+        remark(f"read {folders[0] / 'study.md'}")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pincal.cli.app import Mech, app, stdout, working
+from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.errors import SymmetryError
 from pincal.model.files import load_mechanism
 from pincal.show.tables import symmetry_table
@@ -16,7 +16,7 @@ from pincal.symmetry.elements import Element
 from pincal.workspace.sampling import sample_workspace
 
 
-@app.command()
+@command(answers=True)
 def symmetry(
     mech: Mech,
     group: Annotated[
@@ -39,6 +39,23 @@ def symmetry(
     with working("checking readings on sampled poses"):
         off = found.equivariance(sample_workspace(mechanism, 300))
     stdout.print(symmetry_table(found, off))
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "group": found.name,
+            "elements": [
+                {
+                    "element": str(element),
+                    "carries": dict(
+                        zip(mechanism.leg_names, (mechanism.leg_names[i] for i in to), strict=True)
+                    ),
+                }
+                for element, to in zip(found.elements, found.permutations, strict=True)
+            ],
+            "readings_follow_within": off,
+            "broken": [str(one) for one in found.breaks],
+        }
+    )
     if wanted:
         _claim(wanted, found)
 

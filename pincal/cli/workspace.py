@@ -12,10 +12,10 @@ from pincal.cli.app import (
     Force,
     Mech,
     Seed,
-    app,
+    command,
     counting,
     output_option,
-    stderr,
+    remark,
     stdout,
     working,
     wrote,
@@ -68,7 +68,7 @@ MarginType2 = Annotated[
 ]
 
 
-@app.command()
+@command()
 def workspace(
     mech: Mech,
     output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
@@ -209,7 +209,7 @@ def _poses(
         poses = sample_workspace(mechanism, count, seed, least, done)
     write_poses(output, mechanism, Plan(poses), force=force)
     box = zip(mechanism.platform.coordinates, poses.min(axis=0), poses.max(axis=0), strict=True)
-    stderr.print(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f}' for n, a, b in box)}")
+    remark(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f}' for n, a, b in box)}")
     wrote(output)
 
 

@@ -113,6 +113,7 @@ def _leg_results(task: Task, one: Robust) -> list[LegResult]:
                 n_residuals=int(own.sum()),
                 sigma=after.sigma[own],
                 rows=one.rows[own],
+                residuals_before=before.value[own],
                 residuals=after.value[own],
             )
         )
@@ -264,7 +265,7 @@ def _warnings(
         found.append(
             f"{listed} of {len(task.data)} rows do not fit the others, the worst data row "
             f"{worst.row + 1} by {worst.sigma:.1f} standard deviations ({worst.why}); look at "
-            "them, or use a robust loss (--loss reject)"
+            "them, or use a robust loss (--robust reject)"
         )
     if listed > _MUCH * len(task.data):
         found.append(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,13 @@ from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+
+
+class Page(Protocol):
+    """What can be written as a page."""
+
+    def html(self) -> str:
+        """Return the page."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +61,8 @@ class LegResult:
     """Modelled standard deviation of each residual used, shape (n_residuals,)."""
     rows: NDArray[np.intp]
     """Rows of the measurements used, shape (n_residuals,)."""
+    residuals_before: Array
+    """Residuals with nominal parameters, shape (n_residuals,)."""
     residuals: Array
     """Residuals with identified parameters, shape (n_residuals,)."""
 
@@ -173,12 +183,17 @@ class CalibrationResult:
         )
         return "\n".join(lines + [f"  warning: {text}" for text in self.warnings])
 
-    def save(self, folder: str | Path, *, force: bool = False) -> Path:
+    def save(self, folder: str | Path, *, force: bool = False, report: Page | None = None) -> Path:
         """Write ``result.json``, ``residuals.csv`` and the calibrated mechanism to a folder.
+
+        Args:
+            folder: Where to; whole or not at all.
+            force: Whether to replace a result that is there.
+            report: Page to write beside them as ``report.html``, by ``pincal.report``.
 
         Raises:
             FileError: the folder exists and ``force`` is not set, or cannot be written.
         """
         from pincal.identification.result_files import save_result
 
-        return save_result(self, folder, force=force)
+        return save_result(self, folder, force=force, report=report)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pincal.model.output as output
 from pincal.errors import FileError, MeasurementError
-from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult
+from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult, Page
 from pincal.identification.trust import RunConsistency
 from pincal.model.measurement_files import write_poses
 from pincal.model.measurements import Plan
@@ -20,10 +20,17 @@ FORMAT = 1
 MECHANISM = "mechanism"
 
 
-def save_result(result: CalibrationResult, folder: str | Path, *, force: bool = False) -> Path:
+def save_result(
+    result: CalibrationResult,
+    folder: str | Path,
+    *,
+    force: bool = False,
+    report: Page | None = None,
+) -> Path:
     """Write a result folder, whole or not at all, and return it.
 
-    A fit that did not converge has no calibrated mechanism, so none is written.
+    A fit that did not converge has no calibrated mechanism, so none is written. Arguments are
+    those of ``CalibrationResult.save``.
 
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
@@ -47,6 +54,8 @@ def save_result(result: CalibrationResult, folder: str | Path, *, force: bool = 
         if result.estimated_poses is not None:
             plan = Plan(result.estimated_poses)
             write_poses(scratch / "poses.csv", result.identified, plan)
+        if report is not None:
+            (scratch / "report.html").write_text(report.html(), encoding="utf-8")
     return Path(folder)
 
 

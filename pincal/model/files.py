@@ -17,6 +17,8 @@ from pincal.model.schema import FORMAT, LegSpec, MechanismSpec, read_spec
 from pincal.model.sensor import Sensor
 from pincal.model.urdf import leg_urdf, platform_urdf, read_chain, read_points
 
+_YAML = "mechanism.yaml"
+
 
 def bundled() -> dict[str, Path]:
     """Return the folders of the mechanisms that come with pincal, by name."""
@@ -34,6 +36,36 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         FileError: no such folder, or a file in it is missing.
         MechanismError: a file that does not say what it should; the message names the place.
     """
+    folder = _folder(name_or_path)
+    path = folder / _YAML
+    spec = read_spec(path)
+    try:
+        return _mechanism(spec, folder)
+    except MechanismError as error:
+        raise MechanismError(
+            str(error) if str(folder) in str(error) else f"{path}: {error}"
+        ) from error
+
+
+def mechanism_files(name_or_path: str | Path) -> list[Path]:
+    """Return the files that ``load_mechanism`` reads: ``mechanism.yaml`` and the URDFs.
+
+    Raises:
+        FileError: no such folder, or ``mechanism.yaml`` is missing.
+        MechanismError: it does not say what it should.
+    """
+    folder = _folder(name_or_path)
+    spec = read_spec(folder / _YAML)
+    urdfs = dict.fromkeys((spec.platform.urdf, *(leg.urdf for leg in spec.legs)))
+    return [folder / _YAML, *(folder / name for name in urdfs)]
+
+
+def _folder(name_or_path: str | Path) -> Path:
+    """Return the folder of a mechanism.
+
+    Raises:
+        FileError: no such folder.
+    """
     folder = Path(name_or_path)
     if not is_folder(folder) and str(name_or_path) in bundled():
         folder = bundled()[str(name_or_path)]
@@ -44,14 +76,7 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         )
     if (folder / "result.json").is_file() and (folder / "mechanism").is_dir():
         folder = folder / "mechanism"  # a result of 'pincal calibrate'
-    path = folder / "mechanism.yaml"
-    spec = read_spec(path)
-    try:
-        return _mechanism(spec, folder)
-    except MechanismError as error:
-        raise MechanismError(
-            str(error) if str(folder) in str(error) else f"{path}: {error}"
-        ) from error
+    return folder
 
 
 def is_folder(path: Path) -> bool:
@@ -152,7 +177,7 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
 
 def write_mechanism(mechanism: Mechanism, folder: Path) -> None:
     """Write a mechanism's files into a folder that exists."""
-    (folder / "mechanism.yaml").write_text(_dump(mechanism), encoding="utf-8")
+    (folder / _YAML).write_text(_dump(mechanism), encoding="utf-8")
     for leg in mechanism.legs:
         (folder / f"{leg.name}.urdf").write_text(leg_urdf(leg), encoding="utf-8")
     platform = platform_urdf(mechanism.name, mechanism.legs)

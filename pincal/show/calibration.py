@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from rich.console import Group, RenderableType
 
-from pincal.errors import WorkspaceError
-from pincal.experiment.simulation import accuracy
-from pincal.identification.expected import expected_error
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import Measurements
 from pincal.show.tables import SHOWN, plain_table, titled
-from pincal.workspace.sampling import sample_workspace
+from pincal.show.workspace_errors import WorkspaceErrors
 
 _ROWS = 20  # outliers in the table; all are in result.json
 
@@ -133,9 +130,17 @@ def outliers_table(result: CalibrationResult) -> Group:
     )
 
 
-def calibration_summary(data: Measurements, result: CalibrationResult) -> list[str]:
-    """Return what a calibration means, in sentences."""
-    lines = [result.message, _noise(result)]
+def calibration_summary(
+    data: Measurements, result: CalibrationResult, errors: WorkspaceErrors | None
+) -> list[str]:
+    """Return what a calibration means, in sentences.
+
+    Args:
+        data: What was measured.
+        result: The calibration.
+        errors: The platform's over the workspace; None if the fit did not converge.
+    """
+    lines = [result.message, noise_in_words(result)]
     if result.gauge:
         lines.append(
             "fixed by choice, of equal parameters those nearest to nominal: "
@@ -146,9 +151,9 @@ def calibration_summary(data: Measurements, result: CalibrationResult) -> list[s
         f"(p = {one.p_value:.2g}, {one.restrictions} parameters fewer)"
         for one in result.ties
     ]
-    if result.converged:
-        lines.append(_platform(data, result))
-    lines += _trust(result)
+    if errors is not None:
+        lines.append(_platform(result, errors))
+    lines += trust_in_words(result)
     if result.shift is not None and result.outliers:
         lines.append(
             f"with the {len(result.outliers)} rows that do not fit, parameters would move by up to "
@@ -163,7 +168,7 @@ def calibration_summary(data: Measurements, result: CalibrationResult) -> list[s
     return lines
 
 
-def _noise(result: CalibrationResult) -> str:
+def noise_in_words(result: CalibrationResult) -> str:
     """Return what the noise is, or how the residuals compare with it."""
     turns = "rad" in result.nominal.platform.units
     if result.noise_source in ("estimated", "repeats") and result.noise:
@@ -182,28 +187,21 @@ def _noise(result: CalibrationResult) -> str:
     )
 
 
-def _platform(data: Measurements, result: CalibrationResult) -> str:
+def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     """Return by how much the platform was off, and within what it should be now."""
-    mechanism = result.nominal
-    try:
-        poses = sample_workspace(mechanism, 1000)
-    except WorkspaceError:  # no workspace with the default margins: judge at the measurements
-        poses = data.poses if result.estimated_poses is None else result.estimated_poses
-    moved = accuracy(mechanism, result.identified, poses)
-    left = expected_error(result, poses)
-    turns = "rad" in mechanism.platform.units
+    turns = "rad" in result.nominal.platform.units
     frames = ", but for where the base and platform frames lie" if result.gauge else ""
     return (
-        "platform, root mean square over the workspace: the nominal model was off by "
-        + _size(moved.position, moved.orientation, turns)
+        f"platform, root mean square {errors.where}: the nominal model was off by "
+        + size_in_words(*errors.mean_before(), turns)
         + ", the calibrated one should be within "
-        + _size(left.position, left.orientation, turns)
+        + size_in_words(*errors.mean_after(), turns)
         + f"{frames} (by the parameters' uncertainties; ± of single parameters may be larger where "
         "they compensate each other)"
     )
 
 
-def _trust(result: CalibrationResult) -> list[str]:
+def trust_in_words(result: CalibrationResult) -> list[str]:
     """Return how held-out rows and runs compare."""
     lines, one = [], result.validation
     if one is not None:
@@ -225,5 +223,6 @@ def _trust(result: CalibrationResult) -> list[str]:
     return lines
 
 
-def _size(position: float, orientation: float, turns: bool) -> str:
+def size_in_words(position: float, orientation: float, turns: bool) -> str:
+    """Return an error of the platform in mm and, if it turns, mrad."""
     return f"{1e3 * position:.3g} mm" + (f" and {1e3 * orientation:.3g} mrad" if turns else "")

@@ -6,8 +6,11 @@ marker or hatch, so that plots read in black and white and in colour-blindness.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
 from pincal.experiment.selection import Selection
@@ -72,9 +75,8 @@ def draw_poses(
         axes.plot(*own[:, :2].T, marker, color=colour, ms=4, label=label, zorder=2)
         if "phi" in mechanism.platform.coordinates:
             end = own[:, :2] + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
-            strokes = np.stack((own[:, :2], end), axis=2)
-            for x, y in strokes:
-                axes.plot(x, y, "-", color=colour, lw=0.8, zorder=2)
+            strokes = list(np.stack((own[:, :2], end), axis=1))
+            axes.add_collection(LineCollection(strokes, colors=colour, lw=0.8, zorder=2))
     axes.set_aspect("equal")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
@@ -84,47 +86,64 @@ def draw_poses(
 
 def draw_observability(axes: Axes, mechanism: Mechanism, selection: Selection) -> Axes:
     """Draw |R_ii| of each parameter and leg (3-RRR paper, Fig. 9)."""
-    width = 0.8 / len(selection.legs)
-    for index, leg in enumerate(selection.legs):
-        names = mechanism.leg(leg.leg).parameter_names
-        place = np.arange(len(names)) + (index - (len(selection.legs) - 1) / 2) * width
+    values = {
+        leg.leg: dict(
+            zip(mechanism.leg(leg.leg).parameter_names, leg.r_diagonal.tolist(), strict=True)
+        )
+        for leg in selection.legs
+    }
+    draw_bars(axes, values).set_ylabel("observability |R_ii| [rad/unit]")
+    return axes
+
+
+def draw_bars(axes: Axes, values: Mapping[str, Mapping[str, float]]) -> Axes:
+    """Draw bars of several series side by side, by series, then by what stands below them."""
+    names = list(dict.fromkeys(name for series in values.values() for name in series))
+    width = 0.8 / len(values)
+    for index, (label, series) in enumerate(values.items()):
+        places = np.array([names.index(name) for name in series])
         axes.bar(
-            place,
-            leg.r_diagonal,
+            places + (index - (len(values) - 1) / 2) * width,
+            list(series.values()),
             width,
-            label=leg.leg,
+            label=shown_label(label),
             color=COLOURS[index % len(COLOURS)],
             hatch=HATCHES[index % len(HATCHES)],
             edgecolor="white",
         )
-    names = mechanism.legs[0].parameter_names
     axes.set_xticks(range(len(names)), names)
-    axes.set_ylabel("observability |R_ii| [rad/unit]")
     axes.legend(fontsize=8)
     return axes
 
 
+def shown_label(name: str) -> str:
+    """Return a name as a label that matplotlib does not leave out of legends."""
+    return f" {name}" if name.startswith("_") else name
+
+
 def draw_changes(axes: Axes, result: CalibrationResult) -> Axes:
     """Draw the change of each parameter from nominal with its 95 % interval, in 1e-3 of SI."""
+    units = {p.name: p.unit for leg in result.legs for p in leg.parameters}
+    names = list(units)
+    step = min(0.2, 0.8 / len(result.legs))
     for index, leg in enumerate(result.legs):
-        shift = (index - (len(result.legs) - 1) / 2) * 0.2
+        shift = (index - (len(result.legs) - 1) / 2) * step
         change = 1e3 * np.array([p.identified - p.nominal for p in leg.parameters])
         half = 1e3 * np.array([(p.high - p.low) / 2 for p in leg.parameters])
         axes.errorbar(
-            np.arange(len(change)) + shift,
+            np.array([names.index(p.name) for p in leg.parameters]) + shift,
             change,
             half,
             fmt=MARKERS[index % len(MARKERS)],
             color=COLOURS[index % len(COLOURS)],
-            label=leg.name,
+            label=shown_label(leg.name),
             ms=4,
             capsize=3,
             lw=1,
         )
-    parameters = result.legs[0].parameters
     unit = {"m": "mm", "rad": "mrad", "1": "1e-3"}
     axes.axhline(0.0, color="0.5", lw=0.8)
-    axes.set_xticks(range(len(parameters)), [f"{p.name}\n[{unit[p.unit]}]" for p in parameters])
+    axes.set_xticks(range(len(names)), [f"{name}\n[{unit[units[name]]}]" for name in names])
     axes.set_ylabel("identified − nominal, ± 95 %")
     axes.legend(fontsize=8)
     return axes

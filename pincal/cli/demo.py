@@ -1,0 +1,78 @@
+"""``pincal demo``: all of it on a simulated machine."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pincal.cli.app import Force, Seed, app, output_option, remember, stdout, typed, working
+from pincal.cli.calibration import calibrate
+from pincal.cli.experiment import select, simulate
+from pincal.cli.workspace import workspace
+from pincal.errors import FileError
+from pincal.experiment.simulation import accuracy
+from pincal.model.files import load_mechanism
+from pincal.model.measurement_files import read_poses
+from pincal.model.output import refuse_existing
+from pincal.show.tables import accuracy_table
+
+
+@app.command()
+def demo(
+    mech: Annotated[str, typer.Argument(metavar="[MECH]", help="Mechanism.")] = "3RRR",
+    output: Annotated[
+        Path | None, output_option("FOLDER", "Folder for all files; else a temporary one.")
+    ] = None,
+    seed: Seed = 0,
+    force: Force = False,
+) -> None:
+    """See it all at work on a simulated machine.
+
+    Samples the workspace, chooses poses, simulates measurements of a disturbed mechanism,
+    calibrates, and compares the platform's errors before and after.
+    """
+    mechanism = load_mechanism(mech)
+    if output is None:
+        folder = Path(tempfile.mkdtemp(prefix="pincal-demo-"))
+    else:
+        folder = Path(output)
+        if not folder.is_dir():
+            refuse_existing(folder, force=False).mkdir()
+        elif any(folder.iterdir()) and not force:
+            raise FileError(f"{folder} is not empty; choose another, or say --force to write there")
+    candidates, plan = folder / "candidates.csv", folder / "plan.csv"
+    truth, measured, result = folder / "truth", folder / "measurements.csv", folder / "result"
+
+    _step("workspace", mech, "--count", "30000", "--seed", seed, "-o", candidates)
+    workspace(mech, candidates, count=30_000, seed=seed, force=force)
+    choice = ("--count", "24", "--candidates", candidates, "--seed", seed)
+    _step("select", mech, *choice, "-o", plan)
+    select(mech, plan, 24, candidates, seed=seed, force=force)
+    errors = ("--disturb", "0.002", "--seed", seed, "--truth", truth)
+    _step("simulate", mech, plan, *errors, "-o", measured)
+    simulate(mech, plan, measured, 0.002, seed=seed, truth=truth, force=force)
+    noise = ("--noise-position", "1e-4", "--noise-orientation", "1e-4")
+    _step("calibrate", mech, measured, *noise, "-o", result)
+    calibrate(mech, measured, result, noise_position=1e-4, noise_orientation=1e-4, force=force)
+    _title("true machine driven by the nominal and by the calibrated model")
+    poses = read_poses(candidates, mechanism).poses
+    true_mechanism = load_mechanism(truth)
+    with working("driving the true machine over the workspace"):
+        before = accuracy(mechanism, true_mechanism, poses)
+        after = accuracy(load_mechanism(result / "mechanism"), true_mechanism, poses)
+    stdout.print(accuracy_table(before, after, "rad" in mechanism.platform.units))
+    report = result / "report.html"
+    stdout.print(f"All files are in {folder}; open {report}", markup=False, soft_wrap=True)
+
+
+def _step(*words: object) -> None:
+    """Show a command as it would be typed."""
+    remember([str(word) for word in words])
+    _title(typed())
+
+
+def _title(text: str) -> None:
+    stdout.print(f"\n$ {text}", style="bold", markup=False, soft_wrap=True)

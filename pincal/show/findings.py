@@ -1,0 +1,154 @@
+"""What a report shows of a calibration, computed once: numbers, no words and no pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.experiment.observability import r_diagonal
+from pincal.experiment.observation import Observation
+from pincal.identification.calibrate import calibration_task
+from pincal.identification.measured import given_poses
+from pincal.identification.result import CalibrationResult
+from pincal.kinematics.derivatives import identification_jacobian
+from pincal.model.measurements import Measurements
+from pincal.model.setup import Setup
+from pincal.show.workspace_errors import WorkspaceErrors, errors_at, workspace_errors
+from pincal.workspace.criteria import in_workspace
+
+Array = NDArray[np.float64]
+_ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
+_HEIGHTS = (0.25, 0.5, 0.75)  # of the workspace, where a spatial one is cut
+
+
+@dataclass(frozen=True)
+class ErrorMaps:
+    """Errors over x and y, the other coordinates as at home; NaN outside of the workspace."""
+
+    x: Array
+    """Shape (n,), [m]."""
+    y: Array
+    """Shape (n,), [m]."""
+    heights: tuple[float | None, ...]
+    """z of each map, [m]; None in a plane."""
+    before: Array
+    """Position [m] and orientation [rad] of the nominal model, shape (n_heights, n, n, 2)."""
+    after: Array
+    """To expect of the identified one, of the same shape."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """A calibration, what it was made from, and what follows from it."""
+
+    result: CalibrationResult
+    data: Measurements
+    poses: Array
+    """Poses of all rows in the base frame, shape (N, dof)."""
+    errors: WorkspaceErrors | None
+    """None if the fit did not converge."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether the platform has an orientation."""
+        return "rad" in self.result.nominal.platform.units
+
+    @cached_property
+    def observability(self) -> dict[str, dict[str, float]]:
+        """|R_ii| of each identified parameter at the poses used, by leg, [rad/unit] or [m/unit]."""
+        found = {}
+        for leg in self.result.legs:
+            free = [i for i, p in enumerate(leg.parameters) if p.std > 0.0]
+            C = identification_jacobian(self.result.identified, leg.name, self.poses[leg.rows])
+            C = C[np.isfinite(C).all(axis=1)][:, free]
+            names = [leg.parameters[i].name for i in free]
+            found[leg.name] = dict(zip(names, r_diagonal(C).tolist(), strict=True))
+        return found
+
+    @cached_property
+    def maps(self) -> ErrorMaps | None:
+        """Errors over the workspace; None where none was found."""
+        if self.errors is None or not self.errors.sampled:
+            return None
+        platform, samples = self.result.nominal.platform, self.errors.poses
+        n = _ACROSS[platform.space]
+        low, high = samples.min(axis=0), samples.max(axis=0)
+        x, y = (np.linspace(low[i], high[i], n) for i in (0, 1))
+        heights: tuple[float | None, ...] = (None,)
+        if platform.space == 3:
+            heights = tuple(float(z) for z in np.quantile(samples[:, 2], _HEIGHTS))
+        poses = np.tile(platform.home, (len(heights), n, n, 1))
+        poses[..., 0], poses[..., 1] = x, y[:, None]
+        for place, height in enumerate(heights):
+            if height is not None:
+                poses[place, ..., 2] = height
+        flat = poses.reshape(-1, platform.dof)
+        inside = in_workspace(self.result.nominal, flat)
+        if not inside.any():
+            return None
+        found = errors_at(self.result, flat[inside])
+        both = np.full((2, len(flat), 2), np.nan)
+        both[:, inside] = found.before, found.after
+        before, after = both.reshape(2, len(heights), n, n, 2)
+        return ErrorMaps(x, y, heights, before, after)
+
+
+def findings(result: CalibrationResult, data: Measurements, setup: Setup | None) -> Findings:
+    """Return what follows from a calibration.
+
+    Args:
+        result: The calibration.
+        data: What it was made from.
+        setup: What the measured numbers mean, as it was given to ``calibrate``.
+
+    Raises:
+        MeasurementError: measurements or a setup that are not those of the calibration.
+    """
+    mechanism = result.nominal
+    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.legs)))
+    last = max((int(leg.rows.max(initial=-1)) for leg in result.legs), default=-1)
+    if (data.poses.shape, data.readings.shape) != expected or last >= len(data):
+        raise MeasurementError(
+            f"{len(data)} rows, poses {data.poses.shape} and readings {data.readings.shape} are "
+            f"not what {mechanism.name!r} was calibrated with; give the measurements that "
+            "'calibrate' was given"
+        )
+    poses = _base_poses(result, data, setup or Setup())
+    errors = workspace_errors(result, poses) if result.converged else None
+    return Findings(result, data, poses, errors)
+
+
+def _base_poses(result: CalibrationResult, data: Measurements, setup: Setup) -> Array:
+    """Return the poses of all rows in the base frame, shape (N, dof).
+
+    Raises:
+        MeasurementError: a setup that is not that of the calibration.
+    """
+    if result.estimated_poses is not None:
+        if len(result.estimated_poses) != len(data):
+            raise MeasurementError(
+                f"{len(data)} rows, but the calibration estimated {len(result.estimated_poses)} "
+                "poses; give the measurements that 'calibrate' was given"
+            )
+        return result.estimated_poses
+    observation, external = None, None
+    if not setup.plain:
+        observation = Observation(result.nominal, data, setup)
+    outside = () if observation is None else observation.external.names
+    if tuple(outside) != tuple(p.name for p in result.external):
+        raise MeasurementError(
+            f"the calibration has the external unknowns "
+            f"{', '.join(p.name for p in result.external) or 'none'}, the setup "
+            f"{', '.join(outside) or 'none'}; give the setup that 'calibrate' was given"
+        )
+    if observation is not None:
+        unknowns = observation.external
+        values = np.array([p.identified for p in result.external])
+        start = unknowns.start
+        external = unknowns.moved(start, values - unknowns.coordinates(start))
+    task = calibration_task(result.nominal, data, setup=setup)
+    return given_poses(task, observation, external)[0]

@@ -1,0 +1,194 @@
+"""The first screen of a report: is it better, by how much, may I trust it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import chi2 as chi2_law
+
+from pincal.identification.result import CalibrationResult
+from pincal.show.calibration import noise_in_words, size_in_words
+from pincal.show.findings import Findings
+from pincal.show.markup import Element, bullets, tag
+from pincal.show.tables import SHOWN
+from pincal.show.workspace_errors import WorkspaceErrors
+
+_CLEARLY = 2.0  # by how much an error must fall to be called better without reserve
+_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
+
+
+def warnings_box(result: CalibrationResult) -> Element | None:
+    """Return what the reader should know first, or None."""
+    lines = list(result.warnings)
+    if not result.converged:
+        lines.insert(0, f"The fit did not converge: {result.message}")
+    if not lines:
+        return None
+    title = "One warning" if len(lines) == 1 else f"{len(lines)} warnings"
+    return tag("div", tag("h2", title), bullets(lines), id="warnings", role="alert")
+
+
+def answers(found: Findings, notes: Sequence[str]) -> Element:
+    """Return the three answers.
+
+    Args:
+        found: The calibration.
+        notes: What was not done, and why.
+    """
+    section = tag("section", id="answers", aria_label="Summary")
+    if found.errors is None:
+        section.append(
+            _answer(
+                "Is it better?",
+                "There is no result",
+                "The search for the parameters ended without an answer, so there is no calibrated "
+                "mechanism, and none is shown or written.",
+                "Look at the warnings, at the units and at the working mode; give a better nominal "
+                "mechanism, more poses, or a robust loss (--robust reject).",
+            )
+        )
+        return section
+    section.append(_better(found, found.errors))
+    section.append(_how_much(found, found.errors))
+    section.append(_trust(found.result, notes))
+    return section
+
+
+def excess(result: CalibrationResult) -> float:
+    """Return how many times larger residuals are than the noise given, 1 if it explains them."""
+    dof = result.degrees_of_freedom
+    if result.noise_source == "estimated" or not dof:
+        return 1.0
+    chi2 = result.reduced_chi2
+    return float(np.sqrt(chi2)) if chi2_law.sf(dof * chi2, dof) < _UNLIKELY else 1.0
+
+
+def doubtful(result: CalibrationResult) -> bool:
+    """Return whether noise, held-out rows, runs or ties contradict the model."""
+    return (
+        excess(result) > 1.0
+        or (result.validation is not None and bool(result.validation.warnings))
+        or (result.runs is not None and not result.runs.consistent)
+        or not all(tie.holds for tie in result.ties)
+    )
+
+
+def _answer(question: str, verdict: str, *lines: Element | str) -> Element:
+    card = tag("article", tag("h2", question), tag("p", verdict, class_="verdict"))
+    card.extend(tag("p", line) if isinstance(line, str) else line for line in lines)
+    return card
+
+
+def _better(found: Findings, errors: WorkspaceErrors) -> Element:
+    (before, turned), (after, turning) = errors.mean_before(), errors.mean_after()
+    more = excess(found.result)
+    ratios = [before / after / more] + ([turned / turning / more] if found.turns else [])
+    worst = min(ratios)
+    if worst >= _CLEARLY:
+        verdict = "Probably" if doubtful(found.result) else "Yes"
+        said = f"The platform's error should be {_times(ratios)} smaller {errors.where}."
+    elif max(ratios) > 1.0:
+        verdict = "Hardly"
+        said = (
+            "What the calibration corrects is little more than what it does not know: more or "
+            "better measurements are needed."
+        )
+    else:
+        verdict = "No sign of it"
+        said = "The correction is smaller than its own uncertainty."
+    legs = found.result.legs
+    unit, factor = SHOWN[legs[0].unit]
+    fell = [
+        float(np.sqrt(np.mean([getattr(leg, name) ** 2 for leg in legs])))
+        for name in ("rms_before", "rms_after")
+    ]
+    rest = (
+        f"At the measured poses, residuals went from {factor * fell[0]:.3g} to "
+        f"{factor * fell[1]:.3g} {unit} (root mean square, all legs)."
+    )
+    return _answer("Is it better?", verdict, said, rest)
+
+
+def _times(ratios: Sequence[float]) -> str:
+    low, high = (f"{float(f'{ratio:.2g}'):g}" for ratio in (min(ratios), max(ratios)))
+    return f"{low} times" if low == high else f"{low} to {high} times"
+
+
+def _how_much(found: Findings, errors: WorkspaceErrors) -> Element:
+    rows = tag("tbody")
+    for column, (name, unit) in enumerate((("position", "mm"), ("orientation", "mrad"))):
+        if column == 0 or found.turns:
+            before, after = errors.mean_before()[column], errors.mean_after()[column]
+            rows.append(
+                tag(
+                    "tr",
+                    tag("th", f"{name} [{unit}]", scope="row"),
+                    tag("td", f"{1e3 * before:.3g}", class_="n"),
+                    tag("td", f"{1e3 * after:.3g}", class_="n"),
+                )
+            )
+    names = (tag("th", text, scope="col", class_="n") for text in ("before", "after"))
+    head = tag("tr", tag("td"), *names)
+    verdict = " → ".join(
+        size_in_words(position, 0.0, turns=False)
+        for position in (errors.mean_before()[0], errors.mean_after()[0])
+    )
+    more = excess(found.result)
+    if more > 1.0:
+        verdict += " or more"
+    frames = ", but for where the base and platform frames lie" if found.result.gauge else ""
+    return _answer(
+        "By how much?",
+        verdict,
+        tag("table", tag("thead", head), rows, id="platform-error"),
+        f"Error of the platform, root mean square {errors.where}{frames}. After: to be expected "
+        "by the parameters' uncertainties, if the model is right.",
+        *(
+            [
+                f"Residuals are {more:.2g} times as large as the noise given makes them. If the "
+                f"noise is larger, so are these errors: {1e3 * more * errors.mean_after()[0]:.3g} "
+                "mm; if the model lacks something, no number says how large."
+            ]
+            if more > 1.0
+            else []
+        ),
+    )
+
+
+def _trust(result: CalibrationResult, notes: Sequence[str]) -> Element:
+    count = len(result.warnings)
+    verdict = "Nothing speaks against it"
+    if count:
+        start = "Not as it stands" if doubtful(result) else "With care"
+        verdict = f"{start}: {'one warning' if count == 1 else f'{count} warnings'} above"
+    elif result.validation is None:
+        verdict = "Not tested on rows left out"
+    lines = [_chi2(result)]
+    if (one := result.validation) is not None:
+        lines.append(
+            f"Held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
+            f"{one.expected:.2f} σ are expected held out."
+        )
+    if result.runs is not None:
+        lines.append(
+            f"Parameters of {len(result.runs.runs)} runs spread {result.runs.ratio:.2f} times as "
+            "much as their standard errors say."
+        )
+    if result.outliers:
+        count = len(result.outliers)
+        lines.append(f"{count} row{'s do' if count > 1 else ' does'} not fit the others.")
+    return _answer("May I trust it?", verdict, bullets([*lines, *notes]))
+
+
+def _chi2(result: CalibrationResult) -> str:
+    """Return how the residuals compare with the noise."""
+    if result.noise_source == "estimated":
+        words = noise_in_words(result)
+        return f"{words[0].upper()}{words[1:]}; so residuals cannot contradict it."
+    dof = result.degrees_of_freedom
+    text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
+    if dof and result.loss == "none":
+        low, high = chi2_law.ppf((0.025, 0.975), dof) / dof
+        text += f"; {low:.2f} to {high:.2f} is expected by the noise"
+    return text + "."

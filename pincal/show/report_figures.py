@@ -1,0 +1,272 @@
+"""Figures of a report. Legs differ in colour and in marker or hatch."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from pincal.identification.result import LegResult
+from pincal.kinematics.inverse import inverse
+from pincal.kinematics.readers import skeleton
+from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.show.colours import COLOURS
+from pincal.show.findings import Findings
+from pincal.show.markup import Element
+from pincal.show.markup_tables import residual_sigma
+from pincal.show.plots import (
+    MARKERS,
+    draw_bars,
+    draw_changes,
+    draw_mechanism,
+    draw_poses,
+    shown_label,
+)
+from pincal.show.svg import drawing, figure
+from pincal.show.tables import SHOWN
+
+Array = NDArray[np.float64]
+WIDTH = 7.4  # [inch], that of A4 between its margins
+_MANY = 1500  # points from which they are drawn as pixels
+_BAD = COLOURS[1]
+_NAMED = 6  # outliers with their row written beside them
+
+
+def poses_figure(found: Findings) -> Element:
+    """Return the measured poses, with the mechanism in the plane (3-RRR paper, Figs. 4, 8)."""
+    mechanism = found.result.nominal
+    sets = found.data.sets or ("",) * len(found.data)
+    plan = Plan(found.poses, tuple(one or EVERY_LEG for one in sets))
+    with drawing():
+        if mechanism.platform.space == 2:
+            drawn = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+            left, axes = drawn.subplots(1, 2)
+            draw_mechanism(left, mechanism)
+            draw_poses(axes, mechanism, plan, _workspace(found))
+            _legend_below(drawn, axes)
+            what = "over its workspace (grey), and the mechanism at home"
+            strokes = "; strokes show the orientation" if found.turns else ""
+        else:
+            drawn = Figure(figsize=(WIDTH, 3.0), layout="constrained")
+            for axes, pair in zip(drawn.subplots(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
+                _projection(axes, mechanism, plan, pair)
+            _legend_below(drawn, axes)
+            what = "seen from above, from the front and from the side; grey: the mechanism at home"
+            strokes = ""
+        caption = f"The {len(plan.poses)} measured poses of the platform, {what}{strokes}."
+        return figure(drawn, "figure-poses", caption, caption)
+
+
+def _workspace(found: Findings) -> Array | None:
+    return found.errors.poses if found.errors is not None and found.errors.sampled else None
+
+
+def _projection(axes: Axes, mechanism: Mechanism, plan: Plan, pair: tuple[int, int]) -> None:
+    """Draw poses as they are seen along an axis, and the legs at home."""
+    legs, across = mechanism.leg_names, list(pair)
+    home = inverse(mechanism, np.array([mechanism.platform.home]))
+    for leg in mechanism.legs:
+        if np.isfinite(home.joints[leg.name]).all():
+            points = skeleton(leg, home.joints[leg.name][0])[:, across]
+            axes.plot(*points.T, "-", color="0.75", lw=1.5, zorder=1)
+    sets = plan.sets or ()
+    for index, name in enumerate(name for name in (*legs, EVERY_LEG) if name in sets):
+        own = plan.poses[[s == name for s in sets]]
+        if len(own):
+            axes.plot(
+                *own[:, across].T,
+                MARKERS[index % len(MARKERS)],
+                color=COLOURS[index % len(COLOURS)],
+                ms=4,
+                label="every leg" if name == EVERY_LEG else f"set {name}",
+                zorder=2,
+                rasterized=len(own) > _MANY,
+            )
+    axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def changes_figure(found: Findings) -> Element:
+    """Return the change of each parameter with its interval."""
+    with drawing():
+        drawn = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+        axes = drawn.subplots()
+        draw_changes(axes, found.result)
+        _legend_outside(axes)
+        caption = (
+            "Change of each parameter from nominal, with its 95 % interval. Where the interval "
+            "holds zero, the nominal value cannot be told from the identified one."
+        )
+        return figure(drawn, "figure-changes", caption, caption)
+
+
+def platform_figure(found: Findings) -> Element | None:
+    """Return bars of the platform's errors and of the residuals, before and after (Fig. 10)."""
+    if found.errors is None:
+        return None
+    parts = [("platform: position [mm]", {found.errors.where: _both(found, 0)})]
+    if found.turns:
+        parts.append(("orientation [mrad]", {found.errors.where: _both(found, 1)}))
+    unit, factor = SHOWN[found.result.legs[0].unit]
+    residuals = {
+        leg.name: (factor * leg.rms_before, factor * leg.rms_after) for leg in found.result.legs
+    }
+    parts.append((f"residuals [{unit}]", residuals))
+    with drawing():
+        drawn = Figure(figsize=(WIDTH, 2.9), layout="constrained")
+        widths = [1.4 + 0.6 * len(bars) for _, bars in parts]
+        panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
+        for axes, (title, bars) in zip(panels, parts, strict=True):
+            series = {
+                name: {label: both[place] for label, both in bars.items()}
+                for place, name in enumerate(("before", "after"))
+            }
+            draw_bars(axes, series).set_title(title)
+            axes.get_legend().remove()
+            turned = len(bars) > 4
+            for bar in axes.containers:
+                axes.bar_label(bar, fmt="%.2g", fontsize=6.5, rotation=90 * turned, padding=2)
+            if turned:
+                axes.tick_params(axis="x", labelrotation=45)
+            axes.margins(y=0.18)
+        drawn.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        caption = (
+            "Root mean square errors before and after: the platform's "
+            f"{found.errors.where} (after: as expected), and the residuals of each leg."
+        )
+        return figure(drawn, "figure-rms", caption, caption)
+
+
+def _both(found: Findings, column: int) -> tuple[float, float]:
+    if found.errors is None:
+        return np.nan, np.nan
+    return 1e3 * found.errors.mean_before()[column], 1e3 * found.errors.mean_after()[column]
+
+
+def residuals_figure(found: Findings) -> Element:
+    """Return residuals before and after against the row, one line of panels for each leg."""
+    legs = found.result.legs
+    with drawing():
+        drawn = Figure(figsize=(WIDTH, 0.5 + 1.25 * len(legs)), layout="constrained")
+        panels = drawn.subplots(len(legs), 2, sharex=True, sharey="col", squeeze=False)
+        for index, (leg, (left, right)) in enumerate(zip(legs, panels, strict=True)):
+            unit, factor = SHOWN[leg.unit]
+            style = {"color": COLOURS[index % len(COLOURS)], "rasterized": len(leg.rows) > _MANY}
+            marker, rows = MARKERS[index % len(MARKERS)], leg.rows + 1
+            left.plot(rows, factor * leg.residuals_before, marker, ms=3, mfc="none", **style)
+            right.plot(rows, factor * leg.residuals, marker, ms=3, **style)
+            bound = 1.96 * factor * residual_sigma(found.result, leg)
+            ends = np.stack((np.stack((rows, -bound), 1), np.stack((rows, bound), 1)), 1)
+            bars = LineCollection(list(ends), colors="0.8", lw=3, zorder=0)
+            bars.set_rasterized(len(rows) > _MANY)
+            right.add_collection(bars)
+            _mark_outliers(right, found, leg, factor)
+            left.set_ylabel(f"{leg.name} [{unit}]")
+            for axes in (left, right):
+                axes.axhline(0.0, color="0.5", lw=0.6, zorder=0)
+                axes.tick_params(labelleft=True)
+        panels[0][0].set_title("nominal parameters (before)")
+        panels[0][1].set_title("identified parameters (after)")
+        for axes in panels[-1]:
+            axes.set_xlabel("data row")
+        caption = (
+            "Residuals of each leg against the row of the measurements, before and after; the "
+            "scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: rows that "
+            "do not fit the others; crosses at the upper edge: rows that were rejected."
+        )
+        return figure(drawn, "figure-residuals", caption, caption)
+
+
+def _mark_outliers(axes: Axes, found: Findings, leg: LegResult, factor: float) -> None:
+    """Ring rows that do not fit, and name the worst."""
+    place = {int(row): i for i, row in enumerate(leg.rows)}
+    named = 0
+    for one in found.result.outliers:
+        if leg.name not in one.legs:
+            continue
+        row = one.row + 1
+        if one.row in place:
+            value = factor * float(leg.residuals[place[one.row]])
+            axes.plot(row, value, "o", ms=8, mfc="none", mec=_BAD, mew=1.2)
+            where, system = (row, value), axes.transData
+        else:
+            where, system = (row, 0.93), axes.get_xaxis_transform()
+            axes.plot(*where, "X", ms=6, color=_BAD, transform=system, clip_on=False)
+        if named < _NAMED:
+            axes.annotate(
+                str(row), where, xycoords=system, xytext=(6, 2), textcoords="offset points", size=7
+            )
+            named += 1
+
+
+def histogram_figure(found: Findings) -> Element:
+    """Return the distribution of residuals in standard deviations, against the normal one."""
+    white = np.concatenate(
+        [leg.residuals / residual_sigma(found.result, leg) for leg in found.result.legs]
+    )
+    white = white[np.isfinite(white)]
+    with drawing():
+        drawn = Figure(figsize=(WIDTH, 2.4), layout="constrained")
+        axes = drawn.subplots()
+        edge = max(4.0, float(np.ceil(np.abs(white).max(initial=0.0))))
+        shown = min(edge, 8.0)
+        bins = np.linspace(-shown, shown, int(4 * shown) + 1)
+        share = np.full(len(white), 1.0 / max(len(white), 1) / (bins[1] - bins[0]))
+        axes.hist(
+            white.clip(-shown, shown),
+            bins.tolist(),
+            weights=share,
+            color=COLOURS[5],
+            edgecolor="white",
+            label=f"{len(white)} residuals",
+        )
+        z = np.linspace(-shown, shown, 200)
+        normal = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+        axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
+        axes.set(xlabel="residual [standard deviations]", ylabel="density")
+        axes.legend(frameon=False)
+        beyond = 100 * float((np.abs(white) > 1.96).mean()) if len(white) else 0.0
+        caption = (
+            "Distribution of the residuals after the calibration, each over its standard "
+            f"deviation; {beyond:.0f} % lie beyond 1.96, 5 % or, since they were fitted, less are "
+            "expected."
+        )
+        return figure(drawn, "figure-histogram", caption, caption)
+
+
+def observability_figure(found: Findings) -> Element:
+    """Return |R_ii| of each parameter and leg at the poses used (3-RRR paper, Fig. 9)."""
+    units = {leg.reading_unit for leg in found.result.nominal.legs}
+    unit = units.pop() if len(units) == 1 else "reading"
+    with drawing():
+        drawn = Figure(figsize=(WIDTH, 2.8), layout="constrained")
+        axes = drawn.subplots()
+        draw_bars(axes, found.observability).set_ylabel(f"|R_ii| [{unit}/unit]")
+        _legend_outside(axes)
+        caption = (
+            "Observability of each parameter at the poses used: what it moves the readings by, all "
+            "poses together, beyond what the parameters to its left can explain. Compare legs "
+            "with it; parameters differ in their units."
+        )
+        return figure(drawn, "figure-observability", caption, caption)
+
+
+def _legend_below(drawn: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    if (own := axes.get_legend()) is not None:
+        own.remove()
+    drawn.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+
+
+def _legend_outside(axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(
+        handles,
+        [shown_label(label) for label in labels],
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        frameon=False,
+    )

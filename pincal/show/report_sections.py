@@ -1,0 +1,263 @@
+"""Sections of a report: words, tables and figures on one subject each."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from pincal.identification.result import CalibrationResult
+from pincal.model.measurements import EVERY_LEG, Noise
+from pincal.show.calibration import trust_in_words
+from pincal.show.findings import Findings
+from pincal.show.markup import Content, Element, bullets, table, tag
+from pincal.show.markup_tables import (
+    LISTED,
+    external_table,
+    observed_table,
+    outliers_table,
+    parameters_table,
+    residuals_table,
+)
+from pincal.show.report_figures import (
+    changes_figure,
+    histogram_figure,
+    observability_figure,
+    platform_figure,
+    poses_figure,
+    residuals_figure,
+)
+from pincal.show.report_maps import maps_figure
+from pincal.show.tables import SHOWN
+
+_METHODS = {
+    "per-leg": "each leg alone",
+    "together": "all legs at once",
+    "latent": "all legs at once, with the poses of the platform as unknowns",
+}
+_RESIDUALS = {
+    "closure": "closure residuals: by how much a leg misses the platform point, weighted by the "
+    "noise",
+    "joint": "joint residuals: predicted less measured readings, not weighted",
+    "reading": "predicted less measured readings and quantities of the platform, weighted by the "
+    "noise",
+}
+_SOURCES = {
+    "given": "as given",
+    "rows": "of each row, in the measurements",
+    "repeats": "from rows that were measured repeatedly",
+    "estimated": "estimated from the residuals, since none was given",
+}
+
+
+def section(name: str, title: str, *content: Content) -> Element:
+    """Return a section of a report."""
+    return tag("section", tag("h2", title), *content, id=name)
+
+
+def measured(found: Findings) -> Element:
+    """Return what was measured, and how well."""
+    result, data = found.result, found.data
+    platform = result.nominal.platform
+    facts: list[tuple[str, Content]] = [
+        ("mechanism", result.nominal.name),
+        ("rows", _rows(found)),
+        ("of the platform", _columns(found)),
+        ("readings", ", ".join(f"{leg.name} [{leg.reading_unit}]" for leg in result.nominal.legs)),
+        ("noise", f"{_SOURCES.get(result.noise_source, result.noise_source)}: {_noise(found)}"),
+        ("identified", f"{_METHODS[result.method]}; {_RESIDUALS[result.residual]}"),
+    ]
+    if result.poses == "own" and data.sets is not None:
+        facts.append(("poses", "each leg uses the poses that were chosen for it"))
+    if result.loss != "none":
+        facts.append(("robust loss", result.loss))
+    if result.external:
+        names = ", ".join(p.name for p in result.external)
+        facts.append(("unknown outside", f"{names}: see below"))
+    if result.gauge:
+        facts.append(
+            (
+                "fixed by choice",
+                "no such measurement can tell it, so of equal parameters those nearest to nominal "
+                f"were taken: {'; '.join(result.gauge)}",
+            )
+        )
+    listed = tag("dl")
+    for name, text in facts:
+        listed.append(tag("dt", name))
+        listed.append(tag("dd", text))
+    words = platform.coordinates[: platform.units.count("m")]
+    where = f"Positions {', '.join(words)} are those of the platform's frame in the base frame"
+    plain = not result.external and result.method != "latent"
+    return section(
+        "measured",
+        "What was measured, and how well",
+        listed,
+        tag("p", f"{where}.") if plain else None,
+        poses_figure(found),
+    )
+
+
+def _rows(found: Findings) -> str:
+    data = found.data
+    text = f"{len(data)}"
+    for name, values in (("sets", data.sets), ("runs", data.runs)):
+        if values is not None:
+            counts = Counter(values)
+            text += f"; {name}: " + ", ".join(
+                f"{'every leg' if one in ('', EVERY_LEG) else one} {n}" for one, n in counts.items()
+            )
+    if data.places is not None:
+        text += f"; {len(set(data.places))} poses, some measured more than once"
+    return text
+
+
+def _columns(found: Findings) -> str:
+    """Return which quantities of the platform were measured, and how often if not always."""
+    data, platform = found.data, found.result.nominal.platform
+    columns = dict(zip(platform.coordinates, data.poses.T, strict=True)) | dict(data.extra)
+    counts = {name: int(np.isfinite(values).sum()) for name, values in columns.items()}
+    told = [
+        name if count == len(data) else f"{name} ({count} rows)"
+        for name, count in counts.items()
+        if count
+    ]
+    return ", ".join(told) or "nothing"
+
+
+def _noise(found: Findings) -> str:
+    """Return standard deviations of what was measured."""
+    noise, data = found.result.noise, found.data
+    if noise is None:
+        sigma = data.sigma_poses
+        linear = np.array([unit == "m" for unit in found.result.nominal.platform.units])
+        middle = [
+            0.0 if values is None or not np.isfinite(values).any() else float(np.nanmedian(values))
+            for values in (
+                None if sigma is None else sigma[:, linear],
+                None if sigma is None else sigma[:, ~linear],
+                data.sigma_readings,
+            )
+        ]
+        noise = Noise(*middle)
+        return f"σ, median of the rows: {_sigmas(noise, found)}"
+    return f"σ {_sigmas(noise, found)}"
+
+
+def _sigmas(noise: Noise, found: Findings) -> str:
+    parts = [f"{1e3 * noise.position:.3g} mm in position"]
+    if found.turns:
+        parts.append(f"{1e3 * noise.orientation:.3g} mrad in orientation")
+    units = {SHOWN[leg.reading_unit][0] for leg in found.result.nominal.legs}
+    reading = f"{1e3 * noise.reading:.3g} {' or '.join(sorted(units))} in readings"
+    return ", ".join([*parts, reading if noise.reading else "readings exact"])
+
+
+def parameters(found: Findings) -> Element:
+    """Return all parameters by leg, and those outside the mechanism."""
+    result = found.result
+    outside = external_table(result) if result.external else None
+    return section(
+        "parameters", "Parameters", parameters_table(result), changes_figure(found), outside
+    )
+
+
+def residuals(found: Findings) -> Element:
+    """Return residuals by leg, row and size."""
+    return section(
+        "residuals",
+        "Residuals before and after",
+        residuals_table(found.result),
+        residuals_figure(found),
+        histogram_figure(found),
+        observed_table(found.result) if found.result.observed else None,
+    )
+
+
+def platform(found: Findings) -> Element:
+    """Return the platform's errors over the workspace."""
+    maps = found.maps
+    return section(
+        "platform",
+        "Error of the platform",
+        platform_figure(found),
+        maps_figure(maps, found.turns)
+        if maps is not None
+        else tag("p", "No maps: no workspace was found with the default margins."),
+    )
+
+
+def observability(found: Findings) -> Element:
+    """Return how well the poses used tell the parameters."""
+    rows = [
+        (leg.name, f"{leg.rank} of {len(leg.parameters)}", f"{leg.condition:.3g}")
+        for leg in found.result.legs
+    ]
+    caption = "Rank and condition of each leg's identification Jacobian, whitened, columns scaled"
+    return section(
+        "observability",
+        "Observability",
+        table(caption, ("leg", "rank", "condition"), rows, groups=1),
+        observability_figure(found),
+    )
+
+
+def outliers(result: CalibrationResult) -> Element:
+    """Return rows that were rejected, weighted down, or just do not fit."""
+    title = "What was rejected or weighted down"
+    loss = "No robust loss was used" if result.loss == "none" else f"Robust loss: {result.loss}"
+    if not result.outliers:
+        return section("outliers", title, tag("p", f"{loss}; all rows fit each other."))
+    more = len(result.outliers) - LISTED
+    moved = (
+        ""
+        if result.shift is None
+        else f" With these rows, parameters would move by up to {result.shift:.1f} standard errors."
+    )
+    return section(
+        "outliers",
+        title,
+        tag("p", f"{loss}; rows that do not fit the others: {len(result.outliers)}.{moved}"),
+        outliers_table(result),
+        tag("p", f"And {more} more in result.json.") if more > 0 else None,
+    )
+
+
+def trust(result: CalibrationResult, notes: Sequence[str]) -> Element:
+    """Return ties, held-out rows and runs."""
+    lines: list[str] = [
+        f"Tie of {one.name}: {'holds' if one.holds else 'is contradicted'} (p = {one.p_value:.2g}, "
+        f"{one.restrictions} parameters fewer)."
+        for one in result.ties
+    ]
+    lines += [f"{text[0].upper()}{text[1:]}." for text in (*trust_in_words(result), *notes)]
+    content: list[Content] = [bullets(lines or ["No rows were held out, and no ties tested."])]
+    if (runs := result.runs) is not None:
+        content.append(
+            table(
+                "Spread of the parameters over the runs, against their standard errors, in SI",
+                ("parameter", "spread", "predicted"),
+                [
+                    (name, f"{spread:.3g}", f"{predicted:.3g}")
+                    for name, spread, predicted in zip(
+                        runs.names, runs.spread, runs.predicted, strict=True
+                    )
+                ],
+            )
+        )
+    return section("trust", "Held-out rows, ties and runs", *content)
+
+
+def reproduction(
+    command: str, versions: Iterable[str], files: Iterable[tuple[str, str]], date: str
+) -> Element:
+    """Return how to make the same result again."""
+    rows = list(files)
+    return section(
+        "reproduction",
+        "How to reproduce it",
+        tag("pre", tag("code", command)) if command else None,
+        tag("p", f"Made on {date} with {', '.join(versions)}. No random choice is involved."),
+        table("Files read, and their SHA-256", ("file", "SHA-256"), rows) if rows else None,
+    )

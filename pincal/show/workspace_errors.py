@@ -1,0 +1,102 @@
+"""How far the platform is off over the workspace: with nominal parameters, and as expected now.
+
+The nominal model drives the identified mechanism: what the calibration removes. What is left
+follows from the covariance of the parameters, pose by pose. Where frames were fixed by choice,
+motions of the base and platform frame are left out of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import WorkspaceError
+from pincal.experiment.frames import beyond_frames
+from pincal.experiment.platform_error import pose_gain, stacked
+from pincal.experiment.simulation import platform_errors
+from pincal.identification.result import CalibrationResult
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import leg_demand
+from pincal.workspace.sampling import sample_workspace
+
+Array = NDArray[np.float64]
+_SAMPLED = 1000
+
+
+@dataclass(frozen=True)
+class WorkspaceErrors:
+    """Errors of the platform at poses; NaN where a mechanism does not reach one."""
+
+    poses: Array
+    """Coordinates, shape (N, dof)."""
+    before: Array
+    """Of the nominal model, position [m] and orientation [rad], shape (N, 2)."""
+    after: Array
+    """Standard errors to expect of the identified one, shape (N, 2)."""
+    sampled: bool = True
+    """Whether poses are of the workspace, or those of the measurements."""
+
+    @property
+    def where(self) -> str:
+        """Over which poses means are taken, in words."""
+        return "over the workspace" if self.sampled else "over the measured poses"
+
+    def mean_before(self) -> tuple[float, float]:
+        """Return root mean squares of the nominal model's errors, [m] and [rad]."""
+        return _rms(self.before)
+
+    def mean_after(self) -> tuple[float, float]:
+        """Return root mean squares of the errors to expect, [m] and [rad]."""
+        return _rms(self.after)
+
+
+def workspace_errors(result: CalibrationResult, measured: Array) -> WorkspaceErrors:
+    """Return the platform's errors at samples of the workspace.
+
+    Args:
+        result: The calibration.
+        measured: Measured poses, shape (N, dof): taken if no workspace is found with the default
+            margins.
+    """
+    try:
+        return errors_at(result, sample_workspace(result.nominal, _SAMPLED))
+    except WorkspaceError:
+        found = errors_at(result, measured)
+        return WorkspaceErrors(found.poses, found.before, found.after, sampled=False)
+
+
+def errors_at(result: CalibrationResult, poses: Array) -> WorkspaceErrors:
+    """Return the platform's errors at poses, coordinates of shape (N, dof)."""
+    platform = result.nominal.platform
+    moved = platform_errors(result.nominal, result.identified, poses)
+    by_parameter, by_pose = stacked(
+        [leg_demand(result.identified, name, poses) for name in result.nominal.leg_names]
+    )
+    reached = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_parameter).all(axis=(1, 2))
+    both = reached & np.isfinite(moved).all(axis=1)
+    gain = pose_gain(by_parameter[reached], by_pose[reached])
+    if result.gauge and both.any():
+        size = max(LegClosure(leg, platform).size for leg in result.nominal.legs)
+        matrices = platform.transforms(poses).as_matrix()
+        gain = beyond_frames(platform, matrices[reached], gain, size)
+        moved[both] = beyond_frames(platform, matrices[both], moved[both, :, None], size)[:, :, 0]
+    variance = np.full(moved.shape, np.nan)
+    variance[reached] = np.einsum("nip,pq,niq->ni", gain, result.covariance, gain)
+    return WorkspaceErrors(poses, _sizes(result, moved**2), _sizes(result, variance))
+
+
+def _sizes(result: CalibrationResult, squares: Array) -> Array:
+    """Return roots of sums over positions and over orientations, shape (N, 2)."""
+    turns = np.array([unit == "rad" for unit in result.nominal.platform.units])
+    parts = (squares[:, ~turns].sum(axis=1), squares[:, turns].sum(axis=1))
+    return np.sqrt(np.stack(parts, axis=1).clip(0.0))
+
+
+def _rms(sizes: Array) -> tuple[float, float]:
+    told = sizes[np.isfinite(sizes).all(axis=1)]
+    if not len(told):
+        return np.nan, np.nan
+    position, orientation = np.sqrt((told**2).mean(axis=0)).tolist()
+    return position, orientation

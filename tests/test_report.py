@@ -1,0 +1,442 @@
+"""The report of a calibration: what it says is what was found, as text, in one file."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from hashlib import sha256
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from command_line import done, run
+from lxml import html as lxml_html
+
+import pincal
+from pincal.identification.robust import Outlier
+from pincal.show.findings import Findings
+from pincal.show.markup import serialised
+from pincal.show.report import Origin, Report
+from pincal.show.report_answers import answers
+from pincal.show.workspace_errors import errors_at
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+EVIL = "<script>document.title='Ω'</script><b>\"é\"'&amp;$x_1$ 漢"
+NOISE = pincal.Noise(1e-4, 1e-4)
+FACTORS = {"mm": 1e3, "mrad": 1e3, "1e-3": 1e3}
+QUESTIONS = ["Is it better?", "By how much?", "May I trust it?"]
+DATE = "2001-02-03 04:05 +0000"
+
+
+def measured(
+    name: str, count: int, noise: pincal.Noise = NOISE, sigma: float = 2e-3
+) -> tuple[pincal.Mechanism, pincal.Measurements]:
+    """Return a mechanism and measurements of a disturbed one at poses around home."""
+    mechanism = pincal.load_mechanism(name)
+    truth = pincal.disturb(mechanism, sigma, seed=1)
+    spread = 0.15 if mechanism.platform.kind == "spatial" else 0.3
+    shift = np.random.default_rng(2).uniform(-spread, spread, (count, mechanism.platform.dof))
+    poses = mechanism.platform.moved(np.tile(mechanism.platform.home, (count, 1)), shift)
+    return mechanism, pincal.simulate(mechanism, truth, pincal.Plan(poses), noise, 3).measurements
+
+
+def page_of(report: Report) -> Any:
+    """Return a report as a tree."""
+    return lxml_html.fromstring(report.html())
+
+
+@pytest.fixture(scope="module")
+def planar() -> tuple[pincal.CalibrationResult, pincal.Measurements, Report]:
+    """Calibration of a 3-RRR with a wrong row, held-out rows, and its report."""
+    mechanism, data = measured("3RRR", 40)
+    poses = data.poses.copy()
+    poses[6, 0] += 3e-3
+    data = replace(data, poses=poses)
+    options: dict[str, Any] = {"noise": NOISE, "loss": "reject"}
+    result = pincal.calibrate(mechanism, data, **options)
+    result = replace(result, validation=pincal.validate(mechanism, data, **options))
+    return result, data, pincal.report(result, data, command="pincal", date=DATE)
+
+
+@pytest.fixture(scope="module")
+def hexapod() -> Report:
+    """Report of a 6-UPS, all legs together."""
+    mechanism, data = measured("6UPS", 30)
+    result = pincal.calibrate(mechanism, data, noise=NOISE, method="together")
+    errors = errors_at(result, data.poses)  # at poses at hand: to sample the workspace takes long
+    return Report(Findings(result, data, data.poses, errors), Origin("", (), (), DATE))
+
+
+@pytest.fixture(scope="module")
+def cables() -> Report:
+    """Report of a cable robot: heights measured in part, an unknown frame, latent poses."""
+    noise = pincal.Noise(1e-3, 0.0, 1e-3)
+    mechanism, data = measured("4cable", 50, noise, 5e-3)
+    poses = data.poses + np.array([0.5, -0.3, 0.1])
+    poses[::3, 2] = np.nan
+    data, setup = replace(data, poses=poses), pincal.Setup(unknown_frame=True)
+    result = pincal.calibrate(mechanism, data, noise=noise, method="latent", setup=setup)
+    return pincal.report(result, data, setup=setup, date=DATE)
+
+
+def test_the_first_section_answers(planar: Any) -> None:
+    """Better, by how much, to be trusted: with the platform's errors, χ² and held-out rows."""
+    result, _, report = planar
+    first = page_of(report).get_element_by_id("answers")
+    assert [head.text_content() for head in first.iter("h2")] == QUESTIONS
+    poses = report.found.errors.poses
+    before = pincal.accuracy(result.nominal, result.identified, poses)
+    after = pincal.expected_error(result, poses)
+    shown = [[float(cell.text) for cell in row.iter("td")] for row in first.xpath(".//tbody/tr")]
+    sizes = [[1e3 * one.position, 1e3 * one.orientation] for one in (before, after)]
+    np.testing.assert_allclose(shown, np.transpose(sizes), rtol=6e-3)
+    text = first.text_content()
+    assert f"Reduced χ² {result.reduced_chi2:.3g}" in text
+    assert f"miss by {result.validation.held_out:.2f} σ" in text
+    assert f"those of the fit by {result.validation.fit:.2f} σ" in text
+    order = [one.get("id") for one in page_of(report).iter("section")]
+    assert order[:4] == ["answers", "measured", "parameters", "residuals"]
+    assert order[-1] == "reproduction"
+
+
+def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
+    """Where χ² contradicts the noise, no answer takes the uncertainties at their word."""
+    result, _, report = planar
+    poor = replace(result, reduced_chi2=36.0, warnings=("reduced χ² is 36",))
+    section = serialised(answers(replace(report.found, result=poor), []))
+    first = lxml_html.fromstring(section)
+    verdicts = [one.text_content() for one in first.find_class("verdict")]
+    assert verdicts[0] == "Probably"
+    assert verdicts[1].endswith("mm or more")
+    assert verdicts[2] == "Not as it stands: one warning above"
+    after = 1e3 * report.found.errors.mean_after()[0]
+    assert f"{6 * after:.3g} mm" in first.text_content()
+    assert "Residuals are 6 times" in first.text_content()
+    sound = page_of(report).get_element_by_id("answers").find_class("verdict")
+    assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
+
+
+def test_parameters_are_those_of_the_result(planar: Any) -> None:
+    """Every number of the table is the result's, in its unit, to the last digit shown."""
+    result, _, report = planar
+    rows = page_of(report).get_element_by_id("parameters").xpath(".//tbody/tr")
+    found = [(leg, p) for leg in result.legs for p in leg.parameters]
+    leg_name = ""
+    for row, (leg, p) in zip(rows, found, strict=True):
+        cells = [cell.text_content() for cell in row]
+        leg_name = cells[0] or leg_name
+        assert (leg_name, cells[1]) == (leg.name, p.name)
+        factor = FACTORS[cells[5]]
+        half = (p.high - p.low) / 2
+        for place, value in ((2, p.nominal), (3, p.identified), (4, half)):
+            digits = len(cells[place].partition(".")[2])
+            assert float(cells[place]) == pytest.approx(factor * value, abs=0.5001 * 10**-digits)
+        assert float(cells[7]) == pytest.approx((p.identified - p.nominal) / p.std, abs=0.0501)
+
+
+def test_rejected_rows_are_listed_and_marked(planar: Any) -> None:
+    """The wrong row stands in the table with its weight and reason, and in the figure."""
+    result, _, report = planar
+    page = page_of(report)
+    rows = page.get_element_by_id("outliers").xpath(".//tbody/tr")
+    assert [row[0].text for row in rows] == [str(one.row + 1) for one in result.outliers]
+    worst = {one.row + 1: one for one in result.outliers}[7]
+    cells = next([cell.text for cell in row] for row in rows if row[0].text == "7")
+    assert cells == ["7", f"{worst.sigma:.1f}", "rejected", "all legs", worst.why]
+    assert "7" in [text.text for text in page.get_element_by_id("figure-residuals").iter("text")]
+
+
+@pytest.mark.parametrize("which", ["planar", "cables", "hexapod"])
+def test_one_sound_file(which: str, request: pytest.FixtureRequest) -> None:
+    """Tags close, ids are unique, figures say what they show, and nothing lies elsewhere."""
+    made = request.getfixturevalue(which)
+    report = made[2] if isinstance(made, tuple) else made
+    text = report.html()
+    assert len(text.encode()) < 2e6
+    assert "//" not in re.sub(r"data:image/png;base64,[\w+/=]*", "", text)
+    _Balanced().check(text)
+    page = page_of(report)
+    ids = Counter(page.xpath("//@id"))
+    assert max(ids.values()) == 1
+    links = page.xpath("//@href | //@src")
+    assert all(link.startswith(("#", "data:image/png;base64,")) for link in links)
+    assert {link[1:] for link in links if link[0] == "#"} <= set(ids)
+    assert set(re.findall(r"url\(#([^)]*)\)", text)) <= set(ids)
+    figures = page.xpath("//figure")
+    assert len(figures) >= 7
+    for one in figures:
+        (svg,) = one.iter("svg")
+        assert svg.get("role") == "img"
+        assert len(svg.get("aria-label")) > 20
+        assert one.xpath("./figcaption")[0].text_content()
+
+
+class _Balanced(HTMLParser):
+    """Checks that every tag that opens closes, in order."""
+
+    def check(self, text: str) -> None:
+        self.open: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, _: Any) -> None:
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_names_are_text() -> None:
+    """Names of code, quotes and letters from elsewhere are shown as they are, everywhere."""
+    mechanism, data = measured("5R", 30)
+    names = ("_" + EVIL, EVIL + "2")
+    legs = tuple(replace(leg, name=name) for leg, name in zip(mechanism.legs, names, strict=True))
+    mechanism = replace(mechanism, name=EVIL, description=EVIL, legs=legs)
+    data = replace(data, sets=(*names, "all") * 10)
+    result = pincal.calibrate(mechanism, data, noise=NOISE, poses="all")
+    result = replace(
+        result,
+        warnings=(EVIL,),
+        gauge=(EVIL,),
+        outliers=(Outlier(3, (names[0],), 9.0, 1.0, EVIL),),
+    )
+    report = pincal.report(result, data, command=EVIL, notes=[EVIL + "\0"])
+    page = page_of(report)
+    assert not list(page.iter("script", "b"))
+    assert page.find(".//title").text == f"{EVIL}: calibration"
+    assert page.find(".//pre").text_content() == EVIL
+    assert EVIL in page.get_element_by_id("warnings").text_content()
+    heads = [one.text_content() for one in page.get_element_by_id("parameters").iter("th")]
+    assert set(names) <= set(heads)
+    for figure in ("figure-changes", "figure-observability"):
+        drawn = "".join(page.get_element_by_id(figure).itertext())
+        assert all(name in drawn for name in names)
+    assert "\ufffd" in page.get_element_by_id("trust").text_content()
+    for shown in (mechanism._repr_html_(), result._repr_html_()):
+        tree = lxml_html.fromstring(shown)
+        assert not list(tree.iter("script", "b"))
+        assert EVIL in tree.text_content()
+
+
+def test_the_same_bytes_but_for_the_date(planar: Any) -> None:
+    """Made anew, in whatever style the user draws, a report is the same."""
+    result, data, report = planar
+    with mpl.rc_context({"font.size": 20, "svg.fonttype": "path"}):
+        again = pincal.report(result, data, command="pincal", date=DATE)
+        assert again.html() == report.html()
+        assert mpl.rcParams["font.size"] == 20
+
+
+def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:
+    """A fit that did not converge says so first, and shows and writes no calibrated mechanism."""
+    result, data, _ = planar
+    failed = replace(result, converged=False, message="no step is left")
+    report = pincal.report(failed, data)
+    page = page_of(report)
+    main = page.find(".//main")
+    assert [one.get("id") for one in main][1:3] == ["warnings", "answers"]
+    assert "did not converge: no step is left" in page.get_element_by_id("warnings").text_content()
+    assert "There is no result" in page.get_element_by_id("answers").text_content()
+    assert not page.xpath("//*[@id='parameters' or @id='platform']")
+    assert f"{result.legs[0].parameters[0].identified * 1e3:.1f}" not in report.html()
+    failed.save(tmp_path / "result", report=report)
+    assert not (tmp_path / "result/mechanism").exists()
+    assert (tmp_path / "result/report.html").read_text(encoding="utf-8") == report.html()
+    assert "did not converge" in failed._repr_html_()
+
+
+def test_what_was_not_given_is_refused(planar: Any) -> None:
+    """Other measurements, or another setup, than those of the calibration: said, not drawn."""
+    result, data, _ = planar
+    with pytest.raises(pincal.MeasurementError, match="give the measurements"):
+        pincal.report(result, data.rows(np.arange(5)))
+    with pytest.raises(pincal.MeasurementError, match="give the setup"):
+        pincal.report(result, data, setup=pincal.Setup(unknown_frame=True))
+    with pytest.raises(pincal.FileError, match="cannot read"):
+        pincal.report(result, data, files=["/nowhere/at.all"])
+
+
+def test_unknown_frames(cables: Report) -> None:
+    """Errors leave out motions of the frames; poses measured elsewhere are shown in the base."""
+    found, result = cables.found, cables.found.result
+    assert found.errors is not None
+    expected = pincal.expected_error(result, found.errors.poses)
+    assert found.errors.mean_after()[0] == pytest.approx(expected.position, rel=1e-9)
+    before = pincal.accuracy(result.nominal, result.identified, found.errors.poses)
+    assert found.errors.mean_before()[0] < before.position
+    words = page_of(cables).text_content()
+    assert "z (33 rows)" in words
+    assert "frame rx" in words
+    assert "where the base and platform frames lie" in words
+
+    mechanism, data = measured("3RRR", 30)
+    moved, setup = data.poses + np.array([0.4, 0.2, 0.0]), pincal.Setup(unknown_frame=True)
+    given = replace(data, poses=moved)
+    aligned = pincal.calibrate(mechanism, given, noise=NOISE, setup=setup)
+    poses = pincal.report(aligned, given, setup=setup).found.poses
+    np.testing.assert_allclose(poses, data.poses, atol=0.02)
+
+
+def test_without_a_workspace(planar: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Means are then over the measured poses, and there is no map; the report says so."""
+    result, data, _ = planar
+
+    def fail(*_: object) -> None:
+        raise pincal.WorkspaceError("none")
+
+    monkeypatch.setattr("pincal.show.workspace_errors.sample_workspace", fail)
+    report = pincal.report(result, data)
+    page = page_of(report)
+    assert "over the measured poses" in page.get_element_by_id("answers").text_content()
+    assert "no workspace was found" in page.get_element_by_id("platform").text_content()
+
+
+def test_errors_where_poses_are_out_of_reach(planar: Any) -> None:
+    """Poses out of reach are NaN, and means are taken over the others."""
+    result, data, _ = planar
+    far = np.concatenate((data.poses[:3], [[9.0, 9.0, 0.0]]))
+    found = errors_at(result, far)
+    assert np.isnan(found.before[3]).all()
+    assert np.isnan(found.after[3]).all()
+    assert found.mean_after()[0] == pytest.approx(
+        pincal.expected_error(result, data.poses[:3]).position
+    )
+
+
+@pytest.fixture
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Working folder with a 5R and measurements of it."""
+    mechanism, data = measured("5R", 30)
+    mechanism.save(tmp_path / "robot")
+    pincal.write_measurements(tmp_path / "measured.csv", mechanism, data)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+CALIBRATE = ["calibrate", "robot", "measured.csv", "--noise-position", 1e-4]
+CALIBRATE += ["--noise-orientation", 1e-4, "--folds", 0]
+
+
+def test_calibrate_writes_the_report(work: Path) -> None:
+    """'calibrate' writes it into the result, with the command and the hashes of the files read."""
+    outcome = done(*CALIBRATE, "-o", "a result", "--json")
+    assert json.loads(outcome.out) == json.loads((work / "a result/result.json").read_text())
+    page = lxml_html.parse(work / "a result/report.html").getroot()
+    typed = page.find(".//pre").text_content()
+    assert typed.startswith("pincal calibrate robot measured.csv --noise-position 0.0001")
+    assert typed.endswith("-o 'a result' --json")
+    rows = page.get_element_by_id("reproduction").xpath(".//tbody/tr")
+    hashes = {row[0].text: row[1].text for row in rows}
+    assert {"mechanism.yaml", "measured.csv", "platform.urdf"} <= set(hashes)
+    for path in (work / "measured.csv", work / "robot/mechanism.yaml"):
+        assert hashes[path.name] == sha256(path.read_bytes()).hexdigest()
+    assert page.get_element_by_id("parameters") is not None
+    assert "wrote a result" in outcome.err
+    warned = done(*CALIBRATE[:3], "-o", "again", "--quiet", "--folds", 0)
+    assert warned.out == ""
+    assert warned.err.startswith("warning: the noise was not given")
+    assert warned.err.count("\n") == 1
+
+
+def test_nothing_is_written_without_the_report(work: Path, monkeypatch: Any) -> None:
+    """If the report cannot be made, no half result is left behind."""
+
+    def fail(_: object) -> str:
+        raise pincal.FileError("no space")
+
+    monkeypatch.setattr(Report, "html", fail)
+    assert run(*CALIBRATE, "-o", "result").code == 2
+    assert sorted(path.name for path in work.iterdir()) == ["measured.csv", "robot"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "key"),
+    [
+        (["symmetry", "5R"], "group"),
+        (["identifiability", "5R", "--count", 20], "parameters"),
+        (["check", "5R"], "legs"),
+        (["mechanisms"], "mechanisms"),
+    ],
+)
+def test_answers_as_json(typed: list[object], key: str) -> None:
+    """With --json stdout is one JSON document, and with --quiet stderr is empty."""
+    outcome = done(*typed, "--json", "--quiet")
+    assert key in json.loads(outcome.out)
+    assert outcome.err == ""
+
+
+def test_json_of_plan_and_simulation(work: Path) -> None:
+    """'select' and 'simulate' answer in JSON too, and write their files all the same."""
+    pincal.write_poses("c.csv", pincal.load_mechanism("5R"), pincal.Plan(np.random.default_rng(0)
+        .uniform((-0.3, 0.9), (0.3, 1.3), (200, 2))))  # fmt: skip
+    chosen = done("select", "5R", "--candidates", "c.csv", "--count", 8, "-o", "p.csv", "--json")
+    assert json.loads(chosen.out)["poses"] == 16
+    told = json.loads(done("simulate", "5R", "p.csv", "-o", "m.csv", "--json").out)
+    assert told["poses"] + len(told["not_reached"]) == 16
+    assert (work / "m.csv").is_file()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium without a network."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("no chromium on this machine (apt-get install chromium)")
+    options = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
+        yield chromium
+        chromium.close()
+
+
+_CUT = """() => [...document.querySelectorAll("svg")].flatMap((svg) => {
+  const all = svg.getBoundingClientRect();
+  return [...svg.querySelectorAll("text")].filter((text) => {
+    const box = text.getBoundingClientRect();
+    return box.left < all.left - 2 || box.right > all.right + 2
+      || box.top < all.top - 2 || box.bottom > all.bottom + 2;
+  }).map((text) => `${svg.id}: ${text.textContent}`);
+})"""
+
+
+_SPILLED = """() => [...document.querySelectorAll("article, dd, li, pre")].filter(
+  (one) => one.scrollWidth > one.clientWidth + 1).length"""
+
+
+@pytest.mark.parametrize("which", ["planar", "cables", "hexapod"])
+def test_in_a_browser(
+    which: str, browser: Any, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """No request, no complaint, nothing wider than the page or cut off; it prints."""
+    made = request.getfixturevalue(which)
+    path = (made[2] if isinstance(made, tuple) else made).save(tmp_path / "report.html")
+    page = browser.new_page(viewport={"width": 1024, "height": 768})
+    said: list[str] = []
+    asked: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(path.as_uri())
+    foot = page.evaluate("() => document.querySelector('#answers').getBoundingClientRect().bottom")
+    assert foot < 768  # the answers are on the first screen
+    assert page.evaluate(_CUT) == []
+    page.screenshot(path=tmp_path / "wide.png", full_page=True)
+    assert len(page.pdf(prefer_css_page_size=True)) > 30_000
+    for width, media in ((1024, "screen"), (400, "screen"), (680, "print")):
+        page.emulate_media(media=media)
+        page.set_viewport_size({"width": width, "height": 768})
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+        assert page.evaluate(_SPILLED) == 0
+    assert said == []
+    assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
+    page.close()
