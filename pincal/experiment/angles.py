@@ -19,7 +19,7 @@ def angle(name: str, R: Array) -> tuple[Array, Array]:
         R: Orientations, shape (N, 3, 3).
 
     Returns:
-        The angle, shape (N,), [rad], and its derivative, shape (N, 3); NaN where the angle has
+        The angle, shape (N,), [rad], and its derivative, shape (N, 3); zero where the angle has
         no meaning, as the azimuth at tilt 0.
     """
     turned = _CROSS @ R[:, None]  # e_a × R, shape (N, 3, 3, 3)
@@ -29,13 +29,13 @@ def angle(name: str, R: Array) -> tuple[Array, Array]:
 
     def length(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array, Array]:
         size = np.hypot(a[0], b[0])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return size, (a[0][:, None] * a[1] + b[0][:, None] * b[1]) / size[:, None]
+        safe = np.where(size > 0.0, size, 1.0)[:, None]
+        return size, (a[0][:, None] * a[1] + b[0][:, None] * b[1]) / safe
 
     def arctan(f: tuple[Array, Array], g: tuple[Array, Array]) -> tuple[Array, Array]:
         square = f[0] ** 2 + g[0] ** 2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope = (g[0][:, None] * f[1] - f[0][:, None] * g[1]) / square[:, None]
+        safe = np.where(square > 0.0, square, 1.0)[:, None]
+        slope = (g[0][:, None] * f[1] - f[0][:, None] * g[1]) / safe
         return np.arctan2(f[0], g[0]), slope
 
     if name == "yaw":

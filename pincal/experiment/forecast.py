@@ -64,8 +64,7 @@ class Forecast:
 
         Where frames are not measured, less what a motion of the frames explains.
         """
-        frames = self.gauge.shape[1] > 0
-        return platform_error(self.mechanism, self.covariance, poses, self.lost, frames=frames)
+        return platform_error(self.mechanism, self.covariance, poses, self.lost, self.gauge)
 
     def poses_for(self, accuracy: float, poses: Array) -> float:
         """Return how many poses like the planned ones bring the position error to a value.
@@ -212,7 +211,8 @@ def _whitened(pose: Array, parameter: Array, deviation: Array) -> Array:
     except np.linalg.LinAlgError as error:
         raise MeasurementError(
             "some measurements carry no noise at all; give standard deviations above zero for what "
-            "is measured, and for readings where positions are measured in part"
+            "is measured, and for readings (--noise-reading) where there are more of them than "
+            "freedoms, or positions are measured in part"
         ) from error
     return np.asarray(np.linalg.solve(factor, free @ parameter))
 

@@ -33,22 +33,25 @@ def frame_motions(platform: Platform, matrices: Array) -> Array:
     return np.concatenate((base[:, :, frame], body[:, :, rows]), axis=2)[:, rows]
 
 
-def beyond_frames(platform: Platform, matrices: Array, twists: Array, size: float) -> Array:
-    """Return twists of the platform less what motions of the frames explain of them.
+def beyond(platform: Platform, twists: Array, motions: Array, size: float) -> Array:
+    """Return twists of the platform less what motions explain of them.
 
     Least squares over all poses together, angles counting as lengths at a radius.
 
     Args:
         platform: The platform.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
         twists: One column for each change of parameters, shape (N, dof, k).
+        motions: Shape (N, dof, m).
         size: The radius, [m].
     """
     scale = np.array([1.0 if unit == "m" else size for unit in platform.units])[:, None]
-    motions = frame_motions(platform, matrices) * scale
-    flat = motions.reshape(-1, motions.shape[2])
-    wanted = (twists * scale).reshape(len(flat), twists.shape[2])
-    U, s, _ = np.linalg.svd(flat, full_matrices=False)
+    count = twists.shape[0] * twists.shape[1]
+    flat = (motions * scale).reshape(count, motions.shape[2])
+    wanted = (twists * scale).reshape(count, twists.shape[2])
+    if not flat.size:
+        return twists
+    lengths = np.linalg.norm(flat, axis=0)
+    U, s, _ = np.linalg.svd(flat / np.where(lengths > 0.0, lengths, 1.0), full_matrices=False)
     U = U[:, s > 1e-9 * s[0]]
     return (wanted - U @ (U.T @ wanted)).reshape(twists.shape) / scale
 
@@ -66,7 +69,7 @@ def split_frames(
         size: A length of the mechanism, [m].
     """
     moved = gain @ directions
-    left = beyond_frames(platform, matrices, moved, size)
+    left = beyond(platform, moved, frame_motions(platform, matrices), size)
     scale = np.linalg.norm(moved, axis=(0, 1))
     scale[scale == 0.0] = 1.0
     flat = (left / scale).reshape(-1, left.shape[2]) if left.size else np.zeros((1, left.shape[2]))

@@ -60,9 +60,9 @@ class Observation:
         lengths = platform.units.count("m")
         values = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
         for column in setup.columns(mechanism):
-            if column not in data.extra:
-                raise MeasurementError(f"no column {column!r}, which the setup names")
-            values[column] = data.extra[column]
+            values[column] = data.extra.get(column, np.full(len(data), np.nan))
+        if missing := [name for name in setup.distances if name not in data.extra]:
+            raise MeasurementError(f"no column {missing[0]!r}, a distance that the setup names")
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
         whole = _whole(self.orientations)

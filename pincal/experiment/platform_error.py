@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.frames import beyond_frames
+from pincal.experiment.frames import beyond
 from pincal.kinematics.closure import LegClosure, solve
 from pincal.kinematics.derivatives import Demand, leg_demand
 from pincal.model.mechanism import Mechanism
@@ -33,8 +33,7 @@ def platform_error(
     covariance: Array,
     poses: Array,
     lost: Array | None = None,
-    *,
-    frames: bool = False,
+    gauge: Array | None = None,
 ) -> PlatformError:
     """Return what the covariance of the parameters means for the platform.
 
@@ -46,7 +45,8 @@ def platform_error(
         covariance: Of the parameters of all legs, shape (n, n).
         poses: Poses over which to take the mean, coordinates of shape (N, dof).
         lost: Directions of parameters that are not determined, columns of shape (n, n_lost).
-        frames: Whether to leave out what motions of the base and platform frames explain.
+        gauge: Directions of parameters that only move frames which are not measured, columns of
+            shape (n, n_gauge): what these motions explain is left out.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
@@ -54,10 +54,9 @@ def platform_error(
     by_parameter, by_pose = stacked([leg_demand(mechanism, n, poses) for n in mechanism.leg_names])
     ok = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_parameter).all(axis=(1, 2))
     gain = pose_gain(by_parameter[ok], by_pose[ok])
-    if frames:
+    if gauge is not None:
         size = max(LegClosure(leg, mechanism.platform).size for leg in mechanism.legs)
-        matrices = mechanism.platform.transforms(poses).as_matrix()[ok]
-        gain = beyond_frames(mechanism.platform, matrices, gain, size)
+        gain = beyond(mechanism.platform, gain, gain @ gauge, size)
     variance = np.einsum("nip,pq,niq->ni", gain, covariance, gain).mean(axis=0)
     if lost is not None and lost.shape[1]:
         slides = np.abs(gain @ lost).max(axis=(0, 2)) > _SLIDES * np.abs(gain).max(axis=(0, 2))

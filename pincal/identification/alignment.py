@@ -31,6 +31,8 @@ _STEPS = 60
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
 _WAY = 5  # steps from the readings at home to those measured
 _CLOSES = 1e-3  # of a leg's size, a gap that is left when readings contradict each other
+_MISSED = 0.05  # of the mechanism's size, median over the rows, from which nothing is identified
+_TILTED = 1e-3  # [rad]
 _SETTLED = 1e-7  # of the mechanism's size, and [rad]
 _MIRRORED = 0.2  # of the misfit that is left, if the mirror image of a frame explains it
 _MISFIT = 0.05  # of the extent of the measured points, from which a mirror is suspected
@@ -67,6 +69,33 @@ def align(
     )
     matrices = _where_measured(problem, data, state)
     return settle(problem, replace(state, matrices=matrices))
+
+
+def check_start(problem: LatentPoses, state: State) -> None:
+    """Raise if readings and what was measured cannot both be the nominal mechanism's.
+
+    At poses settled at the nominal parameters, what legs and measured lengths miss together.
+
+    Raises:
+        MeasurementError: by how much they miss.
+    """
+    size = max(LegClosure(leg, problem.residuals[0].platform).size for leg in problem.legs)
+    rows, plain = problem.eased().rows(state)
+    del rows
+    gaps = np.where(problem.used, np.concatenate([d.value for d in plain.demands], axis=1), 0.0)
+    seen = problem.observation.evaluate(state.matrices, state.external).value
+    lengths = np.array([unit == "m" for unit in problem.observation.units], dtype=bool)
+    missed = np.sqrt((gaps**2).sum(axis=1) + (seen[:, lengths] ** 2).sum(axis=1))
+    worst = float(np.median(missed))
+    if worst > _MISSED * size:
+        raise MeasurementError(
+            f"readings and measured positions contradict each other by {1e3 * worst:.3g} mm in the "
+            f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
+            "length). Check the units, the order and signs of the readings, and the frame (if the "
+            "base stands elsewhere in it: --unknown-frame; if the target is not the platform's "
+            "origin: --unknown-target or --setup). If the mechanism is known but roughly, say so "
+            "(--rough)"
+        )
 
 
 def _well(mechanism: Mechanism, problem: LatentPoses, state: State) -> Mask:
@@ -106,7 +135,10 @@ def placed(
         external: Values of the external unknowns.
     """
     platform = problem.residuals[0].platform
-    matrices = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
+    partly = np.where(np.isfinite(data.poses), data.poses, platform.home)
+    if "tilt" in platform.coordinates:  # upright, tilt has no direction in which to grow
+        partly[:, platform.coordinates.index("tilt")] += _TILTED
+    matrices = platform.transforms(partly).as_matrix().copy()
     turns = problem.observation.orientations
     told = np.isfinite(turns).all(axis=(1, 2))
     F = external.frame[:3, :3]
@@ -181,7 +213,7 @@ def _aligned(problem: LatentPoses, data: Measurements, state: State, good: Mask)
         measured = np.zeros((len(data), 3))
         names = [axis if target == ORIGIN else f"{target}_{axis}" for axis in "xyz"]
         for axis, name in enumerate(names[: platform.space]):
-            own = data.poses[:, axis] if target == ORIGIN else data.extra[name]
+            own = data.poses[:, axis] if target == ORIGIN else data.extra.get(name, np.nan)
             measured[:, axis] = own
         told = good & np.isfinite(measured).all(axis=1)
         there.append(measured[told])
@@ -205,9 +237,9 @@ def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
     least = platform.space
     if not len(here):
         raise MeasurementError(
-            "the frame of the measurements is unknown and cannot be aligned: no row has a measured "
-            "position and as many readings as the platform has freedoms, from which the nominal "
-            "machine would say where it is"
+            "the frame of the measurements is unknown and cannot be aligned: in no row with a "
+            "measured position do the readings tell where the nominal machine is. It needs as many "
+            "readings as the platform has freedoms; check their units, order and signs"
         )
     a, b = here - here.mean(axis=0), there - there.mean(axis=0)
     spread = np.linalg.svd(a, compute_uv=False) if len(a) else np.zeros(3)

@@ -23,11 +23,13 @@ from pincal.identification.result import (
 )
 from pincal.identification.robust import Outlier, Robust
 from pincal.identification.task import Task
+from pincal.kinematics.closure import LegClosure
 from pincal.model.measurements import Noise
 
 Array = NDArray[np.float64]
 _CONFIDENCE = 0.95
 _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
+_FAR = 0.05  # of a leg's size, [rad] and [1]: changes of parameters that are doubted
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
 
 
@@ -74,8 +76,9 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         shift=_shift(estimate.fits),
         external=_external(task, estimate),
         gauge=estimate.gauge,
+        gauge_directions=estimate.gauge_directions,
         ties=ties,
-        observed=() if latent is None else _observed(latent, fits[0]),
+        observed=() if latent is None else _observed(latent, fits[0], task.noise.known),
         estimated_poses=None
         if latent is None
         else mechanism.platform.from_matrices(fits[0].last.state.matrices),
@@ -175,15 +178,16 @@ def _covariance(task: Task, estimate: Estimate) -> Array:
     return covariance
 
 
-def _observed(latent: LatentPoses, found: Fit) -> tuple[Observed, ...]:
+def _observed(latent: LatentPoses, found: Fit, known: bool) -> tuple[Observed, ...]:
     """Return how the measured quantities of the platform fit."""
+    scale = 1.0 if known else float(np.sqrt(found.chi2 / max(found.degrees_of_freedom, 1)))
     state, seen = found.last.state, latent.observation
     values = seen.evaluate(state.matrices, state.external).value
     results = []
     for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):
         own = seen.measured[:, column] & (found.weights > 0.0)
         if own.any():
-            sigma = _rms(latent.sigma_observed[own, column])
+            sigma = scale * _rms(latent.sigma_observed[own, column])
             results.append(Observed(name, unit, int(own.sum()), _rms(values[own, column]), sigma))
     return tuple(results)
 
@@ -231,6 +235,25 @@ def _tie_tests(task: Task, tied: Estimate, free: Estimate) -> tuple[TieTest, ...
     return (TieTest(", ".join(task.tied), fewer, float(statistic), p),)
 
 
+def _far(task: Task, legs: Sequence[LegResult]) -> list[str]:
+    """Return a warning if parameters moved farther than those of one machine differ."""
+    platform = task.mechanism.platform
+    size = max(LegClosure(leg, platform).size for leg in task.mechanism.legs)
+    moved = [
+        (abs(p.identified - p.nominal) / (_FAR * (size if p.unit == "m" else 1.0)), leg, p)
+        for leg in legs
+        for p in leg.parameters
+    ]
+    share, leg, p = max(moved, key=lambda one: one[0])
+    if task.rough or not share > 1.0:
+        return []
+    return [
+        f"{p.name} of {leg.name} moved by {p.identified - p.nominal:+.3g} {p.unit}, farther than a "
+        "machine differs from its drawing: check the frame and target of the measurements "
+        "(--unknown-frame, --unknown-target), units, and the order of the readings"
+    ]
+
+
 def _warnings(
     task: Task,
     legs: Sequence[LegResult],
@@ -256,9 +279,11 @@ def _warnings(
         given = "repeated rows show" if source == "repeats" else "given"
         found.append(
             f"reduced χ² is {chi2:.3g} where 1 is expected: the noise is "
-            f"{'larger' if chi2 > 1 else 'smaller'} than {given}, or the model lacks something; "
-            "the uncertainties assume that noise"
+            f"{'larger' if chi2 > 1 else 'smaller'} than {given}"
+            f"{', or the model lacks something' if chi2 > 1 else ''}; the uncertainties assume "
+            "that noise"
         )
+    found += _far(task, legs)
     listed = len(outliers)
     if listed and task.loss == "none":
         worst = outliers[0]

@@ -63,7 +63,8 @@ def calibrate(
         loss: A robust loss by which rows that do not fit count less, ``"huber"``, ``"cauchy"``
             or ``"tukey"``; ``"reject"`` leaves them out.
         fixed: Parameters held at their nominal values: ``"l"`` of every leg, ``"leg_1.l"`` of one.
-        tied: Parameters that have one value for all legs; the result tests whether that holds.
+        tied: Parameters that have one value for all legs, which are then identified together; the
+            result tests whether that holds.
         priors: Standard deviations with which nominal values are known, by name as above.
         rough: Whether the nominal mechanism is known so roughly that measurements need not look
             like its own; units, signs and the order of legs are then not checked.
@@ -94,7 +95,7 @@ def calibrate(
     if task.setup.plain and not task.rough:
         check_plausible(mechanism, measurements)
     found = estimate(task)
-    return assemble(task, found, estimate(replace(task, tied=())) if task.tied else None)
+    return assemble(task, found, estimate(replace(task, untied=True)) if task.tied else None)
 
 
 def estimate(task: Task) -> Estimate:
@@ -146,6 +147,7 @@ def calibration_task(
         method=method,
         kind=residual,
         every_pose=method == "latent" or poses == "all",
+        untied=False,
         rough=rough,
         tell=progress or (lambda _: None),
     )

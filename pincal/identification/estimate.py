@@ -26,6 +26,8 @@ class Estimate:
     """Their values."""
     gauge: tuple[str, ...] = ()
     """Gauge freedoms in words."""
+    gauge_directions: Array | None = None
+    """The same in the legs' parameters, columns of shape (n_params, n_gauge)."""
     latent: LatentPoses | None = None
     """The problem, if poses were latent."""
 

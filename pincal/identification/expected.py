@@ -23,5 +23,6 @@ def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    frames = bool(result.gauge)
-    return platform_error(result.identified, result.covariance, poses, frames=frames)
+    return platform_error(
+        result.identified, result.covariance, poses, gauge=result.gauge_directions
+    )

@@ -26,6 +26,7 @@ _STANDS = 1e-8  # of a standard error: no step is left, with the weights renewed
 _STANDS_ROBUST = 1e-6  # weights of rows follow their residuals: convergence is slower
 _ROUNDS = 30
 _LEAST_DAMPING = 1e-6
+_ROUNDING = 1e-15  # of a parameter: steps below are none
 _LARGEST_DAMPING = 1e10
 _LIGHT = 1e-3  # damping that hardly shortens a step
 
@@ -100,7 +101,8 @@ def fit(
     for _ in range(_ROUNDS if loss is None else 10 * _ROUNDS):
         weights, scale = system.weights(linear)
         step, std = system.step(linear, weights)
-        decrement = float(np.abs(step / std).max())
+        rounding = _ROUNDING * np.abs(unknowns.map).T @ system.size(linear.state)
+        decrement = float(((np.abs(step) - rounding) / std).max())
         if decrement <= stands:
             break
         linear = problem.linearise(problem.moved(linear, unknowns.map @ step))
@@ -185,6 +187,10 @@ class _System:
         J = (root[:, :, None] * jacobian[rows]).reshape(-1, jacobian.shape[2]) @ self.unknowns.map
         r, J_prior = self.unknowns.prior_rows(self._all(state))
         return np.concatenate((J, J_prior)), np.concatenate(((root * value[rows]).ravel(), r))
+
+    def size(self, state: State) -> Array:
+        """Return how large parameters are, to which rounding is relative, shape (n,)."""
+        return np.maximum(np.abs(self._all(state)), 1.0)
 
     def _all(self, state: State) -> Array:
         """Return the parameters with zeros for the external unknowns, which have no priors."""

@@ -41,6 +41,9 @@ class Gauge:
     constraints: Array
     """Rows g with g · z = 0 that fix them, shape (n_gauge, n_free)."""
     words: tuple[str, ...]
+    of_legs: Array | None
+    """The directions in the legs' parameters, columns of shape (n_params, n_gauge); None if there
+    are none."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +91,8 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
             "more of the platform, or fix one of them, or make it a constant in mechanism.yaml"
         )
     weight = np.array([_weight(label) for label in unknowns.free_labels])
-    words = _words(len(lost), unknowns, directions @ T.T)
-    return Gauge(directions, lost * lengths * weight, words)
+    words = _words(len(lost), mechanism, unknowns, directions @ T.T)
+    return Gauge(directions, lost * lengths * weight, words, moved if words else None)
 
 
 def _weight(label: str) -> float:
@@ -132,10 +135,14 @@ def _generic(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> 
     return _Generic(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _words(count: int, unknowns: Unknowns, directions: Array) -> tuple[str, ...]:
+def _words(
+    count: int, mechanism: Mechanism, unknowns: Unknowns, directions: Array
+) -> tuple[str, ...]:
     """Return in words what is free."""
     if not count:
         return ()
+    if "rad" not in mechanism.platform.units:  # a point has no frame of its own
+        return (f"the base frame: {_freedoms(count)}, since what was measured does not fix it",)
     frame = np.array([name.startswith("frame ") for name in unknowns.names])
     n_base = int(np.linalg.matrix_rank(directions[:, frame], tol=1e-6)) if frame.any() else 0
     words = []

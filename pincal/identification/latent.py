@@ -104,6 +104,12 @@ class LatentPoses:
         self.sigma_observed = sigma_observed
         self._noisy = observation.measured & (sigma_observed > 0.0)
         self._check_counts()
+        if ((used & (sigma_readings <= 0.0)).sum(axis=1) > self._platform.dof).any():
+            raise MeasurementError(
+                f"{len(self.legs)} exact readings contradict each other in "
+                f"{self._platform.dof} freedoms of the platform; give the readings a standard "
+                "deviation (--noise-reading)"
+            )
         self.first: State | None = None
         """Where the search starts, once ``align`` has found it."""
 

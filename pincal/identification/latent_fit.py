@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.experiment.observation import Observation
-from pincal.identification.alignment import align
+from pincal.identification.alignment import align, check_start, settle
 from pincal.identification.estimate import Estimate
 from pincal.identification.gauge import find_gauge
 from pincal.identification.latent import LatentPoses
@@ -54,10 +54,17 @@ def latent_fit(task: Task) -> Estimate:
         MeasurementError: rows with too little measured; frames that cannot be aligned.
     """
     problem, unknowns = latent_problem(task)
+    if not task.rough:
+        check_start(
+            problem,
+            settle(problem.eased(), problem.start(unknowns.start[: problem.columns[-1].stop])),
+        )
     gauge = find_gauge(task.mechanism, problem, unknowns)
     if gauge.words:
         unknowns = unknowns.held(gauge.constraints)
     task.tell("identifying all legs and poses")
     found = robust_fit(task, problem, unknowns, np.arange(len(task.data)))
     outside = problem.observation.external
-    return Estimate([found], outside, found.fit.last.state.external, gauge.words, problem)
+    return Estimate(
+        [found], outside, found.fit.last.state.external, gauge.words, gauge.of_legs, problem
+    )

@@ -68,7 +68,8 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
     elif (repeated := noise_of_repeats(mechanism, data)) is not None:
         source, one = "repeats", repeated
     else:
-        source, one = "assumed", Noise(_ASSUMED, _ASSUMED, 0.0 if full else _ASSUMED)
+        exact = full and data.readings.shape[1] <= mechanism.platform.dof
+        source, one = "assumed", Noise(_ASSUMED, _ASSUMED, 0.0 if exact else _ASSUMED)
     poses = np.tile(one.of_poses(mechanism), (len(data), 1))
     if data.sigma_poses is not None:
         poses = np.where(np.isfinite(data.sigma_poses), data.sigma_poses, poses)

@@ -146,6 +146,8 @@ class CalibrationResult:
     where the targets sit on the platform."""
     gauge: tuple[str, ...] = ()
     """What was fixed by choice, since no such measurement can tell it, in words."""
+    gauge_directions: Array | None = None
+    """Directions of the legs' parameters along which that choice was made, shape (n, n_gauge)."""
     ties: tuple[TieTest, ...] = ()
     observed: tuple[Observed, ...] = ()
     """With latent poses: how the measured quantities of the platform fit."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2, norm
 
 from pincal.errors import PincalError
 from pincal.identification.fit import Fit, fit
@@ -16,6 +17,7 @@ from pincal.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 _ROUNDS = 10
+_LOG_LEAST = -650.0  # of probabilities that floating point can hold
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Outlier:
     legs: tuple[str, ...]
     """Legs in whose fit it does not fit."""
     sigma: float
-    """Its residual in standard deviations: the root of χ² over its number of equations."""
+    """Its residual in standard deviations: that of one residual as unlikely as its χ²."""
     weight: float
     """With which it took part, from 1 down to 0: rejected."""
     why: str
@@ -119,13 +121,21 @@ def _outliers(one: Fit, scale: float, rows: NDArray[np.intp]) -> tuple[Outlier, 
         Outlier(
             row=int(rows[i]),
             legs=legs,
-            sigma=float(np.sqrt(relative[i] / equations[i])),
+            sigma=_as_one(float(relative[i]), int(equations[i])),
             weight=float(one.weights[i]),
             why=_why(one, int(i), scale),
         )
         for i in listed
     ]
     return tuple(sorted(found, key=lambda o: -o.sigma))
+
+
+def _as_one(squares: float, equations: int) -> float:
+    """Return the size of one normal residual that is as unlikely as a χ² of several."""
+    log = float(chi2.logsf(squares, equations))
+    if log > _LOG_LEAST:
+        return float(norm.isf(np.exp(log) / 2))
+    return float(np.sqrt(squares))
 
 
 def _why(one: Fit, index: int, scale: float) -> str:

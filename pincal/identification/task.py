@@ -37,13 +37,15 @@ class Task:
     """What is minimised where poses were measured in full."""
     every_pose: bool
     """Whether every pose serves every leg, or those of its set."""
+    untied: bool
+    """Whether ties are left out, for the test of the same estimator without them."""
     rough: bool
     """Whether the nominal mechanism is known so roughly that nothing is checked against it."""
     tell: Callable[[str], None]
     """Called with what is being done."""
 
-    def unknowns(self, external: Sequence[str] = (), tied: bool = True) -> Unknowns:
-        """Return the unknowns of all legs, with ties or without.
+    def unknowns(self, external: Sequence[str] = ()) -> Unknowns:
+        """Return the unknowns of all legs.
 
         Raises:
             MeasurementError: a parameter that does not exist, or is held twice.
@@ -52,7 +54,7 @@ class Task:
             self.mechanism.legs,
             external,
             fixed=self.fixed,
-            tied=self.tied if tied else (),
+            tied=() if self.untied else self.tied,
             priors=self.priors,
         )
 

@@ -17,6 +17,7 @@ from pincal.errors import MeasurementError
 from pincal.model.leg import Leg
 
 Array = NDArray[np.float64]
+_ALIKE = 0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,11 @@ def unknowns(
         if both := bound & set(places):
             raise MeasurementError(f"{pairs[both.pop()][1]!r} is both fixed and tied; choose one")
         bound |= set(places)
+        if np.ptp(nominal[places]) > _ALIKE * max(1.0, float(np.abs(nominal[places]).max())):
+            raise MeasurementError(
+                f"{name!r} cannot be tied: its nominal values differ from leg to leg by up to "
+                f"{np.ptp(nominal[places]):.3g}"
+            )
         start[places] = nominal[places].mean()
         columns.append(np.isin(np.arange(n), places).astype(float))
     single = [i for i in range(n) if i not in bound]
@@ -130,6 +136,8 @@ def unknowns(
             )
         sigmas[_places(pairs, name)] = sigma
     sigmas[list(held)] = np.inf
+    if len(held) == len(pairs):
+        raise MeasurementError("every parameter is fixed; leave one of them to be identified")
     T = np.concatenate([np.array(columns).reshape(-1, n), np.eye(n)[single]]).T
     order = np.argsort([np.flatnonzero(column)[0] for column in T.T], kind="stable")
     T = T[:, order]

@@ -83,12 +83,13 @@ def validate(
     own = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
     fitted, held_out = _misfit(task, whole), np.concatenate(misfits)
     linear_units = np.array([unit == "m" for unit in mechanism.platform.units])
+    unit = 1.0 if task.noise.known else max(own, 1e-300)  # noise that was assumed was estimated
     return Validation(
         folds=folds,
         rows=len(task.data),
-        fit=float(np.sqrt(own)),
-        held_out=float(np.sqrt(spread / equations)),
-        expected=float(np.sqrt(own * (1.0 + extra / equations))),
+        fit=float(np.sqrt(own / unit)),
+        held_out=float(np.sqrt(spread / equations / unit)),
+        expected=float(np.sqrt(own / unit * (1.0 + extra / equations))),
         p_value=float(f_law.sf(total / equations / own, equations, dof)) if own > 0 else 1.0,
         position=_both(fitted, held_out, linear_units),
         orientation=_both(fitted, held_out, ~linear_units),
@@ -110,9 +111,9 @@ def _folds(data: Measurements, folds: int) -> NDArray[np.intp]:
     Raises:
         MeasurementError: too few rows, or fewer than two folds.
     """
-    places = data.places or tuple(str(row) for row in range(len(data)))
+    places = data.places or tuple(row.tobytes() for row in data.readings)
     sets = data.sets or ("",) * len(data)
-    first: dict[tuple[str, str], int] = {}
+    first: dict[tuple[str, str | bytes], int] = {}
     counts: dict[str, int] = {}
     for key in zip(sets, places, strict=True):
         if key not in first:
@@ -185,12 +186,13 @@ def _misfit(task: Task, found: Estimate) -> Array:
     mechanism = task.mechanism
     if task.setup.distances or len(task.setup.targets) > 1:
         return np.full(task.data.poses.shape, np.nan)
-    poses, _ = _given(task, found)
-    whole = np.isfinite(poses).all(axis=1) & np.isfinite(task.data.readings).all(axis=1)
-    twists = np.full(poses.shape, np.nan)
+    data = task.data
+    whole = np.asarray(np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1))
+    twists = np.full(data.poses.shape, np.nan)
     rows = np.flatnonzero(whole)
     if len(rows):
-        matrices = mechanism.platform.transforms(poses[rows]).as_matrix()
+        poses, _ = _given(_part(task, whole), found)
+        matrices = mechanism.platform.transforms(poses).as_matrix()
         parameters = found.parameters(mechanism)
         demands = [
             task.residual(i, rows=rows)(parameters[leg.name], matrices)[0]

@@ -62,7 +62,11 @@ def read_measurements(
     if platform.kind == "spatial" and partial and _way(table) is None:
         more |= {name: "rad" for name in _ANGLES if name in table}
     poses = _poses(table, mechanism, partial=partial)
-    extra = {name: table.numbers(name, unit, blank=True) for name, unit in more.items()}
+    extra = {
+        name: table.numbers(name, unit, blank=True)
+        for name, unit in more.items()
+        if name in table or not partial
+    }
     named = {f"sigma_{name}": name for name in more if f"sigma_{name}" in table}
     units = {leg.name: leg.reading_unit for leg in mechanism.legs}
     readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
@@ -76,7 +80,8 @@ def read_measurements(
         sigma_readings=_sigmas(table, units),
         extra=extra,
         sigma_extra={
-            name: _not_negative(table, column, more[name]) for column, name in named.items()
+            name: _not_negative(table, column, more[name], blank=partial)
+            for column, name in named.items()
         },
         runs=_names(table, "run"),
         places=_names(table, "pose"),
@@ -245,9 +250,9 @@ def _sigmas(table: Table, units: dict[str, str], *, some: bool = False) -> Array
     )
 
 
-def _not_negative(table: Table, column: str, unit: str) -> Array:
+def _not_negative(table: Table, column: str, unit: str, *, blank: bool = False) -> Array:
     """Return a column of standard deviations, shape (N,)."""
-    values = table.numbers(column, unit)
+    values = table.numbers(column, unit, blank=blank)
     if (values < 0.0).any():
         raise MeasurementError(
             f"{table.path}, line {table.lines[int(np.argmax(values < 0.0))]}: {column!r} is "

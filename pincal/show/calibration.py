@@ -160,7 +160,7 @@ def calibration_summary(
             f"{result.shift:.1f} standard errors"
         )
     unused = len(data) - min(leg.n_residuals for leg in result.legs)
-    if unused and result.poses == "own":
+    if unused and result.poses == "own" and data.sets is not None:
         lines.append(
             f"{unused} of {len(data)} measured poses serve other legs only; --poses all lets every "
             "leg use every pose"

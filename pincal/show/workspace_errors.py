@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.experiment.frames import beyond_frames
+from pincal.experiment.frames import beyond
 from pincal.experiment.platform_error import pose_gain, stacked
 from pincal.experiment.simulation import platform_errors
 from pincal.identification.result import CalibrationResult
@@ -75,13 +75,14 @@ def errors_at(result: CalibrationResult, poses: Array) -> WorkspaceErrors:
         [leg_demand(result.identified, name, poses) for name in result.nominal.leg_names]
     )
     reached = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_parameter).all(axis=(1, 2))
-    both = reached & np.isfinite(moved).all(axis=1)
+    both = np.asarray(reached & np.isfinite(moved).all(axis=1))
     gain = pose_gain(by_parameter[reached], by_pose[reached])
-    if result.gauge and both.any():
+    if result.gauge_directions is not None and both.any():
         size = max(LegClosure(leg, platform).size for leg in result.nominal.legs)
-        matrices = platform.transforms(poses).as_matrix()
-        gain = beyond_frames(platform, matrices[reached], gain, size)
-        moved[both] = beyond_frames(platform, matrices[both], moved[both, :, None], size)[:, :, 0]
+        motions = gain @ result.gauge_directions
+        own = motions[both[reached]]
+        moved[both] = beyond(platform, moved[both, :, None], own, size)[:, :, 0]
+        gain = beyond(platform, gain, motions, size)
     variance = np.full(moved.shape, np.nan)
     variance[reached] = np.einsum("nip,pq,niq->ni", gain, result.covariance, gain)
     return WorkspaceErrors(poses, _sizes(result, moved**2), _sizes(result, variance))
