@@ -433,6 +433,9 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
         ("mirror", {"setup": FRAME}, "look mirrored"),
         ("millimetres", {"setup": FRAME}, "miss the nominal machine's by"),
         ("line", {"setup": FRAME}, "all on a line|all at one place"),
+        ("exchange", {}, "contradict each other by .* order"),
+        ("turn", {}, "contradict each other by .*--unknown-frame"),
+        ("degrees", {"setup": FRAME}, "in no row with a measured position|miss the nominal"),
         ("nothing", {}, "2 measured quantities, which do not fix the 3 freedoms"),
         ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "nothing that was measured has noise"),
     ],
@@ -448,8 +451,41 @@ def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> 
         data.poses[:, :3] *= 1e3
     elif change == "line":
         data.poses[2:] = np.nan
+    elif change == "exchange":
+        data.poses[:, 3:] = np.nan
+        data.readings[:, :2] = data.readings[:, 1::-1]
+    elif change == "turn":
+        data.poses[:, :2] = data.poses[:, :2] @ [[0.0, 1.0], [-1.0, 0.0]]
+        data.poses[:, 3:] = np.nan
+    elif change == "degrees":
+        data.readings[:] *= 1e3
     elif change == "nothing":
         data.poses[4] = np.nan
         data.readings[4, 0] = np.nan
     with pytest.raises(pincal.MeasurementError, match=message):
         pincal.calibrate(mechanism, data, method="latent", **({"noise": NOISE} | options))
+
+
+def test_parameters_that_move_too_far_are_doubted() -> None:
+    """Positions in a frame 100 mm off: they converge, and the warning asks for the frame."""
+    mechanism, _, data = machine("6UPS")
+    data.poses[:, 3:] = np.nan
+    assert not pincal.calibrate(mechanism, data, method="latent", noise=NOISE).warnings
+    data.poses[:, 0] += 0.15
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    assert any("farther than a machine" in text for text in result.warnings)
+    rough = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, rough=True)
+    assert not any("farther than a machine" in text for text in rough.warnings)
+
+
+def test_a_single_tilt_is_a_measurement() -> None:
+    """Position and tilt alone, some of it near upright: the platform comes back."""
+    mechanism, truth, data = machine("6UPS", 60, noise=EXACT)
+    poses = data.poses.copy()
+    data.poses[:, [3, 5]] = np.nan
+    result = pincal.calibrate(
+        mechanism, data, method="latent", noise=pincal.Noise(1e-4, 1e-4, 1e-5)
+    )
+    position, orientation = platform_accuracy(result.identified, truth, poses)
+    assert position < 1e-8
+    assert orientation < 1e-8

@@ -240,6 +240,20 @@ def test_ties_hold_or_do_not(method: str) -> None:
     assert any("contradict" in text for text in result.warnings)
 
 
+def test_ties_are_tested_by_one_estimator() -> None:
+    """Legs that share a tie are identified together: both methods give the same test."""
+    mechanism, _, data = machine("3RRR", 40)
+    found = [
+        pincal.calibrate(mechanism, data, method=method, poses="all", noise=noise, tied=("l", "ob"))
+        for method in ("per-leg", "together")
+        for noise in (NOISE, None)
+    ]
+    for one, two in zip(found[:2], found[2:], strict=True):
+        assert one.ties[0].statistic == pytest.approx(two.ties[0].statistic, rel=1e-9)
+        assert one.ties[0].restrictions == 4
+        assert 0.0 < one.ties[0].p_value < 1.0
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_priors_are_measurements(method: str) -> None:
     """A tight prior holds a parameter, a loose one changes nothing; between, information adds."""
@@ -254,6 +268,8 @@ def test_priors_are_measurements(method: str) -> None:
     sigma = free.legs[0].std[1]
     both = pincal.calibrate(mechanism, data, priors={"leg_1.L": sigma}, **options)  # type: ignore[arg-type]
     assert both.legs[0].std[1] == pytest.approx(sigma / np.sqrt(2), rel=0.01)
+    tightest = pincal.calibrate(mechanism, data, priors={"k": 1e-9}, **options)  # type: ignore[arg-type]
+    assert tightest.converged
     middle = (free.legs[0].identified[1] + 1.5) / 2
     assert both.legs[0].identified[1] == pytest.approx(middle, abs=0.05 * sigma)
 
@@ -279,6 +295,8 @@ def test_priors_determine_what_measurements_do_not() -> None:
         ({"fixed": ("m",)}, "no parameter 'm'; expected one of l, L, .* 'leg_1.l'"),
         ({"tied": ("leg_1.l",)}, "cannot be tied"),
         ({"tied": ("l",), "fixed": ("l",)}, "both fixed and tied"),
+        ({"tied": ("gamma",)}, "nominal values differ from leg to leg"),
+        ({"fixed": ("l", "L", "OA", "beta", "ob", "beta_b", "k", "gamma")}, "every parameter is"),
         ({"priors": {"l": 0.0}}, "expected a standard deviation above 0"),
         ({"loss": "none at all"}, "unknown loss"),
         ({"method": "best"}, "unknown method"),

@@ -102,3 +102,30 @@ class ExternalUnknowns:
         turn = Rotation.from_matrix(values.turn).as_rotvec()
         offsets = [values.offsets[entry] for entry in self.offset_entries]
         return np.array([*twist[list(self.frame_rows)], *offsets, *turn[list(self.turn_axes)]])
+
+    def coordinates_by_step(self, values: External) -> Array:
+        """Return the derivative of the coordinates by steps, shape (n, n): see ``moved``."""
+        frame = Rotation.from_matrix(values.frame[:3, :3]).as_rotvec()
+        turn = Rotation.from_matrix(values.turn).as_rotvec()
+        of_frame, of_turn = inverse_left_jacobian(np.array([frame, turn]))
+        D = np.eye(len(self))
+        turns = [i for i, row in enumerate(self.frame_rows) if row >= 3]
+        axes = [row - 3 for row in self.frame_rows if row >= 3]
+        D[np.ix_(turns, turns)] = of_frame[np.ix_(axes, axes)]
+        last = range(len(self) - len(self.turn_axes), len(self))
+        D[np.ix_(last, last)] = of_turn[np.ix_(self.turn_axes, self.turn_axes)]
+        return D
+
+
+def inverse_left_jacobian(vectors: Array) -> Array:
+    """Return the derivative of a rotation vector by a turn on the left, shape (N, 3, 3)."""
+    angles = np.linalg.norm(vectors, axis=1)
+    small = angles < 1e-4
+    safe = np.where(small, 1.0, angles)
+    factor = np.where(
+        small,
+        1 / 12,
+        1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(np.where(small, 1.0, safe))),
+    )
+    S = np.cross(vectors[:, None], np.eye(3)).transpose(0, 2, 1)
+    return np.eye(3) - 0.5 * S + factor[:, None, None] * (S @ S)

@@ -103,6 +103,8 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
         names: Names of the n parameters.
     """
     n = C.shape[1]
+    if not n:
+        return Identifiability(0, 0, 1.0, ())
     lengths = np.linalg.norm(C, axis=0)
     scaled = C / np.where(lengths > 0.0, lengths, 1.0)
     if not len(C):

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.experiment.angles import ANGLES, angle
-from pincal.experiment.external import External, ExternalUnknowns
+from pincal.experiment.external import External, ExternalUnknowns, inverse_left_jacobian
 from pincal.kinematics.closure import point_velocity
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
@@ -204,7 +204,7 @@ class Observation:
         error[whole] = Rotation.from_matrix(
             predicted[whole] @ measured.transpose(0, 2, 1)
         ).as_rotvec()
-        spread = _inverse_left_jacobian(error)
+        spread = inverse_left_jacobian(error)
         by_pose, by_external = spread @ by_pose, spread @ by_external
         rows += [(error[:, i], by_pose[:, i], by_external[:, i]) for i in self._turn_rows]
         return rows
@@ -225,17 +225,3 @@ def _orientations(platform: Platform, data: Measurements) -> Array:
         full[:, rad] = data.poses[told][:, rad]
         turns[told] = platform.transforms(full).as_matrix()[:, :3, :3]
     return turns
-
-
-def _inverse_left_jacobian(vectors: Array) -> Array:
-    """Return the derivative of a rotation vector by a turn on the left, shape (N, 3, 3)."""
-    angles = np.linalg.norm(vectors, axis=1)
-    small = angles < 1e-4
-    safe = np.where(small, 1.0, angles)
-    factor = np.where(
-        small,
-        1 / 12,
-        1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(np.where(small, 1.0, safe))),
-    )
-    S = np.cross(vectors[:, None], np.eye(3)).transpose(0, 2, 1)
-    return np.eye(3) - 0.5 * S + factor[:, None, None] * (S @ S)

@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _STEPS = 60
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
+_USUAL = 3.0  # times the median gap that contradicting readings leave
+_TURNS = 50  # of frame and offsets in turn
+_STILL = 1e-6  # of the extent of the poses: offsets move no more
 _WAY = 5  # steps from the readings at home to those measured
 _CLOSES = 1e-3  # of a leg's size, a gap that is left when readings contradict each other
 _MISSED = 0.05  # of the mechanism's size, median over the rows, from which nothing is identified
@@ -56,19 +59,25 @@ def align(
     problem = problem.eased()
     seen, platform = problem.observation, problem.residuals[0].platform
     external = seen.external.start
-    if not seen.external.frame_rows:
+    outside = seen.external
+    whole = np.isfinite(data.poses).all() and len(seen.setup.targets) == 1
+    redundant = len(problem.legs) > platform.dof
+    if not len(outside) and (whole or redundant):
         state = placed(problem, data, parameters, external)
-        whole = np.isfinite(data.poses).all() and len(seen.setup.targets) == 1
         return state if whole else settle(problem, state)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     state = State(parameters, home, (None,) * len(problem.legs), external)
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:  # from home to where the readings say
         state = settle(problem.driven(mechanism, share), state)
-    state = replace(
-        state, external=_aligned(problem, data, state, _well(mechanism, problem, state))
-    )
-    matrices = _where_measured(problem, data, state)
-    return settle(problem, replace(state, matrices=matrices))
+    good = _well(mechanism, problem, state)
+    if len(outside):
+        state = replace(state, external=_aligned(problem, data, state, good))
+    guess = placed(problem, data, parameters, state.external)
+    matrices = np.where(good[:, None, None], state.matrices, guess.matrices)
+    told = np.isfinite(data.poses[:, : platform.space]).all(axis=1)
+    arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
+    matrices[told, :3, 3] = (guess.matrices[:, :3, 3] - arms)[told]
+    return settle(problem, replace(state, matrices=matrices, joints=(None,) * len(problem.legs)))
 
 
 def check_start(problem: LatentPoses, state: State) -> None:
@@ -103,24 +112,15 @@ def _well(mechanism: Mechanism, problem: LatentPoses, state: State) -> Mask:
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
     joints = [j for j in state.joints if j is not None]
     closures = [leg.evaluate(q, state.matrices) for leg, q in zip(legs, joints, strict=True)]
+    redundant = len(legs) > mechanism.platform.dof  # of which the type-2 margin has no sign
     told = problem.used.sum(axis=1) >= mechanism.platform.dof  # readings alone give the pose
-    good = told & (platform_margin(mechanism, closures) > 0.0)
+    good = told & (redundant | (platform_margin(mechanism, closures) > 0.0))
+    missed = np.zeros(len(good))
     for leg, closure, own in zip(legs, closures, problem.used.T, strict=True):
-        closes = (np.abs(closure.gap) <= _CLOSES * leg.size).all(axis=1)
-        good &= ~own | (closes & (mode_sign(closure) == home_mode(leg.leg, leg.platform)))
-    return good
-
-
-def _where_measured(problem: LatentPoses, data: Measurements, state: State) -> Array:
-    """Return poses at the measured positions, where there are any, once frames are aligned."""
-    platform, matrices = problem.residuals[0].platform, state.matrices.copy()
-    measured = np.zeros((len(data), 3))
-    measured[:, : platform.space] = data.poses[:, : platform.space]
-    told = np.isfinite(measured).all(axis=1)
-    there = (measured - state.external.frame[:3, 3]) @ state.external.frame[:3, :3]
-    arm = matrices[:, :3, :3] @ state.external.offsets[0]
-    matrices[told, :3, 3] = (there - arm)[told]
-    return matrices
+        missed = np.fmax(missed, np.where(own, np.abs(closure.gap).max(axis=1) / leg.size, 0.0))
+        good &= ~own | (mode_sign(closure) == home_mode(leg.leg, leg.platform))
+    usual = _USUAL * np.median(missed[told]) if redundant and told.any() else 0.0
+    return good & (missed <= max(_CLOSES, usual))
 
 
 def placed(
@@ -171,7 +171,8 @@ def settle(problem: LatentPoses, state: State) -> State:
         B = rows.pose * scale
         square = B.transpose(0, 2, 1) @ B
         diagonal = np.einsum("nii->ni", square)
-        diagonal += damping[:, None] * (diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True))
+        least = 1e-12 * diagonal.max(axis=1, keepdims=True)
+        diagonal += damping[:, None] * (diagonal + np.where(least > 0.0, least, 1.0))
         step = -np.linalg.solve(square, B.transpose(0, 2, 1) @ rows.value[:, :, None])[:, :, 0]
         longest = np.abs(step).max(axis=1)
         step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))[:, None]
@@ -205,52 +206,92 @@ def settle(problem: LatentPoses, state: State) -> State:
 
 
 def _aligned(problem: LatentPoses, data: Measurements, state: State, good: Mask) -> External:
-    """Return the external unknowns that take the targets to where they were measured."""
+    """Return the external unknowns that take the targets to where they were measured.
+
+    Frame and unknown offsets in turn, each by least squares with the others as they are.
+    """
     seen, platform = problem.observation, problem.residuals[0].platform
-    external, R = state.external, state.matrices[:, :3, :3]
-    there, here = [], []
-    for index, target in enumerate(seen.setup.targets):
-        measured = np.zeros((len(data), 3))
-        names = [axis if target == ORIGIN else f"{target}_{axis}" for axis in "xyz"]
-        for axis, name in enumerate(names[: platform.space]):
-            own = data.poses[:, axis] if target == ORIGIN else data.extra.get(name, np.nan)
-            measured[:, axis] = own
-        told = good & np.isfinite(measured).all(axis=1)
-        there.append(measured[told])
-        here.append((state.matrices[:, :3, 3] + R @ external.offsets[index])[told])
-    frame = _kabsch(np.concatenate(here), np.concatenate(there), platform)
+    external, matrices = state.external, state.matrices
+    R, r = matrices[:, :3, :3], matrices[:, :3, 3]
+    measured = [_positions(platform, data, target) for target in seen.setup.targets]
+    told = [good & np.isfinite(points).all(axis=1) for points in measured]
+    frame, offsets = external.frame, external.offsets.copy()
+    unknown = {index for index, _ in seen.external.offset_entries}
+    for _ in range(_TURNS if unknown else 1):
+        if seen.external.frame_rows:
+            here = np.concatenate([(r + R @ t)[own] for t, own in zip(offsets, told, strict=True)])
+            there = np.concatenate([p[own] for p, own in zip(measured, told, strict=True)])
+            frame = _kabsch(here, there, platform)
+        before = offsets.copy()
+        for index in unknown:
+            own = told[index]
+            if own.any():
+                inside = (measured[index][own] - frame[:3, 3]) @ frame[:3, :3] - r[own]
+                offsets[index] = (R[own].transpose(0, 2, 1) @ inside[:, :, None])[:, :, 0].mean(
+                    axis=0
+                )
+        if np.abs(offsets - before).max(initial=0.0) <= _STILL * max(np.ptp(r), 1e-300):
+            break
+    if seen.external.frame_rows:
+        _check_frame(here, there, frame, platform)
     turn = external.turn
-    if seen.external.turn_axes:
-        turns = seen.orientations
-        told = good & np.isfinite(turns).all(axis=(1, 2))
-        each = R[told].transpose(0, 2, 1) @ frame[:3, :3].T @ turns[told]
+    turns = seen.orientations
+    own = good & np.isfinite(turns).all(axis=(1, 2))
+    if seen.external.turn_axes and own.any():
+        each = R[own].transpose(0, 2, 1) @ frame[:3, :3].T @ turns[own]
         turn = Rotation.from_matrix(each).mean().as_matrix()
-    return replace(external, frame=frame, turn=turn)
+    return replace(external, frame=frame, offsets=offsets, turn=turn)
+
+
+def _positions(platform: Platform, data: Measurements, target: str) -> Array:
+    """Return measured positions of a target, shape (N, 3); NaN where not measured."""
+    measured = np.zeros((len(data), 3))
+    for axis, letter in enumerate("xyz"[: platform.space]):
+        name = f"{target}_{letter}"
+        measured[:, axis] = (
+            data.poses[:, axis] if target == ORIGIN else data.extra.get(name, np.nan)
+        )
+    return measured
 
 
 def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
     """Return the rigid motion that takes points to others, homogeneous, shape (4, 4).
 
     Raises:
-        MeasurementError: too few points, points on a line, or points that fit mirrored only.
+        MeasurementError: too few points, or points on a line.
     """
-    least = platform.space
     if not len(here):
         raise MeasurementError(
             "the frame of the measurements is unknown and cannot be aligned: in no row with a "
             "measured position do the readings tell where the nominal machine is. It needs as many "
             "readings as the platform has freedoms; check their units, order and signs"
         )
+    least = platform.space
+    for points in (here, there):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if len(here) < least or not spread[least - 2] > 1e-3 * spread[0]:
+            raise MeasurementError(
+                f"the frame of the measurements is unknown and cannot be aligned: {len(here)} rows "
+                "with a position from which to tell it, all "
+                f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
+                "that span the workspace"
+            )
     a, b = here - here.mean(axis=0), there - there.mean(axis=0)
-    spread = np.linalg.svd(a, compute_uv=False) if len(a) else np.zeros(3)
-    if len(here) < least or spread[least - 2] <= 1e-3 * max(spread[0], 1e-300):
-        raise MeasurementError(
-            f"the frame of the measurements is unknown and cannot be aligned: {len(here)} rows "
-            f"with a measured position, {'all at one place' if least == 2 else 'all on a line'} "
-            "or too few; measure positions that span the workspace"
-        )
+    frame = np.eye(4)
+    frame[:3, :3], _ = _rotation(a, b, platform, mirrored=False)
+    frame[:3, 3] = there.mean(axis=0) - frame[:3, :3] @ here.mean(axis=0)
+    return frame
+
+
+def _check_frame(here: Array, there: Array, frame: Array, platform: Platform) -> None:
+    """Raise if points do not fit after the best alignment.
+
+    Raises:
+        MeasurementError: they do not, or mirrored only.
+    """
+    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
     extent = float(np.sqrt((b**2).sum(axis=1).mean()))
-    proper, misfit = _rotation(a, b, platform, mirrored=False)
+    misfit = float(np.sqrt(((a @ frame[:3, :3].T - b) ** 2).sum(axis=1).mean()))
     _, reflected = _rotation(a, b, platform, mirrored=True)
     if misfit > _MISFIT * extent and reflected < _MIRRORED * misfit:
         raise MeasurementError(
@@ -264,10 +305,6 @@ def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
             f"after the best alignment, {100 * misfit / extent:.0f} % of their extent. Check the "
             "units, the order and signs of the readings, and that this is the right mechanism"
         )
-    frame = np.eye(4)
-    frame[:3, :3] = proper
-    frame[:3, 3] = there.mean(axis=0) - proper @ here.mean(axis=0)
-    return frame
 
 
 def _rotation(a: Array, b: Array, platform: Platform, *, mirrored: bool) -> tuple[Array, float]:

@@ -11,6 +11,7 @@ from scipy.special import gammainc, ndtri, stdtrit
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import f as f_law
 
+from pincal.identification.covariance import all_legs, nearest_to_nominal
 from pincal.identification.estimate import Estimate
 from pincal.identification.fit import Fit
 from pincal.identification.latent import LatentPoses
@@ -43,7 +44,10 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
     """
     mechanism, source = task.mechanism, task.noise.source
     fits = [one.fit for one in estimate.fits]
-    by_name = {leg.name: leg for one in estimate.fits for leg in _leg_results(task, one)}
+    covariance, outer = _covariances(task, estimate)
+    variances = np.split(np.diagonal(covariance), np.cumsum(_sizes(task))[:-1])
+    std = dict(zip(mechanism.leg_names, map(np.sqrt, variances), strict=True))
+    by_name = {leg.name: leg for one in estimate.fits for leg in _leg_results(task, one, std)}
     legs = tuple(by_name[name] for name in mechanism.leg_names)
     dof = sum(one.degrees_of_freedom for one in fits)
     chi2 = sum(one.chi2 for one in fits) / dof if dof else np.nan
@@ -53,7 +57,7 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
     failed = [one.message for one in fits if not one.converged]
     evaluations = sum(one.evaluations for one in fits)
     latent = estimate.latent
-    ties = () if without_ties is None else _tie_tests(task, estimate, without_ties)
+    ties = () if without_ties is None else _tie_tests(task, without_ties)
     outliers = _merged([outlier for one in estimate.fits for outlier in one.outliers])
     return CalibrationResult(
         nominal=mechanism,
@@ -64,7 +68,7 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         poses="all" if task.every_pose else "own",
         noise=noise,
         noise_source="estimated" if source == "assumed" else source,
-        covariance=_covariance(task, estimate),
+        covariance=covariance,
         degrees_of_freedom=dof,
         reduced_chi2=float(chi2),
         iterations=evaluations,
@@ -74,9 +78,9 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         loss=task.loss,
         outliers=outliers,
         shift=_shift(estimate.fits),
-        external=_external(task, estimate),
-        gauge=estimate.gauge,
-        gauge_directions=estimate.gauge_directions,
+        external=_external(task, estimate, outer),
+        gauge=() if estimate.gauge is None else estimate.gauge.words,
+        gauge_directions=None if estimate.gauge is None else estimate.gauge.of_legs,
         ties=ties,
         observed=() if latent is None else _observed(latent, fits[0], task.noise.known),
         estimated_poses=None
@@ -85,7 +89,7 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
     )
 
 
-def _leg_results(task: Task, one: Robust) -> list[LegResult]:
+def _leg_results(task: Task, one: Robust, std: dict[str, Array]) -> list[LegResult]:
     """Return the results of the legs of a fit."""
     found, problem = one.fit, one.fit.problem
     results = []
@@ -105,7 +109,7 @@ def _leg_results(task: Task, one: Robust) -> list[LegResult]:
                         [leg.units[name] for name in leg.parameter_names],
                         leg.nominal,
                         found.parameters[columns],
-                        np.sqrt(np.diagonal(found.covariance))[columns],
+                        std[leg.name],
                     )
                 ),
                 rank=rank,
@@ -154,28 +158,34 @@ def _rms(values: Array) -> float:
     return float(np.sqrt((values**2).mean())) if len(values) else np.nan
 
 
-def _external(task: Task, estimate: Estimate) -> tuple[IdentifiedParameter, ...]:
-    """Return frame and targets; without standard errors where only alignment told them."""
+def _external(
+    task: Task, estimate: Estimate, outer: Array | None
+) -> tuple[IdentifiedParameter, ...]:
+    """Return frame and targets with their intervals."""
     outside, external = estimate.outside, estimate.external
-    if outside is None or external is None or not len(outside):
+    if outside is None or external is None or outer is None or not len(outside):
         return ()
-    found = estimate.fits[0].fit
-    n = len(outside)
-    std = np.sqrt(np.diagonal(found.covariance))[-n:] if estimate.latent else np.full(n, np.nan)
     start, values = (outside.coordinates(one) for one in (outside.start, external))
+    D = outside.coordinates_by_step(external)
+    std = np.sqrt(np.diagonal(D @ outer @ D.T))
+    found = estimate.fits[0].fit
     return tuple(_parameters(task, found, outside.names, outside.units, start, values, std))
 
 
-def _covariance(task: Task, estimate: Estimate) -> Array:
-    """Return the covariance of all legs' parameters, in the order of the mechanism."""
-    sizes = {leg.name: len(leg.parameters) for leg in task.mechanism.legs}
-    ends = dict(zip(sizes, np.cumsum(list(sizes.values())), strict=True))
-    covariance = np.zeros((sum(sizes.values()),) * 2)
-    for one in estimate.fits:
-        legs = [leg.name for leg in one.fit.problem.legs]
-        places = np.concatenate([np.arange(ends[n] - sizes[n], ends[n]) for n in legs])
-        covariance[np.ix_(places, places)] = one.fit.covariance[: len(places), : len(places)]
-    return covariance
+def _sizes(task: Task) -> list[int]:
+    return [len(leg.parameters) for leg in task.mechanism.legs]
+
+
+def _covariances(task: Task, estimate: Estimate) -> tuple[Array, Array | None]:
+    """Return the covariance of all legs' parameters, and of the external unknowns' steps."""
+    n = sum(_sizes(task))
+    if estimate.latent is not None:
+        full = estimate.fits[0].fit.covariance
+        return full[:n, :n], full[n:, n:]
+    covariance = all_legs(task.mechanism, estimate.fits)
+    if estimate.gauge is None or estimate.unknowns is None:
+        return covariance, None
+    return nearest_to_nominal(covariance, estimate.gauge, estimate.unknowns)
 
 
 def _observed(latent: LatentPoses, found: Fit, known: bool) -> tuple[Observed, ...]:
@@ -216,23 +226,27 @@ def _shift(fits: Sequence[Robust]) -> float | None:
     return float(max(shifts))
 
 
-def _tie_tests(task: Task, tied: Estimate, free: Estimate) -> tuple[TieTest, ...]:
-    """Return, for all ties together, the test whether they hold.
+def _tie_tests(task: Task, free: Estimate) -> tuple[TieTest, ...]:
+    """Return, for all ties together, the test whether they hold, by the fit without them.
 
-    The growth of χ² over the restrictions: a likelihood-ratio test where the noise is known,
-    an F test where its scale is estimated.
+    Differences of tied parameters between legs over their covariance (Wald): χ² where the noise is
+    known, an F test where its scale is estimated.
     """
-    one, other = ([robust.fit for robust in estimate.fits] for estimate in (tied, free))
-    growth = sum(f.chi2 for f in one) - sum(f.chi2 for f in other)
-    fewer = sum(f.degrees_of_freedom for f in one) - sum(f.degrees_of_freedom for f in other)
-    dof = sum(f.degrees_of_freedom for f in other)
-    if task.noise.known:
-        p = float(chi2_law.sf(growth, fewer))
-        statistic = growth / fewer
-    else:
-        statistic = growth / fewer / (sum(f.chi2 for f in other) / dof)
-        p = float(f_law.sf(statistic, fewer, dof))
-    return (TieTest(", ".join(task.tied), fewer, float(statistic), p),)
+    names = [(leg.name, name) for leg in task.mechanism.legs for name in leg.parameter_names]
+    parameters = free.parameters(task.mechanism)
+    values = np.concatenate([parameters[leg] for leg in task.mechanism.leg_names])
+    covariance, _ = _covariances(task, free)
+    rows = []
+    for tie in task.tied:
+        places = [i for i, (_, name) in enumerate(names) if name == tie]
+        rows += [np.eye(len(names))[i] - np.eye(len(names))[places[0]] for i in places[1:]]
+    R = np.array(rows)
+    off = R @ values
+    statistic = float(off @ np.linalg.solve(R @ covariance @ R.T, off)) / len(R)
+    dof = sum(one.fit.degrees_of_freedom for one in free.fits)
+    known = task.noise.known
+    p = chi2_law.sf(statistic * len(R), len(R)) if known else f_law.sf(statistic, len(R), dof)
+    return (TieTest(", ".join(task.tied), len(R), statistic, float(p)),)
 
 
 def _far(task: Task, legs: Sequence[LegResult]) -> list[str]:

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.experiment.external import External, ExternalUnknowns
+from pincal.identification.gauge import Gauge
 from pincal.identification.latent import LatentPoses
 from pincal.identification.robust import Robust
+from pincal.identification.unknowns import Unknowns
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -24,10 +26,10 @@ class Estimate:
     """Unknowns outside the mechanism, if poses were not given in the base frame."""
     external: External | None = None
     """Their values."""
-    gauge: tuple[str, ...] = ()
-    """Gauge freedoms in words."""
-    gauge_directions: Array | None = None
-    """The same in the legs' parameters, columns of shape (n_params, n_gauge)."""
+    gauge: Gauge | None = None
+    """Gauge freedoms."""
+    unknowns: Unknowns | None = None
+    """Of legs and what is outside, of which the gauge speaks."""
     latent: LatentPoses | None = None
     """The problem, if poses were latent."""
 

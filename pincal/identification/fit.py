@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.errors import ObservabilityError
 from pincal.identification.determined import check_information, check_rank
 from pincal.identification.losses import Loss, outlying, robust_scale
 from pincal.identification.problem import Linear, Problem, State
@@ -109,6 +110,11 @@ def fit(
         evaluations += 1
     ranks = check_rank(problem, unknowns, linear)
     chi2, dof = system.chi2(linear, weights)
+    if dof < 1 and not known:
+        raise ObservabilityError(
+            f"{dof + unknowns.map.shape[1]} equations for {unknowns.map.shape[1]} parameters, and "
+            "the scale of the noise is not known; measure more, or give the noise"
+        )
     covariance = system.covariance(linear, weights, scale)
     converged = decrement <= stands
     if not known:
@@ -214,6 +220,10 @@ class _System:
         dof = equations - self.unknowns.map.shape[1]
         if self.loss is not None:
             return dof * self._scale(linear) ** 2, dof
+        if linear.root is not None:  # what white residuals would be at their own optimum
+            J, r = self._with_priors(linear.white, linear.jacobian, weights, linear.state)
+            left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+            return float(left @ left), dof
         return float(weights[own] @ linear.squares[own] + prior @ prior), dof
 
     def covariance(self, linear: Linear, weights: Array, scale: float) -> Array:

@@ -95,7 +95,7 @@ class LatentPoses:
         self.observation = observation
         self.legs = [residual.leg for residual in residuals]
         self.columns = leg_columns(self.legs)
-        self.exact = _EXACT
+        self._eased = False
         self.row_names = [f"reading of {leg.name}" for leg in self.legs]
         self.row_names += [f"measured {name}" for name in observation.names]
         self._platform = residuals[0].platform
@@ -132,7 +132,7 @@ class LatentPoses:
     def eased(self) -> LatentPoses:
         """Return the problem with what is exact as uncertain as the rest: no narrow valleys."""
         found = copy(self)
-        found.exact = 1.0
+        found._eased = True
         return found
 
     def part(self, rows: NDArray[np.intp]) -> LatentPoses:
@@ -262,6 +262,15 @@ class LatentPoses:
                 "nothing that was measured has noise; give a standard deviation above zero for "
                 "positions or readings (only their ratios matter to the estimate)"
             )
-        least = self.exact * float(np.median(known))
-        floor = np.where(lengths, least, least / size)
-        return np.hypot(legs, least), np.where(seen, np.maximum(sigma, floor), 1.0)
+        typical = float(np.median(known))
+        if self._eased:
+            floor = np.where(lengths, typical, typical / size)
+            return np.hypot(legs, typical), np.where(seen, np.maximum(sigma, floor), 1.0)
+        noisy_legs = legs[self.used & (legs > 0.0)]
+        small = _EXACT * float(np.median(noisy_legs)) if len(noisy_legs) else 0.0
+        least = _EXACT * typical
+        exact = np.where(lengths, least, least / size)
+        return (
+            np.where(self.sigma_readings > 0.0, np.hypot(legs, small), least),
+            np.where(seen, np.where(sigma > 0.0, sigma, exact), 1.0),
+        )

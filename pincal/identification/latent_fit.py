@@ -60,11 +60,9 @@ def latent_fit(task: Task) -> Estimate:
             settle(problem.eased(), problem.start(unknowns.start[: problem.columns[-1].stop])),
         )
     gauge = find_gauge(task.mechanism, problem, unknowns)
-    if gauge.words:
-        unknowns = unknowns.held(gauge.constraints)
+    free = unknowns.held(gauge.constraints) if gauge.words else unknowns
     task.tell("identifying all legs and poses")
-    found = robust_fit(task, problem, unknowns, np.arange(len(task.data)))
+    found = robust_fit(task, problem, free, np.arange(len(task.data)))
     outside = problem.observation.external
-    return Estimate(
-        [found], outside, found.fit.last.state.external, gauge.words, gauge.of_legs, problem
-    )
+    external = found.fit.last.state.external
+    return Estimate([found], outside, external, gauge, unknowns, problem)

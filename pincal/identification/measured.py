@@ -67,7 +67,7 @@ def measured_fits(task: Task) -> Estimate:
             "the frames of the measurements were not found by aligning leg after leg; --method "
             "latent finds them with the parameters"
         )
-    return Estimate(fits, problem.observation.external, external, gauge.words, gauge.of_legs)
+    return Estimate(fits, problem.observation.external, external, gauge, external_unknowns)
 
 
 def _fit_groups(

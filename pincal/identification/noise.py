@@ -62,6 +62,7 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
         )
     source: Source = "given"
     if rows or data.sigma_readings is not None:
+        _check_sigmas(mechanism, data)
         source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
     elif noise is not None:
         one = noise
@@ -79,6 +80,33 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
     )
 
 
+def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
+    """Raise if some quantities have standard deviations, and others that were measured have none.
+
+    Raises:
+        MeasurementError: naming the column that is missing.
+    """
+    platform = mechanism.platform
+    measured = np.isfinite(data.poses)
+    known = np.zeros_like(measured) if data.sigma_poses is None else np.isfinite(data.sigma_poses)
+    if platform.kind == "spatial":  # coordinates and freedoms of the orientation are not the same
+        measured[:, 3:] = measured[:, 3:].any(axis=1, keepdims=True)
+    missing = [
+        name
+        for name, column in zip(platform.freedoms, (measured & ~known).T, strict=True)
+        if column.any()
+    ]
+    for name, values in data.extra.items():
+        own = data.sigma_extra.get(name, np.full(len(data), np.nan))
+        if (np.isfinite(values) & ~np.isfinite(own)).any():
+            missing.append(name)
+    if missing:
+        raise MeasurementError(
+            f"some columns of standard deviations are given, but none of {missing[0]!r}, which was "
+            f"measured; add 'sigma_{missing[0]}' for each such row, or leave all of them out"
+        )
+
+
 def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
     """Return the noise that repeated rows tell, or None if there are too few.
 
@@ -88,8 +116,11 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
     groups: dict[Hashable, list[int]] = defaultdict(list)
     whole = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
     for row in np.flatnonzero(whole):
-        key = data.readings[row].tobytes() if data.places is None else data.places[row]
-        groups[key].append(int(row))
+        name = None if data.places is None else data.places[row]
+        if name == "":
+            continue  # a place of its own
+        run = None if data.runs is None else data.runs[row]
+        groups[run, data.readings[row].tobytes() if name is None else name].append(int(row))
     several = [np.array(rows) for rows in groups.values() if len(rows) > 1]
     if not several:
         return None

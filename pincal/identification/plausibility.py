@@ -50,7 +50,7 @@ def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
 
 
 def check_copies(data: Measurements) -> None:
-    """Raise if rows chosen for the same leg are equal in whole pose and readings.
+    """Raise if rows chosen for the same leg are equal in all that was measured.
 
     Where equal readings come with different poses, measurements were repeated, and poses
     written with few digits may be equal by chance.
@@ -58,20 +58,21 @@ def check_copies(data: Measurements) -> None:
     Raises:
         MeasurementError: rows that are copies.
     """
+    told = np.column_stack([data.poses, *data.extra.values()])
     first: dict[tuple[str, bytes], int] = {}
     copies = []
-    for row in np.flatnonzero(np.isfinite(data.poses).all(axis=1)).tolist():
+    for row in range(len(data)):
         served = "" if data.sets is None else data.sets[row]
         other = first.setdefault((served, data.readings[row].tobytes()), row)
         if other == row:
             continue
-        if not np.array_equal(data.poses[other], data.poses[row]):
+        if not np.array_equal(told[other], told[row], equal_nan=True):
             return
         copies.append((other + 1, row + 1))
     if copies:
         more = f" (and {len(copies) - 1} more such pairs)" if len(copies) > 1 else ""
         raise MeasurementError(
-            f"data rows {copies[0][0]} and {copies[0][1]} are identical in pose and readings"
+            f"data rows {copies[0][0]} and {copies[0][1]} are identical in all that was measured"
             f"{more}; measured twice, they would differ by noise. Remove the copies"
         )
 

@@ -57,6 +57,8 @@ class Linear:
     """How many equations each pose gives, shape (N,)."""
     root: Array | None = None
     """If residuals are minimised unweighted: root of their covariance, shape (N, k, k)."""
+    pose_noise: Array | None = None
+    """How residuals follow the noise of measured poses, in standard deviations, (N, k, dof)."""
 
     @property
     def squares(self) -> Array:
@@ -225,6 +227,7 @@ class MeasuredPoses:
             np.asarray(whitener @ jacobian),
             self.used.sum(axis=1),
             None if self._weighted else root,
+            np.asarray(whitener @ self._pose_columns(demands)),
         )
 
     def moved(self, linear: Linear, step: Array) -> State:
@@ -247,12 +250,17 @@ class MeasuredPoses:
         unit = "m" if self._weighted else self.legs[index].reading_unit
         return LegRows(demand.value[:, 0], sigma, unit)
 
+    def _pose_columns(self, demands: list[Demand]) -> Array:
+        """Return how residuals follow the roots of the poses' noise, shape (N, m, dof)."""
+        X = np.concatenate([d.pose for d in demands], axis=1) @ self._pose_roots
+        return np.where(self.used[:, :, None], X, 0.0)
+
     def _root(self, demands: list[Demand]) -> Array:
         """Return Cholesky factors of the residuals' covariance at each pose, shape (N, m, m).
 
         Rows and columns that are not used are those of the identity.
         """
-        X = np.concatenate([d.pose for d in demands], axis=1) @ self._pose_roots
+        X = self._pose_columns(demands)
         covariance = X @ X.transpose(0, 2, 1)
         by_reading = np.concatenate([d.reading for d in demands], axis=1) * self._sigma_readings
         m = len(demands)

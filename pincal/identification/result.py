@@ -99,7 +99,7 @@ class TieTest:
     restrictions: int
     """By how many parameters there are fewer."""
     statistic: float
-    """Growth of χ² by the tie over the restrictions (over reduced χ² if the noise was assumed)."""
+    """Square of the differences between legs in standard errors, over the restrictions."""
     p_value: float
     """Probability of such a growth, or a larger one, if the tie holds."""
 

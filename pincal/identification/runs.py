@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
+from scipy.stats import f as f_law
 
 from pincal.errors import MeasurementError
 from pincal.identification.calibrate import calibrate
@@ -35,13 +36,15 @@ def compare_runs(
     if len(names) < 2:
         raise MeasurementError("runs are compared by a column 'run' with at least two runs in it")
     of_rows = np.array(measurements.runs)
-    values, covariances = [], []
+    values, covariances, freedoms, known = [], [], 0, True
     for name in names:
         result = calibrate(mechanism, measurements.rows(of_rows == name), **options)
         if not result.converged:
             raise MeasurementError(f"run {name!r}: {result.message}")
         values.append(np.concatenate([leg.identified for leg in result.legs]))
         covariances.append(result.covariance)
+        freedoms += result.degrees_of_freedom
+        known = known and result.noise_source != "estimated"
     found, C = np.array(values), np.array(covariances)
     scale = np.sqrt(np.einsum("rii->ri", C).mean(axis=0))
     scale[scale == 0.0] = 1.0
@@ -61,5 +64,7 @@ def compare_runs(
         spread=found.std(axis=0, ddof=1),
         predicted=np.sqrt(np.einsum("rii->ri", C).mean(axis=0)),
         ratio=float(np.sqrt(statistic / dof)),
-        p_value=float(chi2.sf(statistic, dof)),
+        p_value=float(
+            chi2.sf(statistic, dof) if known else f_law.sf(statistic / dof, dof, max(freedoms, 1))
+        ),
     )

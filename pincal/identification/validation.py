@@ -111,7 +111,8 @@ def _folds(data: Measurements, folds: int) -> NDArray[np.intp]:
     Raises:
         MeasurementError: too few rows, or fewer than two folds.
     """
-    places = data.places or tuple(row.tobytes() for row in data.readings)
+    places = [row.tobytes() for row in data.readings] if data.places is None else data.places
+    places = [place or str(row) for row, place in enumerate(places)]  # an empty one is its own
     sets = data.sets or ("",) * len(data)
     first: dict[tuple[str, str | bytes], int] = {}
     counts: dict[str, int] = {}

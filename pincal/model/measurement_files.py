@@ -212,7 +212,12 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
     """Return a column of names, or None where there is none."""
     if column not in table:
         return None
-    return tuple(cell.strip() for cell in table.text[column])
+    names = tuple(cell.strip() for cell in table.text[column])
+    if column == "run" and "" in names:
+        raise MeasurementError(
+            f"{table.path}, line {table.lines[names.index('')]}: no run; name it in every row"
+        )
+    return names
 
 
 def _readings(table: Table, mechanism: Mechanism) -> Array:
@@ -244,7 +249,9 @@ def _sigmas(table: Table, units: dict[str, str], *, some: bool = False) -> Array
     unknown = np.full(len(table.lines), np.nan)
     return np.column_stack(
         [
-            unknown if some and name not in present else _not_negative(table, f"sigma_{name}", unit)
+            unknown
+            if some and name not in present
+            else _not_negative(table, f"sigma_{name}", unit, blank=some)
             for name, unit in units.items()
         ]
     )

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from pincal.errors import MeasurementError
 from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import WAYS
 from pincal.model.schema import Name, Number, Strict, read_yaml
 
 Point = tuple[float, float, float]
@@ -72,7 +73,11 @@ class Setup:
         further = [name for name in self.targets if name != ORIGIN]
         points = {f"{name}_{axis}": "m" for name in further for axis in axes}
         columns = points | dict.fromkeys(self.distances, "m")
-        taken = {*mechanism.leg_names, *mechanism.platform.coordinates, "set", "run", "pose"}
+        platform = mechanism.platform
+        taken = {*mechanism.leg_names, *platform.coordinates, *platform.freedoms, "set", "run"}
+        taken |= {"pose", "rx", "ry", "rz", *(n for names, _ in WAYS.values() for n in names)}
+        taken |= {name for name in columns if name.startswith("sigma_")}
+        taken |= set(points) & set(self.distances)
         if both := taken & set(columns):
             raise MeasurementError(
                 f"the setup names a column {sorted(both)[0]!r}, which means something else in "
