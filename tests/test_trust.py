@@ -122,3 +122,34 @@ def joined(parts: list[pincal.Measurements]) -> pincal.Measurements:
         readings=np.concatenate([p.readings for p in parts]),
         runs=tuple(f"run {i}" for i, p in enumerate(parts) for _ in range(len(p))),
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["per-leg", "together"])
+def test_standard_errors_in_an_unknown_frame(method: str) -> None:
+    """Parameters, frame and platform over 40 data sets: errors are as large as is said.
+
+    Legs identified alone share the noise of the poses, and follow the frame that is moved.
+    """
+    mechanism, truth, clean = machine("3RRR", 40, EXACT)
+    noise, found, said, outer, errors = pincal.Noise(1e-4, 1e-4), [], [], [], []
+    options = {"method": method, "poses": "all", "noise": noise}
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        shake = 1e-4 * rng.standard_normal(clean.poses.shape)
+        data = replace(clean, poses=mechanism.platform.moved(clean.poses, shake))
+        moved = seen_from_elsewhere(mechanism, data)
+        result = pincal.calibrate(mechanism, moved, setup=FRAME, **options)  # type: ignore[arg-type]
+        found.append(np.concatenate([leg.identified for leg in result.legs]))
+        said.append(np.concatenate([leg.std for leg in result.legs]))
+        outer.append([(p.identified, p.std) for p in result.external])
+        known = pincal.calibrate(mechanism, data, **options)  # type: ignore[arg-type]
+        expected = pincal.expected_error(known, clean.poses).position
+        errors.append((pincal.accuracy(known.identified, truth, clean.poses).position, expected))
+    ratios = np.mean(said, axis=0) / np.std(found, axis=0)
+    assert abs(ratios.mean() - 1) < 0.1
+    assert (np.abs(ratios - 1) < 0.4).all()
+    frames = np.array(outer)
+    np.testing.assert_allclose(frames[:, :, 1].mean(axis=0), frames[:, :, 0].std(axis=0), rtol=0.4)
+    actual, expected = np.sqrt((np.array(errors) ** 2).mean(axis=0))
+    assert actual == pytest.approx(expected, rel=0.15)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import sys
 
+import numpy as np
+
 from pincal.cli import (
     calibration,
     demo,
@@ -50,4 +52,13 @@ def main(argv: list[str] | None = None) -> None:
         app(args=argv, prog_name="pincal")
     except PincalError as error:
         stderr.print(f"pincal: {error}", style="bold red", markup=False, highlight=False)
+        sys.exit(2)
+    except np.linalg.LinAlgError as error:
+        stderr.print(
+            f"pincal: numbers of sizes with which nothing can be computed ({error}): look for "
+            "values in the files and options that are far too large or too small",
+            style="bold red",
+            markup=False,
+            highlight=False,
+        )
         sys.exit(2)

@@ -29,6 +29,8 @@ from pincal.model.platform import Platform
 from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
+_GENERIC = 100  # poses at which frames are told from parameters, at least
+_ABOUT = 0.05  # of the mechanism's size, and [rad], by which they are moved about
 _TAKES_PART = 1e-6  # of a direction that the measurements do not tell
 
 
@@ -136,8 +138,12 @@ def forecast(
     rank = identifiability(flat, [*names, *seen_names(platform, setup, kept)])
     covariance, lost = _inverse(flat, rank.rank)
     size = max(LegClosure(leg, platform).size for leg in mechanism.legs)
-    gain = pose_gain(by_parameter, by_pose)
-    gauge, lost = split_frames(platform, matrices, gain, lost[:n_legs], size)
+    about = _about(mechanism, matrices, size)
+    more = stacked([leg_demand(mechanism, leg.name, about) for leg in mechanism.legs])
+    near = np.isfinite(more[0]).all(axis=(1, 2)) & np.isfinite(more[1]).all(axis=(1, 2))
+    gain = pose_gain(more[0][near], more[1][near])
+    there = platform.transforms(about).as_matrix()[near]
+    gauge, lost = split_frames(platform, there, gain, lost[:n_legs], size)
     return Forecast(
         mechanism,
         int(ok.sum()),
@@ -148,6 +154,18 @@ def forecast(
         lost,
         gauge,
     )
+
+
+def _about(mechanism: Mechanism, matrices: Array, size: float) -> Array:
+    """Return generic poses about planned ones, coordinates of shape (N, dof).
+
+    What moves the platform as frames would at a few poses need not do so elsewhere.
+    """
+    platform, rng = mechanism.platform, np.random.default_rng(0)
+    scale = _ABOUT * np.array([size if unit == "m" else 1.0 for unit in platform.units])
+    many = np.tile(matrices, (-(-_GENERIC // len(matrices)), 1, 1)) if len(matrices) else matrices
+    twists = scale * rng.standard_normal((len(many), platform.dof))
+    return platform.from_matrices(platform.displaced(many, twists))
 
 
 def seen_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:

@@ -34,7 +34,6 @@ _TURNS = 50  # of frame and offsets in turn
 _STILL = 1e-6  # of the extent of the poses: offsets move no more
 _WAY = 5  # steps from the readings at home to those measured
 _CLOSES = 1e-3  # of a leg's size, a gap that is left when readings contradict each other
-_MISSED = 0.05  # of the mechanism's size, median over the rows, from which nothing is identified
 _TILTED = 1e-3  # [rad]
 _SETTLED = 1e-7  # of the mechanism's size, and [rad]
 _MIRRORED = 0.2  # of the misfit that is left, if the mirror image of a frame explains it
@@ -78,33 +77,6 @@ def align(
     arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
     matrices[told, :3, 3] = (guess.matrices[:, :3, 3] - arms)[told]
     return settle(problem, replace(state, matrices=matrices, joints=(None,) * len(problem.legs)))
-
-
-def check_start(problem: LatentPoses, state: State) -> None:
-    """Raise if readings and what was measured cannot both be the nominal mechanism's.
-
-    At poses settled at the nominal parameters, what legs and measured lengths miss together.
-
-    Raises:
-        MeasurementError: by how much they miss.
-    """
-    size = max(LegClosure(leg, problem.residuals[0].platform).size for leg in problem.legs)
-    rows, plain = problem.eased().rows(state)
-    del rows
-    gaps = np.where(problem.used, np.concatenate([d.value for d in plain.demands], axis=1), 0.0)
-    seen = problem.observation.evaluate(state.matrices, state.external).value
-    lengths = np.array([unit == "m" for unit in problem.observation.units], dtype=bool)
-    missed = np.sqrt((gaps**2).sum(axis=1) + (seen[:, lengths] ** 2).sum(axis=1))
-    worst = float(np.median(missed))
-    if worst > _MISSED * size:
-        raise MeasurementError(
-            f"readings and measured positions contradict each other by {1e3 * worst:.3g} mm in the "
-            f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
-            "length). Check the units, the order and signs of the readings, and the frame (if the "
-            "base stands elsewhere in it: --unknown-frame; if the target is not the platform's "
-            "origin: --unknown-target or --setup). If the mechanism is known but roughly, say so "
-            "(--rough)"
-        )
 
 
 def _well(mechanism: Mechanism, problem: LatentPoses, state: State) -> Mask:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.experiment.observation import Observation
-from pincal.identification.alignment import align, check_start, settle
+from pincal.identification.alignment import align
 from pincal.identification.estimate import Estimate
 from pincal.identification.gauge import find_gauge
 from pincal.identification.latent import LatentPoses
@@ -54,11 +54,6 @@ def latent_fit(task: Task) -> Estimate:
         MeasurementError: rows with too little measured; frames that cannot be aligned.
     """
     problem, unknowns = latent_problem(task)
-    if not task.rough:
-        check_start(
-            problem,
-            settle(problem.eased(), problem.start(unknowns.start[: problem.columns[-1].stop])),
-        )
     gauge = find_gauge(task.mechanism, problem, unknowns)
     free = unknowns.held(gauge.constraints) if gauge.words else unknowns
     task.tell("identifying all legs and poses")

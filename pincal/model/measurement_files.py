@@ -134,7 +134,12 @@ def write_measurements(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    columns = _pose_columns(mechanism, data) | _reading_columns(mechanism, data.readings)
+    columns = _pose_columns(mechanism, data)
+    columns = {  # what was never measured has no column
+        header: values
+        for header, values in columns.items()
+        if isinstance(values, tuple) or np.isfinite(values).any()
+    } | _reading_columns(mechanism, data.readings)
     platform = mechanism.platform
     if data.sigma_poses is not None:
         names = zip(platform.freedoms, platform.units, data.sigma_poses.T, strict=True)

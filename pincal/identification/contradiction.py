@@ -1,0 +1,41 @@
+"""Do readings and what was measured contradict each other in the nominal mechanism?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.identification.alignment import settle
+from pincal.identification.latent import LatentPoses
+from pincal.identification.problem import State
+from pincal.kinematics.closure import LegClosure
+
+_MISSED = 0.05  # of the mechanism's size, median over the rows, from which nothing is identified
+
+
+def check_start(problem: LatentPoses, state: State) -> None:
+    """Raise if readings and what was measured cannot both be the nominal mechanism's.
+
+    At poses settled at the nominal parameters, what legs and measured lengths miss together.
+
+    Raises:
+        MeasurementError: by how much they miss.
+    """
+    easy = problem.eased()
+    state = settle(easy, state)
+    size = max(LegClosure(leg, problem.residuals[0].platform).size for leg in problem.legs)
+    _, plain = easy.rows(state)
+    gaps = np.where(problem.used, np.concatenate([d.value for d in plain.demands], axis=1), 0.0)
+    seen = problem.observation.evaluate(plain.state.matrices, state.external).value
+    lengths = np.array([unit == "m" for unit in problem.observation.units], dtype=bool)
+    missed = np.sqrt((gaps**2).sum(axis=1) + (seen[:, lengths] ** 2).sum(axis=1))
+    worst = float(np.median(missed))
+    if worst > _MISSED * size:
+        raise MeasurementError(
+            f"readings and measured positions contradict each other by {1e3 * worst:.3g} mm in the "
+            f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
+            "length). Check the units, the order and signs of the readings, and the frame (if the "
+            "base stands elsewhere in it: --unknown-frame; if the target is not the platform's "
+            "origin: --unknown-target or --setup). If the mechanism is known but roughly, say so "
+            "(--rough)"
+        )
