@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,13 +15,19 @@ NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
 
 
+@cache
+def workspace(kind: str, count: int) -> np.ndarray:
+    """Return poses of a bundled mechanism, shape (count, dof)."""
+    return pincal.sample_workspace(pincal.load_mechanism(kind), count, 0)
+
+
 def machine(
     kind: str, count: int = 40, noise: pincal.Noise = NOISE, seed: int = 0, sigma: float = 2e-3
 ) -> tuple[pincal.Mechanism, pincal.Mechanism, pincal.Measurements]:
     """Return a nominal and a true mechanism, and noisy measurements of all legs."""
     mechanism = pincal.load_mechanism(kind)
     truth = pincal.disturb(mechanism, sigma, 1)
-    plan = pincal.Plan(pincal.sample_workspace(mechanism, count, 0))
+    plan = pincal.Plan(workspace(kind, count).copy())
     return mechanism, truth, pincal.simulate(mechanism, truth, plan, noise, seed).measurements
 
 

@@ -83,6 +83,7 @@ def test_gains_are_needed(mechanism: pincal.Mechanism, data: pincal.Measurements
     assert any("χ²" in text for text in result.warnings)
 
 
+@pytest.mark.slow
 def test_rough_starts_reach_the_optimum(
     mechanism: pincal.Mechanism, data: pincal.Measurements
 ) -> None:

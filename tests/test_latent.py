@@ -413,7 +413,7 @@ def test_an_unknown_frame_and_target_cost_no_accuracy(kind: str) -> None:
 
 def test_positions_alone_calibrate_a_hexapod() -> None:
     """Position-only measurements bring a 6-UPS from millimetres to its noise, as forecast."""
-    mechanism, truth, data = machine("6UPS", 120)
+    mechanism, truth, data = machine("6UPS", 100)
     poses = data.poses.copy()
     data.poses[:, 3:] = np.nan
     result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
@@ -442,7 +442,7 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
 )
 def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> None:
     """Mirrored frames, wrong units, points that fix no frame, rows with too little."""
-    mechanism, _, data = machine("3RRR" if change == "nothing" else "6UPS")
+    mechanism, _, data = machine("3RRR" if change == "nothing" else "6UPS", 15)
     data = seen_from_elsewhere(mechanism, data) if "setup" in options else data
     if change == "mirror":
         data.poses[:, 1] *= -1
@@ -480,7 +480,7 @@ def test_parameters_that_move_too_far_are_doubted() -> None:
 
 def test_a_single_tilt_is_a_measurement() -> None:
     """Position and tilt alone, some of it near upright: the platform comes back."""
-    mechanism, truth, data = machine("6UPS", 60, noise=EXACT)
+    mechanism, truth, data = machine("6UPS", noise=EXACT)
     poses = data.poses.copy()
     data.poses[:, [3, 5]] = np.nan
     result = pincal.calibrate(

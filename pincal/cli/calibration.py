@@ -233,17 +233,11 @@ def _noise(
     angles = np.array([unit == "rad" for unit in mechanism.platform.units])
     turned = bool(np.isfinite(data.poses[:, angles]).any()) or bool(set(data.extra) & set(ANGLES))
     placed = bool(np.isfinite(data.poses[:, ~angles]).any()) or bool(set(data.extra) - set(ANGLES))
-    wanted = [
-        name
-        for name, value, measured in (
-            ("--noise-position", position, placed),
-            ("--noise-orientation", orientation, turned),
-        )
-        if measured and value is None
-    ]
-    if wanted:
+    needed = {"--noise-position": position} if placed else {}
+    needed |= {"--noise-orientation": orientation} if turned else {}
+    if None in needed.values():
         raise MeasurementError(
-            f"give {' and '.join(wanted)} with the other noise options, or none of them (the scale "
+            f"give {' and '.join(needed)} with the other noise options, or none of them (the scale "
             "is then estimated)"
         )
     return Noise(position or 0.0, orientation or 0.0, reading or 0.0)

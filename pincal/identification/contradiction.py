@@ -10,7 +10,7 @@ from pincal.identification.latent import LatentPoses
 from pincal.identification.problem import State
 from pincal.kinematics.closure import LegClosure
 
-_MISSED = 0.05  # of the mechanism's size, median over the rows, from which nothing is identified
+_MISSED = 0.03  # of the mechanism's size, median over the rows, from which nothing is identified
 
 
 def check_start(problem: LatentPoses, state: State) -> None:

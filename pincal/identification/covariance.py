@@ -1,8 +1,8 @@
 """Covariance of all parameters from several fits: legs identified alone share the poses' noise.
 
 Each fit's estimate follows the noise of the measured poses by its influence, K_i = C J_iᵀ X_i at
-pose i; two legs that use the same pose have the cross covariance Σ K_i K_iᵀ. If a frame was moved so
-that the parameters are nearest to nominal, they all follow that, too.
+pose i; two legs that use the same pose have the cross covariance Σ K_i K_iᵀ. If a frame was moved
+so that the parameters are nearest to nominal, they all follow that, too.
 """
 
 from __future__ import annotations

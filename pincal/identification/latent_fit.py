@@ -6,6 +6,7 @@ import numpy as np
 
 from pincal.experiment.observation import Observation
 from pincal.identification.alignment import align
+from pincal.identification.contradiction import check_start
 from pincal.identification.estimate import Estimate
 from pincal.identification.gauge import find_gauge
 from pincal.identification.latent import LatentPoses
@@ -43,6 +44,8 @@ def latent_problem(task: Task) -> tuple[LatentPoses, Unknowns]:
     problem.first = align(
         task.mechanism, problem, task.data, unknowns.start[: problem.columns[-1].stop]
     )
+    if not task.rough:
+        check_start(problem, problem.first)
     return problem, unknowns
 
 
