@@ -68,11 +68,13 @@ def test_every_chunk_counts_once(jobs: int) -> None:
     assert complete(list(run(Slow(), CHUNKS, jobs)))
 
 
+@pytest.mark.slow
 def test_every_chunk_counts_once_on_a_cluster(cluster: Any) -> None:
     """On two workers."""
     assert complete(list(run(Slow(), CHUNKS, scheduler=cluster.scheduler_address)))
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_and_doubles_nothing(cluster: Any) -> None:
     """What a worker held when it was killed is run again, and counts once."""
     results = []
@@ -83,6 +85,7 @@ def test_a_killed_worker_loses_and_doubles_nothing(cluster: Any) -> None:
     assert complete(results)
 
 
+@pytest.mark.slow
 def test_a_workspace_on_a_cluster_is_the_same(
     cluster: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,6 +136,7 @@ def test_wrong_numbers_of_jobs_are_refused(jobs: int) -> None:
         list(run(Slow(), CHUNKS, jobs))
 
 
+@pytest.mark.slow
 def test_a_cluster_without_workers_is_refused_and_one_that_loses_them_given_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

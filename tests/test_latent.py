@@ -435,7 +435,12 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
         ("line", {"setup": FRAME}, "all on a line|all at one place"),
         ("exchange", {}, "contradict each other by .* order"),
         ("turn", {}, "contradict each other by .*--unknown-frame"),
-        ("degrees", {"setup": FRAME}, "in no row with a measured position|miss the nominal"),
+        pytest.param(
+            "degrees",
+            {"setup": FRAME},
+            "in no row with a measured position|miss the nominal",
+            marks=pytest.mark.slow,
+        ),
         ("nothing", {}, "2 measured quantities, which do not fix the 3 freedoms"),
         ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "nothing that was measured has noise"),
     ],

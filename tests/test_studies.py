@@ -12,6 +12,8 @@ from pincal.model.table import read_table
 from pincal.studies.study import Study, markdown
 from pincal.studies.trials import root_mean_square
 
+pytestmark = pytest.mark.slow
+
 FIGURES = {
     "5R": {"fig_2", "fig_4", "fig_5", "fig_6", "table_3"},
     "3RRR": {"fig_5", "fig_7", "fig_8", "fig_9", "fig_10", "fig_11"},

@@ -18,6 +18,8 @@ import pincal
 from pincal.kinematics.readers import skeleton
 from pincal.show.view import View
 
+pytestmark = pytest.mark.slow
+
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 if CHROMIUM is None:
