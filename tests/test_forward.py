@@ -21,6 +21,7 @@ def test_forward_undoes_inverse(
     assert np.abs(solution.poses - poses).max() < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [1, -1])
 def test_forward_undoes_inverse_on_random_geometries(kind: str, mode: int) -> None:
     """The same on 200 random mechanisms in both working modes, near their homes."""

@@ -413,6 +413,7 @@ _SPILLED = """() => [...document.querySelectorAll("article, dd, li, pre")].filte
   (one) => one.scrollWidth > one.clientWidth + 1).length"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["planar", "cables", "hexapod"])
 def test_in_a_browser(
     which: str, browser: Any, tmp_path: Path, request: pytest.FixtureRequest
