@@ -86,7 +86,7 @@ def by_scipy(problem: LatentPoses, parameters: np.ndarray) -> OptimizeResult:
         return coo_matrix((entries, where), shape=(count * k, len(values))).tocsr()
 
     first = np.concatenate((start.parameters, np.zeros(count * dof)))
-    tight = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-12)
+    tight = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-10)
     return least_squares(residual, first, jac=jacobian, x_scale="jac", tr_solver="lsmr", **tight)
 
 
@@ -100,7 +100,7 @@ def test_time_is_linear_in_poses(many: int, ratios: Callable[[str, float, str], 
 
 @pytest.mark.parametrize("many", [10_000])
 def test_against_a_sparse_solver(many: int, ratios: Callable[[str, float, str], None]) -> None:
-    """SciPy's least_squares with a sparse Jacobian, to the same optimum."""
+    """SciPy's least_squares with a sparse Jacobian, to within a tenth of a standard error."""
     mechanism, data = measured(many)
     begin = perf_counter()
     result = calibrated(mechanism, data)

@@ -44,7 +44,8 @@ def latent_problem(task: Task) -> tuple[LatentPoses, Unknowns]:
     problem.first = align(
         task.mechanism, problem, task.data, unknowns.start[: problem.columns[-1].stop]
     )
-    if not task.rough:
+    whole = task.setup.plain and np.isfinite(task.data.poses).all()
+    if not (task.rough or whole):  # whole poses are checked as such
         check_start(problem, problem.first)
     return problem, unknowns
 
