@@ -271,6 +271,7 @@ def test_an_outlier_is_pointed_out(kind: str, selections: dict[str, pincal.Selec
     assert any("data row 3 " in text for text in result.warnings)
 
 
+@pytest.mark.slow
 def test_protocol_of_the_paper_improves_the_platform(
     candidates: dict[str, np.ndarray], selections: dict[str, pincal.Selection]
 ) -> None:

@@ -411,6 +411,7 @@ def test_an_unknown_frame_and_target_cost_no_accuracy(kind: str) -> None:
     assert (np.abs(difference.mean(axis=0)) <= 2 * spread + 1e-3 * errors.mean(axis=(0, 1))).all()
 
 
+@pytest.mark.slow
 def test_positions_alone_calibrate_a_hexapod() -> None:
     """Position-only measurements bring a 6-UPS from millimetres to its noise, as forecast."""
     mechanism, truth, data = machine("6UPS", 100)
@@ -471,6 +472,7 @@ def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> 
         pincal.calibrate(mechanism, data, method="latent", **({"noise": NOISE} | options))
 
 
+@pytest.mark.slow
 def test_parameters_that_move_too_far_are_doubted() -> None:
     """Positions in a frame 100 mm off: they converge, and the warning asks for the frame."""
     mechanism, _, data = machine("6UPS")

@@ -78,6 +78,7 @@ def test_rejected_rows_really_leave_the_fit() -> None:
     assert result.degrees_of_freedom == alone.degrees_of_freedom
 
 
+@pytest.mark.slow
 def test_a_wrong_reading_is_named() -> None:
     """A reading 100 σ off: the row, the leg and how far, with the scale of the noise unknown."""
     mechanism, _, data = machine("6UPS", 60)
