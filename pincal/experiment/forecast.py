@@ -21,7 +21,7 @@ from pincal.experiment.frames import split_frames
 from pincal.experiment.observability import Identifiability, identifiability
 from pincal.experiment.observation import Observation, Rows
 from pincal.experiment.platform_error import PlatformError, platform_error, pose_gain, stacked
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
@@ -137,7 +137,7 @@ def forecast(
     flat = rows.reshape(-1, n)
     rank = identifiability(flat, [*names, *seen_names(platform, setup, kept)])
     covariance, lost = _inverse(flat, rank.rank)
-    size = max(LegClosure(leg, platform).size for leg in mechanism.legs)
+    size = largest_size(mechanism.legs, platform)
     about = _about(mechanism, matrices, size)
     more = stacked([leg_demand(mechanism, leg.name, about) for leg in mechanism.legs])
     near = np.isfinite(more[0]).all(axis=(1, 2)) & np.isfinite(more[1]).all(axis=(1, 2))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.experiment.frames import beyond
-from pincal.kinematics.closure import LegClosure, solve
+from pincal.kinematics.closure import largest_size, solve
 from pincal.kinematics.derivatives import Demand, leg_demand
 from pincal.model.mechanism import Mechanism
 
@@ -55,7 +55,7 @@ def platform_error(
     ok = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_parameter).all(axis=(1, 2))
     gain = pose_gain(by_parameter[ok], by_pose[ok])
     if gauge is not None:
-        size = max(LegClosure(leg, mechanism.platform).size for leg in mechanism.legs)
+        size = largest_size(mechanism.legs, mechanism.platform)
         gain = beyond(mechanism.platform, gain, gain @ gauge, size)
     variance = np.einsum("nip,pq,niq->ni", gain, covariance, gain).mean(axis=0)
     if lost is not None and lost.shape[1]:

@@ -17,7 +17,7 @@ from pincal.errors import MeasurementError
 from pincal.experiment.external import External
 from pincal.identification.latent import LatentPoses
 from pincal.identification.problem import State
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.measurements import Measurements
@@ -133,7 +133,7 @@ def settle(problem: LatentPoses, state: State) -> State:
     """
     platform = problem.residuals[0].platform
     linear = np.array([unit == "m" for unit in platform.units])
-    size = max(LegClosure(leg, platform).size for leg in problem.legs)
+    size = largest_size(problem.legs, platform)
     scale = np.where(linear, size, 1.0)
     rows, plain = problem.rows(state)
     state, cost = plain.state, np.einsum("nk,nk->n", rows.value, rows.value)

@@ -24,7 +24,7 @@ from pincal.identification.result import (
 )
 from pincal.identification.robust import Outlier, Robust
 from pincal.identification.task import Task
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Noise
 
 Array = NDArray[np.float64]
@@ -252,7 +252,7 @@ def _tie_tests(task: Task, free: Estimate) -> tuple[TieTest, ...]:
 def _far(task: Task, legs: Sequence[LegResult]) -> list[str]:
     """Return a warning if parameters moved farther than those of one machine differ."""
     platform = task.mechanism.platform
-    size = max(LegClosure(leg, platform).size for leg in task.mechanism.legs)
+    size = largest_size(task.mechanism.legs, platform)
     moved = [
         (abs(p.identified - p.nominal) / (_FAR * (size if p.unit == "m" else 1.0)), leg, p)
         for leg in legs

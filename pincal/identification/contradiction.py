@@ -8,7 +8,7 @@ from pincal.errors import MeasurementError
 from pincal.identification.alignment import settle
 from pincal.identification.latent import LatentPoses
 from pincal.identification.problem import State
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import largest_size
 
 _MISSED = 0.03  # of the mechanism's size, median over the rows, from which nothing is identified
 
@@ -23,7 +23,7 @@ def check_start(problem: LatentPoses, state: State) -> None:
     """
     easy = problem.eased()
     state = settle(easy, state)
-    size = max(LegClosure(leg, problem.residuals[0].platform).size for leg in problem.legs)
+    size = largest_size(problem.legs, problem.residuals[0].platform)
     _, plain = easy.rows(state)
     gaps = np.where(problem.used, np.concatenate([d.value for d in plain.demands], axis=1), 0.0)
     seen = problem.observation.evaluate(plain.state.matrices, state.external).value

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.identification.fit import Fit
+from pincal.identification.fit import Fit, inverse_gram
 from pincal.identification.gauge import Gauge
 from pincal.identification.robust import Robust
 from pincal.identification.unknowns import Unknowns
@@ -53,16 +53,13 @@ def _influence(one: Fit) -> Array | None:
     linear, T = one.last, one.unknowns.map
     if linear.pose_noise is None:
         return None
-    value, jacobian = linear.minimised
-    del value
+    _, jacobian = linear.minimised
     X = linear.pose_noise if linear.root is None else linear.root @ linear.pose_noise
     J = jacobian @ T * np.sqrt(one.weights)[:, None, None]
     X = X * np.sqrt(one.weights)[:, None, None]
     _, prior = one.unknowns.prior_rows(one.unknowns.start)
     rows = np.concatenate((J.reshape(-1, T.shape[1]), prior))
-    scale = np.linalg.norm(rows, axis=0)
-    inverse = np.linalg.inv(np.linalg.qr(rows / scale, mode="r"))
-    bread = T @ ((inverse @ inverse.T) / np.outer(scale, scale))
+    bread = T @ inverse_gram(rows)
     size = 1.0 if one.known else float(np.sqrt(one.chi2 / one.degrees_of_freedom))
     return np.asarray(size * (bread @ (J.transpose(0, 2, 1) @ X)))
 

@@ -242,9 +242,9 @@ class _System:
             linear.white, linear.jacobian, rows.astype(float), linear.state
         )
         if linear.root is None:
-            return inflation * T @ _inverse_gram(white) @ T.T
+            return inflation * T @ inverse_gram(white) @ T.T
         plain, _ = self.stacked(linear, rows.astype(float))
-        bread = _inverse_gram(plain)
+        bread = inverse_gram(plain)
         J = (linear.root.transpose(0, 2, 1) @ linear.minimised[1])[rows] @ T
         meat = J.reshape(-1, T.shape[1])
         return inflation * T @ bread @ (meat.T @ meat) @ bread @ T.T
@@ -303,7 +303,7 @@ def _step(J: Array, r: Array, damping: float = 0.0) -> tuple[Array, Array]:
     return -np.linalg.lstsq(R, right, rcond=None)[0] / scale, std
 
 
-def _inverse_gram(J: Array) -> Array:
+def inverse_gram(J: Array) -> Array:
     """Return (JᵀJ)⁻¹ by QR of the scaled columns."""
     scale = np.linalg.norm(J, axis=0)
     inverse = np.linalg.inv(np.linalg.qr(J / scale, mode="r"))

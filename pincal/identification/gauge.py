@@ -21,7 +21,7 @@ from pincal.experiment.frames import split_frames
 from pincal.experiment.observability import identifiability
 from pincal.identification.latent import LatentPoses
 from pincal.identification.unknowns import Unknowns
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.mechanism import Mechanism
 
@@ -80,7 +80,7 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
     _, s, axes = np.linalg.svd(J / lengths, full_matrices=len(J) < T.shape[1])
     lost = axes[int((s > _LOST * s[0]).sum()) :]
     directions = lost / lengths
-    size = max(LegClosure(leg, mechanism.platform).size for leg in problem.legs)
+    size = largest_size(problem.legs, mechanism.platform)
     gain = -np.linalg.pinv(generic.leg_pose) @ generic.leg_parameter
     moved = (directions @ T.T)[:, :n_legs].T
     _, beyond = split_frames(mechanism.platform, generic.matrices, gain, moved, size)
@@ -109,7 +109,7 @@ def _generic(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> 
     """Return derivatives at poses moved about those of the start, that all legs reach."""
     platform, rng = mechanism.platform, np.random.default_rng(0)
     start = problem.start(unknowns.start[: problem.columns[-1].stop])
-    size = max(LegClosure(leg, platform).size for leg in problem.legs)
+    size = largest_size(problem.legs, platform)
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units]) * _SPREAD
     observation, parts = problem.observation.anywhere(), []
     chosen = np.arange(len(start.matrices))[:_ROWS]

@@ -15,7 +15,7 @@ from pincal.errors import MeasurementError
 from pincal.identification.explanation import DOUBTFUL, EXPLAINED, REFUSED, check_gaps
 from pincal.identification.leg_fit import LegFit, leg_fit
 from pincal.identification.suspects import mirrored
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.singularity import margins
 from pincal.model.measurements import Measurements, Noise
@@ -171,7 +171,7 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
     Raises:
         MeasurementError: position noise above 2 % of a leg's size, or 0.02 rad of orientation.
     """
-    size = max(LegClosure(leg, mechanism.platform).size for leg in mechanism.legs)
+    size = largest_size(mechanism.legs, mechanism.platform)
     if noise.position > _LARGEST_NOISE * size:
         raise MeasurementError(
             f"the noise of position is given as {noise.position:g} m, more than "

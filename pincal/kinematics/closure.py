@@ -9,6 +9,7 @@ parameters, whatever its passive joints do.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -169,6 +170,11 @@ class LegClosure:
         following = [i for i in range(active + 1, len(moving)) if moving[i].kind == "revolute"]
         turn = columns[:, :, entries[following[0]]] if following else None
         return columns[:, :, entries[active]], turn
+
+
+def largest_size(legs: Iterable[Leg], platform: Platform) -> float:
+    """Return the length of the longest stretched leg, [m]: the scale of a mechanism."""
+    return max(LegClosure(leg, platform).size for leg in legs)
 
 
 def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:

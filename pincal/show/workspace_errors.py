@@ -17,7 +17,7 @@ from pincal.experiment.frames import beyond
 from pincal.experiment.platform_error import pose_gain, stacked
 from pincal.experiment.simulation import platform_errors
 from pincal.identification.result import CalibrationResult
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.derivatives import leg_demand
 from pincal.workspace.sampling import sample_workspace
 
@@ -78,7 +78,7 @@ def errors_at(result: CalibrationResult, poses: Array) -> WorkspaceErrors:
     both = np.asarray(reached & np.isfinite(moved).all(axis=1))
     gain = pose_gain(by_parameter[reached], by_pose[reached])
     if result.gauge_directions is not None and both.any():
-        size = max(LegClosure(leg, platform).size for leg in result.nominal.legs)
+        size = largest_size(result.nominal.legs, platform)
         motions = gain @ result.gauge_directions
         own = motions[both[reached]]
         moved[both] = beyond(platform, moved[both, :, None], own, size)[:, :, 0]
