@@ -274,8 +274,9 @@ def _articular(
     }
     for place, (name, unit) in enumerate(zip(platform.coordinates, platform.units, strict=True)):
         columns[f"{name} [{unit}]"] = poses[:, place].tolist()
-    for place, leg in enumerate(mechanism.legs):
-        columns[f"{leg.name} [{leg.reading_unit}]"] = values[:, place].tolist()
+    read = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
+    for place, (name, unit) in enumerate(read):
+        columns[f"{name} [{unit}]"] = values[:, place].tolist()
     write_table(output, columns, force=force)
     stdout.print(table)
     wrote(output)

@@ -98,6 +98,7 @@ def _leg_results(task: Task, one: Robust, std: dict[str, Array]) -> list[LegResu
         before = problem.leg_residual(found.first, index)
         after = problem.leg_residual(found.last, index)
         rank, condition = found.ranks[index]
+        values = after.value[own]
         results.append(
             LegResult(
                 name=leg.name,
@@ -115,13 +116,13 @@ def _leg_results(task: Task, one: Robust, std: dict[str, Array]) -> list[LegResu
                 rank=rank,
                 condition=condition,
                 rms_before=_rms(before.value[own]),
-                rms_after=_rms(after.value[own]),
+                rms_after=_rms(values),
                 unit=after.unit,
-                n_residuals=int(own.sum()),
-                sigma=after.sigma[own],
-                rows=one.rows[own],
-                residuals_before=before.value[own],
-                residuals=after.value[own],
+                n_residuals=values.size,
+                sigma=after.sigma[own].ravel(),
+                rows=np.repeat(one.rows[own], values.shape[1]),
+                residuals_before=before.value[own].ravel(),
+                residuals=values.ravel(),
             )
         )
     return results

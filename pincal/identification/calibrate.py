@@ -154,7 +154,7 @@ def calibration_task(
 
 
 def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:
-    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.legs)))
+    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names)))
     if (data.poses.shape, data.readings.shape) != expected:
         raise MeasurementError(
             f"poses {data.poses.shape} and readings {data.readings.shape} do not fit "

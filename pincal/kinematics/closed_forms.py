@@ -25,8 +25,10 @@ _EXACT = 1e-12  # of the leg's size
 
 def closed_form(closure: LegClosure) -> ClosedForm | None:
     """Return the closed form of a leg, or None if it has none."""
+    if closure.leg.closes == "frame":
+        return None
     kinds = [joint.kind for joint in closure.leg.moving]
-    spatial = len(closure.platform.closure_rows) == 3
+    spatial = closure.platform.space == 3
     if not spatial and kinds == ["revolute", "revolute"]:
         return planar_dyad
     if spatial and kinds == ["revolute", "revolute", "prismatic"] and _is_universal(closure):
@@ -39,7 +41,7 @@ def is_line(closure: LegClosure) -> bool:
 
     The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
     """
-    return closure.leg.active == 2 and closed_form(closure) is universal_prismatic
+    return closure.leg.active == [2] and closed_form(closure) is universal_prismatic
 
 
 def planar_dyad(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:

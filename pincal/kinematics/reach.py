@@ -117,7 +117,7 @@ def _dyad(closure: LegClosure, least_type1: float) -> Reach:
     """Return the ring of a dyad: |cos of the elbow| ≤ √(1 − margin²)."""
     dyad = dyad_geometry(closure)
     exact = not any(joint.limited for joint in closure.leg.moving)
-    if closure.leg.active != 0:  # the grip of a driven elbow is another quantity
+    if closure.leg.active != [0]:  # the grip of a driven elbow is another quantity
         exact &= least_type1 == 0.0
         least_type1 = 0.0
     largest = np.sqrt(1.0 - least_type1**2)

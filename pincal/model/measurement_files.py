@@ -32,7 +32,7 @@ def read_poses(path: str | Path, mechanism: Mechanism) -> Plan:
 
 
 def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
-    """Return the readings of a CSV file, shape (N, n_legs), [rad] or [m].
+    """Return the readings of a CSV file, shape (N, n_readings), [rad] or [m].
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -68,7 +68,7 @@ def read_measurements(
         if name in table or not partial
     }
     named = {f"sigma_{name}": name for name in more if f"sigma_{name}" in table}
-    units = {leg.name: leg.reading_unit for leg in mechanism.legs}
+    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
     readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
     data = Measurements(
         poses=poses,
@@ -145,8 +145,8 @@ def write_measurements(
         names = zip(platform.freedoms, platform.units, data.sigma_poses.T, strict=True)
         columns |= {f"sigma_{name} [{unit}]": values for name, unit, values in names}
     if data.sigma_readings is not None:
-        legs = zip(mechanism.legs, data.sigma_readings.T, strict=True)
-        columns |= {f"sigma_{leg.name} [{leg.reading_unit}]": values for leg, values in legs}
+        read = _reading_columns(mechanism, data.sigma_readings)
+        columns |= {f"sigma_{name}": values for name, values in read.items()}
     columns |= {f"{name} [{_unit(name)}]": values for name, values in data.extra.items()}
     more = data.sigma_extra.items()
     columns |= {f"sigma_{name} [{_unit(name)}]": values for name, values in more}
@@ -163,7 +163,7 @@ def _read(path: str | Path, mechanism: Mechanism, more: Mapping[str, str] | None
     """Return a table; a column whose name differs from a known one by its case is refused."""
     table = read_table(path)
     turns = [name for names, _ in WAYS.values() for name in names]
-    values = [*mechanism.platform.coordinates, *turns, *mechanism.leg_names]
+    values = [*mechanism.platform.coordinates, *turns, *mechanism.reading_names]
     values += list(more or ())
     known = ["set", "run", "pose", *values, *(f"sigma_{name}" for name in values)]
     for column in table.units:
@@ -226,7 +226,8 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
 
 
 def _readings(table: Table, mechanism: Mechanism) -> Array:
-    return np.column_stack([table.numbers(leg.name, leg.reading_unit) for leg in mechanism.legs])
+    units = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
+    return np.column_stack([table.numbers(name, unit) for name, unit in units])
 
 
 def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
@@ -294,6 +295,8 @@ def _pose_columns(
 
 def _reading_columns(mechanism: Mechanism, readings: Array) -> dict[str, Array | tuple[str, ...]]:
     return {
-        f"{leg.name} [{leg.reading_unit}]": values
-        for leg, values in zip(mechanism.legs, readings.T, strict=True)
+        f"{name} [{unit}]": values
+        for name, unit, values in zip(
+            mechanism.reading_names, mechanism.reading_units, readings.T, strict=True
+        )
     }

@@ -96,8 +96,9 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     platform = scene.mechanism.platform
     coordinates = zip(platform.coordinates, platform.units, scene.plan.poses.T, strict=True)
     rows = [_row("pose", name, *_READ[unit], values) for name, unit, values in coordinates]
-    for leg, values in zip(scene.mechanism.legs, scene.readings.T, strict=True):
-        rows.append(_row("reading", leg.name, *_READ[leg.reading_unit], values))
+    names, units = scene.mechanism.reading_names, scene.mechanism.reading_units
+    for name, unit, values in zip(names, units, scene.readings.T, strict=True):
+        rows.append(_row("reading", name, *_READ[unit], values))
     if scene.identified:
         errors = zip(platform.freedoms, platform.units, scene.identified.errors.T, strict=True)
         rows += [_row("error", name, *_SMALL[unit], values) for name, unit, values in errors]

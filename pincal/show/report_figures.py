@@ -239,7 +239,7 @@ def histogram_figure(found: Findings) -> Element:
 
 def observability_figure(found: Findings) -> Element:
     """Return |R_ii| of each parameter and leg at the poses used (3-RRR paper, Fig. 9)."""
-    units = {leg.reading_unit for leg in found.result.nominal.legs}
+    units = set(found.result.nominal.reading_units)
     unit = units.pop() if len(units) == 1 else "reading"
     with drawing():
         drawn = Figure(figsize=(WIDTH, 2.8), layout="constrained")
