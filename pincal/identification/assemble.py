@@ -54,6 +54,8 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
     noise = None if source == "rows" else task.noise.noise
     if source == "assumed":
         noise = Noise(*(float(np.sqrt(chi2)) * value for value in vars(task.noise.noise).values()))
+    held = estimate.held
+    lost = (held.words,) if held is not None and held.words else ()
     failed = [one.message for one in fits if not one.converged]
     evaluations = sum(one.evaluations for one in fits)
     latent = estimate.latent
@@ -74,13 +76,22 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         iterations=evaluations,
         converged=not failed,
         message="; ".join(failed) or f"converged after {evaluations} evaluations",
-        warnings=tuple(_warnings(task, legs, outliers, ties, dof, float(chi2))),
+        warnings=(
+            *(
+                f"these measurements do not tell everything: {words}; held as near to nominal as "
+                "can be, so that the machine is calibrated where it was measured only"
+                for words in lost
+            ),
+            *_warnings(task, legs, outliers, ties, dof, float(chi2)),
+        ),
         loss=task.loss,
         outliers=outliers,
         shift=_shift(estimate.fits),
         external=_external(task, estimate, outer),
         gauge=() if estimate.gauge is None else estimate.gauge.words,
         gauge_directions=None if estimate.gauge is None else estimate.gauge.of_legs,
+        undetermined=lost,
+        undetermined_directions=held.of_legs if held is not None and lost else None,
         ties=ties,
         observed=() if latent is None else _observed(latent, fits[0], task.noise.known),
         estimated_poses=None

@@ -17,19 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.experiment.configurations import legs_at, nearby
-from pincal.experiment.elimination import eliminate
 from pincal.experiment.frames import split_frames, still
 from pincal.experiment.observability import identifiability
+from pincal.identification.consistent import consistent, lost_directions
 from pincal.identification.latent import LatentPoses
 from pincal.identification.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
-from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_ROWS = 200  # generic poses, at least
-_LOST = 1e-9  # of the largest singular value, columns of unit length
 _TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
 
 
@@ -47,17 +43,6 @@ class Gauge:
     are none."""
 
 
-@dataclass(frozen=True)
-class _Generic:
-    """Derivatives at generic poses that all legs reach."""
-
-    matrices: Array
-    leg_pose: Array
-    leg_parameter: Array
-    seen_pose: Array
-    seen_parameter: Array
-
-
 def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> Gauge:
     """Return the gauge freedoms of a problem at its start.
 
@@ -65,21 +50,10 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
         ObservabilityError: what is measured leaves parameters undetermined at any poses; the
             message names them.
     """
-    generic = _generic(mechanism, problem, unknowns)
+    generic = consistent(mechanism, problem, unknowns, generic=True)
     n_legs, T = generic.leg_parameter.shape[2], unknowns.map
-    legs = np.concatenate(
-        (generic.leg_parameter, np.zeros((*generic.leg_parameter.shape[:2], T.shape[0] - n_legs))),
-        axis=2,
-    )
-    parameter = np.concatenate((legs, generic.seen_parameter), axis=1)
-    pose = np.concatenate((generic.leg_pose, generic.seen_pose), axis=1)
-    free = eliminate(np.zeros(pose.shape[:2]), parameter, pose)
-    _, prior = unknowns.prior_rows(unknowns.start)
-    J = np.concatenate((free.parameter.reshape(-1, T.shape[0]) @ T, prior))
-    lengths = np.linalg.norm(J, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    _, s, axes = np.linalg.svd(J / lengths, full_matrices=len(J) < T.shape[1])
-    lost = axes[int((s > _LOST * s[0]).sum()) :]
+    J = generic.jacobian(unknowns)
+    lost, lengths = lost_directions(J)
     directions = lost / lengths
     size = largest_size(problem.legs, mechanism.platform)
     gain = -np.linalg.pinv(generic.leg_pose) @ generic.leg_parameter
@@ -107,34 +81,6 @@ def _weight(label: str) -> float:
     if label.startswith("frame "):
         return 0.0
     return 1.0 if " of " in label else _TARGETS
-
-
-def _generic(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> _Generic:
-    """Return derivatives at poses moved about those of the start, that all legs reach."""
-    platform = mechanism.platform
-    start = problem.start(unknowns.start[: problem.columns[-1].stop])
-    size = largest_size(problem.legs, platform)
-    chosen = np.arange(len(start.matrices))[:_ROWS]
-    planned = Plan(
-        platform.from_matrices(start.matrices[chosen]),
-        readings=problem.readings[chosen] if mechanism.by_readings else None,
-    )
-    values = (start.parameters[columns] for columns in problem.columns)
-    at = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
-    legs = legs_at(at, nearby(at, planned, _ROWS, size))
-    matrices = platform.transforms(legs.poses).as_matrix()
-    rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
-    seen = problem.observation.anywhere().rows(rows).evaluate(matrices, start.external)
-    outer = np.zeros((*seen.pose.shape[:2], len(unknowns.names)))
-    outer[:, :, legs.parameter.shape[2] :] = seen.external
-    ok = np.isfinite(seen.pose).all(axis=(1, 2)) & np.isfinite(outer).all(axis=(1, 2))
-    return _Generic(
-        matrices[ok],
-        legs.pose[ok] / size,
-        legs.parameter[ok] / size,
-        seen.pose[ok],
-        outer[ok],
-    )
 
 
 def _words(

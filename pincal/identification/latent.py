@@ -28,9 +28,9 @@ from pincal.identification.problem import (
     leg_rows,
 )
 from pincal.identification.residuals import LegResidual
-from pincal.kinematics.closure import product
+from pincal.kinematics.closure import LegClosure, product
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.inverse import inverse
+from pincal.kinematics.inverse import inverse, sensor_law
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -251,12 +251,32 @@ class LatentPoses:
             raise TypeError("a step needs the rows from which the poses were eliminated")
         state = linear.state
         twists = linear.eliminated.poses(step)
+        parameters = state.parameters + step[: self._n_params]
+        there = self._carried(linear, step, twists, parameters)
         return State(
-            state.parameters + step[: self._n_params],
-            self._platform.displaced(state.matrices, twists),
+            parameters,
+            self._platform.displaced(state.matrices, twists) if there is None else there,
             state.joints,
             self.observation.external.moved(state.external, step[self._n_params :]),
         )
+
+    def _carried(
+        self, linear: Linear, step: Array, twists: Array, parameters: Array
+    ) -> Array | None:
+        """Return poses at which an arm's closure is what a step was to make it, (N, 4, 4).
+
+        An arm that is read carries the platform exactly, along no straight line; none if no leg is
+        one.
+        """
+        for one, demand, columns in zip(self.residuals, linear.demands, self.columns, strict=True):
+            if one.leg.closes == "frame" and not one.leg.passive and self._platform.dof == 6:
+                gap = demand.value + demand.parameter @ step[columns]
+                gap += (demand.pose @ twists[:, :, None])[:, :, 0]
+                leg = LegClosure(one.leg, self._platform, parameters[columns])
+                joints = np.empty((len(gap), len(one.leg.moving)))
+                joints[:, one.leg.active] = sensor_law(leg).position(one.readings)
+                return leg.frame(joints, gap)
+        return None
 
     def shaken(self, linear: Linear) -> State:
         """Return the state with poses shaken by how well they are known."""

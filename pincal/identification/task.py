@@ -41,6 +41,8 @@ class Task:
     """Whether ties are left out, for the test of the same estimator without them."""
     rough: bool
     """Whether the nominal mechanism is known so roughly that nothing is checked against it."""
+    hold: bool
+    """Whether what the measurements do not tell is held near its nominal values."""
     tell: Callable[[str], None]
     """Called with what is being done."""
 

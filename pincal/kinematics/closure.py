@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pincal.kinematics.chain import leg_chain, point_chain
 from pincal.kinematics.forest import cross
@@ -201,10 +202,18 @@ class LegClosure:
             back @ R @ self._db[3:],
         )
 
-    def frame(self, joints: Array) -> Array:
-        """Return where joints put the platform if the leg closes a frame, shape (N, 4, 4)."""
+    def frame(self, joints: Array, gap: Array | None = None) -> Array:
+        """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
+
+        Args:
+            joints: Shape (N, n_joints).
+            gap: What the closure is to be there, shape (N, 6); nothing if not given.
+        """
         chain = self._chain
         tips, _, turns = chain.forest.frames(chain.configurations(self.parameters, joints))
+        if gap is not None:
+            tips = tips - gap[:, :3]
+            turns = Rotation.from_rotvec(-gap[:, 3:] / (self.size or 1.0)).as_matrix() @ turns
         matrices = np.tile(np.eye(4), (len(joints), 1, 1))
         matrices[:, :3, :3] = turns @ self._turn.T
         matrices[:, :3, 3] = tips - matrices[:, :3, :3] @ self._b
