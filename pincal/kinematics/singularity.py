@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.inverse import close, close_chunks
+from pincal.kinematics.held import held
+from pincal.kinematics.inverse import close, close_chunks, sensor_law
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -94,13 +95,17 @@ def _radius(mechanism: Mechanism) -> float:
 
 @lru_cache(maxsize=64)
 def home_determinant(mechanism: Mechanism) -> float:
-    """Return the determinant at home, with its sign; NaN if a leg misses the home pose."""
+    """Return the determinant at home, with its sign; NaN if a leg misses the home pose.
+
+    Where poses do not tell readings, with those of home: it need not quite be such a pose.
+    """
     matrices = mechanism.platform.home_pose.as_matrix()
     closures = []
     for leg in mechanism.legs:
         closure = LegClosure(leg, mechanism.platform)
-        if not leg.passive:  # its joints are read wherever it is
-            closures.append(closure.evaluate(leg.home[None], matrices))
+        if mechanism.by_readings:
+            readings = sensor_law(closure).reading(leg.home[None, leg.active])
+            closures.append(held(closure, matrices, readings, leg.home[None])[0])
             continue
         closed = close(closure, matrices)
         if not closed.reached[0]:

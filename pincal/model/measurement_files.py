@@ -23,12 +23,17 @@ _ANGLES = ("yaw", "pitch", "roll")  # that may be measured one by one
 def read_poses(path: str | Path, mechanism: Mechanism) -> Plan:
     """Return the poses of a CSV file, with its ``set`` column if there is one.
 
+    And with the readings, of a mechanism whose poses do not tell them.
+
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
     table = _read(path, mechanism)
-    return Plan(_poses(table, mechanism), _sets(table, mechanism))
+    readings = None
+    if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
+        readings = _readings(table, mechanism)
+    return Plan(_poses(table, mechanism), _sets(table, mechanism), readings)
 
 
 def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
@@ -112,7 +117,10 @@ def write_poses(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    write_table(path, _pose_columns(mechanism, plan, orientation), force=force)
+    columns = _pose_columns(mechanism, plan, orientation)
+    if plan.readings is not None:
+        columns |= _reading_columns(mechanism, plan.readings)
+    write_table(path, columns, force=force)
 
 
 def write_readings(

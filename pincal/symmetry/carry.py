@@ -45,9 +45,10 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         rest = p.rest(old, where)
         if on_base:
             coordinates = _move_point(p.coordinates, element, old, new, where)
+            before = local if p.turns else element.matrix  # what rz does not carry
             if joint is not leg.point or leg.closes == "frame":  # a point's frame has no meaning
-                rest[:3, :3] = element.matrix @ rest[:3, :3] @ local
-            rest[:3, 3] = element.matrix @ rest[:3, 3]
+                rest[:3, :3] = before @ rest[:3, :3] @ local
+            rest[:3, 3] = before @ rest[:3, 3]
         else:
             coordinates = p.coordinates
             if element.reflection:
@@ -165,10 +166,11 @@ def _move_point(
     vector = np.zeros(3)
     present = set()
     for c in coordinates:
-        if c.turns:
+        if c.turns and not (c.kind == "rz" and c is coordinates[-1]):
             raise SymmetryError(
                 f"{where}: a placement on the base with a rotation ({c.kind}) cannot be carried "
-                "by a symmetry; give the point by polar, spherical or x, y, z"
+                "by a symmetry; give the point by polar, spherical or x, y, z, and a turn "
+                "about z last, by rz"
             )
         if c.kind in ("x", "y", "z"):
             vector["xyz".index(c.kind)] += c.steps[0].amount(old)
@@ -183,7 +185,7 @@ def _move_point(
         if c.kind in ("x", "y", "z"):
             target = float(moved["xyz".index(c.kind)])
             result.append(Coordinate(c.kind, (_set(c.values[0], target, new),)))
-        else:
+        else:  # an azimuth, alone or of a point
             *kept, azimuth = c.values
             before = old[azimuth] if isinstance(azimuth, str) else azimuth
             azimuth = _set(azimuth, element.azimuth(before), new)
@@ -202,6 +204,7 @@ def _mirror_coordinate(c: Coordinate, old: dict[str, float], new: dict[str, floa
 
 def _set(value: Value, target: float, new: dict[str, float]) -> Value:
     """Return a constant at its target, or a parameter's name after setting its nominal value."""
+    target += 0.0  # no negative zero
     if isinstance(value, str):
         new[value] = target
         return value
