@@ -188,6 +188,7 @@ def _mirror_coordinate(c: Coordinate, old: dict[str, float], new: dict[str, floa
 
 def _set(value: Value, target: float, new: dict[str, float]) -> Value:
     """Return a constant at its target, or a parameter's name after setting its nominal value."""
+    target += 0.0  # no negative zeros in files
     if isinstance(value, str):
         new[value] = target
         return value
