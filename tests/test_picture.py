@@ -24,7 +24,7 @@ from pincal.show.shapes import Shape
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 RED, BLUE = "#ff0000", "#0000ff"
-EVIL = "<script>alert('Ω \"é\" $x$')</script>"
+EVIL = "<script>Ω\"é'$x$</script>"
 
 
 def turned(seed: int) -> np.ndarray:
@@ -205,6 +205,10 @@ def test_names_are_text(tmp_path: Path) -> None:
     texts = {text.text for text in root.iter("{*}text")}
     assert {f"{EVIL}0", f"{EVIL}1"} <= texts
     assert not list(root.iter("{*}script"))
+    legs = tuple(replace(leg, name=f"{i}" * 300) for i, leg in enumerate(mechanism.legs))
+    plan = pincal.Plan(np.array([[0.0, 1.1]] * 2), tuple(leg.name for leg in legs))
+    texts, _ = seen(pincal.picture(replace(mechanism, legs=legs), plan))
+    assert {"0" * 27 + "…", "1 poses for " + "1" * 27 + "…"} <= texts
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,9 @@ from pincal.show.svg import drawing
 
 Array = NDArray[np.float64]
 _WIDTH = 5.2  # of a figure, [inch]
+_BELOW = 0.5  # for the legend, [inch]
 _LEAST_HEIGHT, _MOST_HEIGHT = 1.8, 6.0
+_LONGEST, _LINE = 28, 75  # letters of a name, and of a legend's line
 _EDGE = 0.0025  # thickness of outlines, of the scene's diagonal
 
 
@@ -63,9 +65,9 @@ class Picture:
         with drawing():
             low, high = _extent(self.scene, self.row)
             width, height = high - low
-            inches = np.clip(_WIDTH * height / width, _LEAST_HEIGHT, _MOST_HEIGHT)
-            figure = Figure(figsize=(_WIDTH, float(inches)))
-            self.draw(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
+            inches = _BELOW + np.clip(_WIDTH * height / width, _LEAST_HEIGHT, _MOST_HEIGHT)
+            figure = Figure(figsize=(_WIDTH, float(inches)), layout="constrained")
+            self.draw(figure.subplots())
         return figure
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
@@ -176,7 +178,7 @@ def _draw(axes: Axes, scene: Scene, row: int) -> Axes:
         handles=legend,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
-        ncols=3,
+        ncols=int(np.clip(_LINE / max(len(str(one.get_label())) for one in legend), 1, 3)),
         frameon=False,
         handlelength=1.2,
         columnspacing=1.4,
@@ -186,7 +188,12 @@ def _draw(axes: Axes, scene: Scene, row: int) -> Axes:
 
 def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
     """Return a legend's line: a dot and its meaning."""
-    return Line2D([], [], marker=marker, ls="", ms=5, color=colour, label=clean(label))
+    return Line2D([], [], marker=marker, ls="", ms=5, color=colour, label=label)
+
+
+def _short(name: str) -> str:
+    """Return a name as far as there is room for it."""
+    return clean(name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…")
 
 
 def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
@@ -204,7 +211,7 @@ def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
             LineCollection(list(lines), colors=colour, lw=0.7, alpha=faint, zorder=0.5)
         )
         axes.plot(*at[own].T, marker, ms=3, color=colour, zorder=0.6)
-        whose = f" for {name}" if name not in ("", EVERY_LEG) else ""
+        whose = f" for {_short(name)}" if name not in ("", EVERY_LEG) else ""
         legend.append(_dot(colour, f"{own.sum()} poses{whose}", marker))
     return legend
 
@@ -216,7 +223,7 @@ def _name_legs(axes: Axes, scene: Scene, V: Array, middle: Array) -> None:
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
     for leg, foot, (right, up) in zip(scene.mechanism.legs, feet, outward.tolist(), strict=True):
         axes.annotate(
-            clean(leg.name),
+            _short(leg.name),
             (float(foot[0]), float(foot[1])),
             xytext=(13 * right, 13 * up),
             textcoords="offset points",
