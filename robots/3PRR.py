@@ -25,7 +25,7 @@ PARAMETERS = {
     "OA": 0.6,  # where the carriage reads zero: radius [m] and azimuth [rad]
     "beta": -pi / 2,
     "delta": 0.0,  # direction of the rail [rad]
-    "L": 0.7,  # rod [m]
+    "L": 0.6,  # rod [m]
     "ob": 0.2,  # platform point: radius [m] and azimuth [rad]
     "beta_b": -pi / 2,
     "k": 1.0,  # sensor gain; an offset would move the zero along the rail
@@ -44,9 +44,9 @@ def mechanism() -> Mechanism:
                 "prismatic",
                 placed(PARAMETERS, along("rz", "delta")),
                 axis=(1.0, 0.0, 0.0),
-                lower=-0.9,
-                upper=0.9,
-                home=-0.5,
+                lower=-0.8,
+                upper=0.8,
+                home=-0.4,
             ),
             Joint("rod", "revolute", home=0.6),
             Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),

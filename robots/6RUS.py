@@ -26,14 +26,14 @@ from pincal import (
 PARAMETERS = {
     "OA": 0.4,  # middle of the crank's axis: radius [m], angle from z and azimuth [rad]
     "alpha": pi / 2,
-    "beta": radians(20),
+    "beta": radians(10),
     "yaw": 0.0,  # of the axis about z and about the crank's zero direction [rad]
     "roll": 0.0,
-    "l": 0.15,  # crank [m]
+    "l": 0.13,  # crank [m]
     "L": 0.55,  # rod [m]
-    "ob": 0.28,  # platform point: radius [m], angle from z and azimuth [rad]
+    "ob": 0.26,  # platform point: radius [m], angle from z and azimuth [rad]
     "alpha_b": pi / 2,
-    "beta_b": radians(45),
+    "beta_b": radians(50),
     "gamma": 0.0,  # crank's angle below the horizontal where the drive reads zero [rad]
 }
 GROUP: tuple[Element, ...] = tuple(
@@ -44,7 +44,7 @@ GROUP: tuple[Element, ...] = tuple(
 def mechanism() -> Mechanism:
     """Return the mechanism: leg 1 carried by the rotations and mirrors of D_6."""
     point = spherical("OA", "alpha", "beta")
-    tangent = along("rz", PARAMETERS["beta"] - pi / 2).steps[0].matrix({})  # away from leg 2
+    tangent = along("rz", PARAMETERS["beta"] + pi / 2).steps[0].matrix({})  # towards leg 2
     axis = placed(PARAMETERS, along("rz", "yaw"), along("rx", "roll"))
     wrist = placed(PARAMETERS, along("x", "l"))
     leg = Leg(
@@ -60,7 +60,7 @@ def mechanism() -> Mechanism:
         sensor=Sensor("drive", form="joint", offset="gamma"),
         parameters=tuple(PARAMETERS.items()),
     )
-    platform = Platform("spatial", home=(0.0, 0.0, 0.45, 0.0, 0.0, 0.0))
+    platform = Platform("spatial", home=(0.0, 0.0, 0.51, 0.0, 0.0, 0.0))
     return generate("6RUS", leg, GROUP, platform, "Hexapod with rotary drives (Hunt, 1983).")
 
 

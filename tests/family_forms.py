@@ -52,7 +52,7 @@ def carriage(L: float, g: Array, mode: int) -> Array:
 
 def universal_yz(w: Array) -> Array:
     """Return angles about y, then z, that turn x to unit vectors (N, 3), shape (N, 2)."""
-    return np.stack((np.arctan2(-w[:, 2], w[:, 0]), np.arcsin(w[:, 1])), axis=1)
+    return np.stack((np.arctan2(-w[:, 2], w[:, 0]), np.arcsin(np.clip(w[:, 1], -1, 1))), axis=1)
 
 
 def strut_form(p: dict[str, float], Q: Array, r: Array, R: Array, mode: int) -> Array:
@@ -135,7 +135,7 @@ FAMILIES = (
     Family("3RPR", strut_form, (1,)),
     Family("3PRR", rail_form),
     Family("delta", crank_form(np.eye(3))),
-    Family("6RUS", crank_form(turn("z", radians(20) - pi / 2))),
+    Family("6RUS", crank_form(turn("z", radians(10) + pi / 2))),
     Family("3PUU", orthoglide_form),
     Family("6PUS", wrist_form),
 )
