@@ -14,6 +14,7 @@ from pincal.cli import (
     identifiability,
     kinematics,
     mechanisms,
+    picture,
     study,
     symmetry,
     view,
@@ -26,6 +27,7 @@ from pincal.errors import PincalError
 _GROUPS = (
     mechanisms,
     view,
+    picture,
     symmetry,
     kinematics,
     workspace,

@@ -25,7 +25,7 @@ from pincal.model.files import load_mechanism
 from pincal.model.measurement_files import write_poses
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing, writing
+from pincal.model.output import refuse_existing
 from pincal.model.table import write_table
 from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.axes import Axis
@@ -233,8 +233,9 @@ def _report(
 
 def _draw(picture: Path, figure: Figure, force: bool) -> None:
     """Write a picture in the format of its name."""
-    with writing(picture, force=force) as scratch:
-        figure.savefig(scratch, format=picture.suffix[1:].lower(), dpi=150)
+    from pincal.show.picture_files import save_figure
+
+    save_figure(figure, picture, force=force)
     wrote(picture)
 
 

@@ -237,7 +237,8 @@ def leg_urdf(leg: Leg) -> str:
             _visual(link, "cylinder", radius=size, length=3 * size, rpy=roll, rgba=colour)
         elif joint.kind == "prismatic":
             colour = _ORANGE if joint.name in read else _BLUE
-            _visual(link, "box", size=(2 * size, 2 * size, 2 * size), rgba=colour)
+            along = _axis_rpy(joint.axis)  # longer than what it carries is wide
+            _visual(link, "box", size=(2 * size, 2 * size, 4 * size), rpy=along, rgba=colour)
         else:
             _visual(link, "sphere", radius=size, rgba=_BLUE)
         parent = (
@@ -266,7 +267,7 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
 
 def _size(leg: Leg) -> float:
     """Return a radius for joints that suits the longest link (a stroke is two), two digits, [m]."""
-    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints]
+    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints[1:]]
     lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
     return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
 
