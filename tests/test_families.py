@@ -62,7 +62,7 @@ def test_inverse_kinematics_equals_the_closed_form(family: Family, mode: int) ->
         expected = joints(family, mechanism, group, poses, mode)
         others = joints(family, mechanism, group, poses, -mode)
         for index, leg in enumerate(mechanism.legs):
-            reference, drive = expected[index], leg.active
+            reference, (drive,) = expected[index], leg.active
             found, reached = solution.joints[leg.name], solution.reached[:, index]
             in_reach = np.isfinite(reference).all(axis=1)
             apart = np.abs(reference[:, drive] - others[index][:, drive])
