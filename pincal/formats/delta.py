@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import sensor_law
 from pincal.model.files import load_mechanism
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import carry
-from pincal.symmetry.elements import Element
+from pincal.symmetry.elements import Element, wrapped
 from pincal.symmetry.generate import at_home
 
 Array = NDArray[np.float64]
@@ -29,7 +30,6 @@ Three = tuple[float, float, float]
 TOWERS = ("tower_a", "tower_b", "tower_c")
 _TEMPLATE = "linear_delta"
 _VERTICAL = 1e-9  # [rad]
-_CROSSING = 1e-9  # of a rod's length
 _SMALL = 5e-10  # [m] and [1], below the digits that are written
 _PRINTED = 0.7  # of the delta radius: the print radius where none is known
 
@@ -45,7 +45,7 @@ class DeltaPrinter:
     arms: Three
     """Lengths L of the rods, [m]."""
     endstops: Three
-    """Heights E of the nozzle over the bed, at the centre, with each carriage at its endstop, [m]."""
+    """Heights E of the nozzle over the bed's centre with each carriage at its endstop, [m]."""
     print_radius: float | None = None
     """Radius of the bed, [m]."""
 
@@ -71,7 +71,7 @@ class DeltaPrinter:
 
     def _leg(self, template: Mechanism, index: int) -> Leg:
         first = template.legs[0]
-        angle, arm, endstop = self.angles[index], self.arms[index], self.endstops[index]
+        angle, arm, endstop = wrapped(self.angles[index]), self.arms[index], self.endstops[index]
         turn = Element(angle - first.nominal_by_name["angle"])
         carried = carry(first, turn, TOWERS[index], first.point.name)
         leg = carried.with_parameters(
@@ -142,8 +142,8 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
     if hypot(x, y) > _SMALL:
         remarks.append(
             f"the printer's origin is at x = {1e3 * x:.4f}, y = {1e3 * y:.4f} mm of the "
-            "mechanism's base frame: a firmware has one radius for all towers, so its origin is the "
-            "centre of their circle. Prints move by that much as a whole"
+            "mechanism's base frame: a firmware has one radius for all towers, so that its origin "
+            "is the centre of their circle. Prints move by that much as a whole"
         )
     for leg, gain in zip(mechanism.legs, gains, strict=True):
         if abs(gain - 1.0) > _SMALL:
@@ -164,19 +164,14 @@ def _tower(closure: LegClosure) -> Array:
         MechanismError: another kind of leg.
     """
     leg = closure.leg
-    kinds = [joint.kind for joint in leg.moving]
-    wrong = (
-        f"{leg.name} is not a carriage, a universal joint and a rod, as a linear delta's legs are"
-    )
-    if kinds != ["prismatic", "revolute", "revolute"] or leg.active != 0:
-        raise MechanismError(wrong)
-    tips, columns = closure.joint_columns(np.zeros((1, 3)))
-    up, axes, speeds = columns[:3, 0, 0], columns[3:, 0, 1:].T, columns[:3, 0, 1:].T
-    cross = np.concatenate([np.cross(axis, np.eye(3)).T for axis in axes])  # a -> e × a
-    rod, *_ = np.linalg.lstsq(cross, speeds.ravel(), rcond=None)
-    arm = float(np.linalg.norm(rod))
-    if np.abs(cross @ rod - speeds.ravel()).max() > _CROSSING * max(arm, closure.size):
-        raise MechanismError(f"{wrong}: its revolute axes do not cross")
+    slides = leg.active == 0 and leg.moving[0].kind == "prismatic"
+    if not slides or closed_form(closure) is not driven_rod:
+        raise MechanismError(
+            f"{leg.name} is not a carriage, a universal joint and a rod, as a linear delta's legs "
+            "are"
+        )
+    rod = rod_geometry(closure)
+    up = rod.speed
     tilt = hypot(up[0], up[1])
     if tilt > _VERTICAL:
         raise MechanismError(
@@ -190,8 +185,8 @@ def _tower(closure: LegClosure) -> Array:
             f"{leg.name}: its readings grow upwards; a firmware's count down from the endstop "
             "(direction -1 of the sensor)"
         )
-    top = tips[0] - rod - closure.targets(np.eye(4)[None])[0] + up * law.start
-    return np.array([*top, arm, gain])
+    top = rod.centre - closure.targets(np.eye(4)[None])[0] + up * law.start
+    return np.array([*top, rod.length, gain])
 
 
 def _centre(points: Array) -> Array:

@@ -85,8 +85,8 @@ class _Columns:
             )
         if table.units[name] is not None:
             raise MeasurementError(
-                f"{table.path}: column {name!r} has a unit, which FIGAROH's have not (m and rad); a "
-                "table of pincal's own needs no import"
+                f"{table.path}: column {name!r} has a unit, which FIGAROH's have not (m and rad); "
+                "a table of pincal's own needs no import"
             )
         self._taken.add(name)
         return table.plain(name)

@@ -85,8 +85,8 @@ def write_klipper(found: Expressed) -> str:
     Digits are those that Klipper's own SAVE_CONFIG writes: 1e-6 mm and 1e-6 degrees.
     """
     printer = found.printer
-    lines = ["# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of the"]
-    lines += ["# same options, above the SAVE_CONFIG block: there it wins over what is saved."]
+    lines = ["# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of"]
+    lines += ["# the same options, above the SAVE_CONFIG block: there it wins over what is saved."]
     lines += [f"# Note: {text}" for text in found.remarks]
     lines += ["[printer]", "kinematics: delta", f"delta_radius: {printer.radius / _MM:.6f}"]
     for name, angle, arm, endstop in zip(
@@ -133,7 +133,8 @@ class _Config:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.remarks: list[str] = []
-        regular, saved = [], []
+        regular: list[str] = []
+        saved: list[str] = []
         for line in self._lines(path, 0):
             if line.startswith(_SAVED.rstrip()):
                 if saved or line.startswith(f"{_SAVED}["):  # behind the block's heading
@@ -174,8 +175,8 @@ class _Config:
         try:
             parser.read_string("\n".join(lines), str(self._path))
         except configparser.Error as error:
-            first = str(error).splitlines()[0]
-            raise MechanismError(f"{self._path}: not a configuration of Klipper: {first}") from error
+            why = str(error).splitlines()[0]
+            raise MechanismError(f"{self._path}: not a configuration of Klipper: {why}") from error
         return parser
 
     def options(self, section: str) -> set[str]:
@@ -227,9 +228,7 @@ class _Config:
         Raises:
             MechanismError: options that do not tell it.
         """
-        if not self.options(stepper) & {"rotation_distance"} and "step_distance" in self.options(
-            stepper
-        ):
+        if "rotation_distance" not in (known := self.options(stepper)) and "step_distance" in known:
             return self.number(stepper, "step_distance")  # before 2021
         gearing = 1.0
         for pair in self.text(stepper, "gear_ratio", "").split(","):

@@ -45,8 +45,8 @@ def read_reprap(path: str | Path) -> DeltaPrinter:
     for number, line in enumerate(text.splitlines(), start=1):
         command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0])
         if command:
-            where = f"{path}, line {number}"
-            words |= {(command[1], k): v for k, v in _words(*command.groups(), where).items()}
+            own = _words(command[1], command[2], f"{path}, line {number}")
+            words |= {(command[1], letter): values for letter, values in own.items()}
     if missing := [letter for letter in "LRH" if ("665", letter) not in words]:
         raise MechanismError(
             f"{path}: no M665 with {', '.join(missing)}; expected a line such as "

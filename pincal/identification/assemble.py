@@ -30,6 +30,7 @@ from pincal.model.measurements import Noise
 Array = NDArray[np.float64]
 _CONFIDENCE = 0.95
 _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
+_MOVED = 1e-9  # by which a unit motion of frames moves a difference of tied parameters
 _FAR = 0.05  # of a leg's size, [rad] and [1]: changes of parameters that are doubted
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
 
@@ -229,6 +230,7 @@ def _shift(fits: Sequence[Robust]) -> float | None:
 def _tie_tests(task: Task, free: Estimate) -> tuple[TieTest, ...]:
     """Return, for all ties together, the test whether they hold, by the fit without them.
 
+    Differences that a motion of the frames makes or undoes say nothing: they are left out.
     Differences of tied parameters between legs over their covariance (Wald): χ² where the noise is
     known, an F test where its scale is estimated.
     """
@@ -241,6 +243,13 @@ def _tie_tests(task: Task, free: Estimate) -> tuple[TieTest, ...]:
         places = [i for i, (_, name) in enumerate(names) if name == tie]
         rows += [np.eye(len(names))[i] - np.eye(len(names))[places[0]] for i in places[1:]]
     R = np.array(rows)
+    if free.gauge is not None and free.gauge.of_legs is not None:
+        directions = free.gauge.of_legs
+        moved = R @ directions / np.linalg.norm(directions, axis=0)
+        axes, size, _ = np.linalg.svd(moved)
+        R = axes[:, int((size > _MOVED).sum()) :].T @ R
+    if not len(R):
+        return ()
     off = R @ values
     statistic = float(off @ np.linalg.solve(R @ covariance @ R.T, off)) / len(R)
     dof = sum(one.fit.degrees_of_freedom for one in free.fits)

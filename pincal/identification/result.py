@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.experiment.weak import WeakPair, weakly_told
 from pincal.identification.robust import Outlier
 from pincal.identification.trust import RunConsistency, Validation
 from pincal.model.measurements import Noise
@@ -157,6 +159,12 @@ class CalibrationResult:
     """Errors at rows that a fit has not seen, if that was asked for."""
     runs: RunConsistency | None = None
     """How well runs of the experiment agree, if that was asked for."""
+
+    @cached_property
+    def weak(self) -> tuple[WeakPair, ...]:
+        """Parameters that are weakly told apart, the weakest first."""
+        names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
+        return weakly_told(names, self.covariance)
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""
