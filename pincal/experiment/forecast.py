@@ -68,7 +68,7 @@ class Forecast:
         names = [(leg.name, name) for leg in self.mechanism.legs for name in leg.parameter_names]
         determined = np.isfinite(self.std)
         clear = np.outer(determined, determined)
-        return weakly_told(names, np.where(clear, self.covariance, 0.0))
+        return weakly_told(names, np.where(clear, self.covariance, 0.0), self.gauge)
 
     def platform_error(self, poses: Array) -> PlatformError:
         """Return the error to expect of the calibrated platform over poses, shape (N, dof).

@@ -1,7 +1,8 @@
 """Parameters that are told apart, but weakly: pairs whose errors go together, and by how much.
 
-With standard errors σᵢ, σⱼ and correlation ρ, either would be known to σ √(1 − ρ²) if the other
-one were known exactly.
+What it would help to know one of them is asked of the covariance: conditioned on its value, the
+other one's standard error falls. Where frames are not measured, a value tells something only as
+far as no motion of the frames can bring it about.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
+_MOVED = 1e-9  # by a unit motion of the frames: not moved
 
 
 @dataclass(frozen=True)
@@ -27,29 +29,58 @@ class WeakPair:
     correlation: float
     std: tuple[float, float]
     """Standard errors of the two."""
+    known: tuple[float, float]
+    """Standard error of each if the other one were known exactly: if both are of one leg, the
+    other one of every leg."""
 
     @property
-    def known(self) -> tuple[float, float]:
-        """Standard error of each if the other one were known exactly."""
-        share = sqrt(max((1.0 - self.correlation) * (1.0 + self.correlation), 0.0))
-        return self.std[0] * share, self.std[1] * share
+    def gain(self) -> float:
+        """By how many times knowing one betters the other, at most."""
+        return max(s / k if k > 0.0 else np.inf for s, k in zip(self.std, self.known, strict=True))
 
 
-def weakly_told(names: Sequence[tuple[str, str]], covariance: Array) -> tuple[WeakPair, ...]:
+def weakly_told(
+    names: Sequence[tuple[str, str]], covariance: Array, gauge: Array | None = None
+) -> tuple[WeakPair, ...]:
     """Return the pairs that are weakly told apart, the weakest first.
 
     Args:
         names: Leg and name of each parameter.
         covariance: Shape (n, n). Parameters whose variance is zero, or not finite, are left out.
+        gauge: Directions that only move frames, columns of shape (n, n_gauge).
     """
     std = np.sqrt(np.diagonal(covariance))
     told = np.isfinite(std) & (std > 0.0)
+    covariance = np.where(np.outer(told, told), covariance, 0.0)
     scale = np.where(told, std, 1.0)
-    rho = np.clip(np.where(np.outer(told, told), covariance, 0.0) / np.outer(scale, scale), -1, 1)
-    rows, columns = np.triu_indices(len(std), 1)
-    strong = np.abs(rho[rows, columns]) > sqrt(1.0 - _WEAKLY**-2)
-    order = np.argsort(-np.abs(rho[rows, columns][strong]), kind="stable")
-    return tuple(
-        WeakPair(names[i], names[j], float(rho[i, j]), (float(std[i]), float(std[j])))
-        for i, j in zip(rows[strong][order], columns[strong][order], strict=True)
-    )
+    rho = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    directions = np.zeros((len(std), 0)) if gauge is None else gauge
+
+    def known(place: int, other: int) -> float:
+        whole = names[place][0] == names[other][0]
+        rows = [i for i, one in enumerate(names) if whole and one[1] == names[other][1]]
+        return _known(covariance, directions, place, [i for i in rows or [other] if told[i]])
+
+    pairs = [
+        WeakPair(
+            names[i],
+            names[j],
+            float(rho[i, j]),
+            (float(std[i]), float(std[j])),
+            (known(i, j), known(j, i)),
+        )
+        for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist()
+    ]
+    weak = [pair for pair in pairs if pair.gain >= _WEAKLY]
+    return tuple(sorted(weak, key=lambda pair: -pair.gain))
+
+
+def _known(covariance: Array, gauge: Array, place: int, others: Sequence[int]) -> float:
+    """Return the standard error of one parameter if others were known, frames still unknown."""
+    moved = gauge[list(others)] / np.linalg.norm(gauge, axis=0)
+    axes, size, _ = np.linalg.svd(moved)
+    fixed = axes[:, int((size > _MOVED).sum()) :].T  # combinations that no frame can move
+    across = fixed @ covariance[list(others)]
+    inner = across[:, list(others)] @ fixed.T
+    gained = across[:, place] @ np.linalg.pinv(inner, hermitian=True) @ across[:, place]
+    return float(np.sqrt(max(covariance[place, place] - gained, 0.0)))

@@ -164,7 +164,7 @@ class CalibrationResult:
     def weak(self) -> tuple[WeakPair, ...]:
         """Parameters that are weakly told apart, the weakest first."""
         names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
-        return weakly_told(names, self.covariance)
+        return weakly_told(names, self.covariance, self.gauge_directions)
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""

@@ -139,7 +139,7 @@ def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mec
         )
     return (
         f"{names[0]} and {names[1]}{whose} are weakly told apart, correlation "
-        f"{worst.correlation:+.3f}: if the other one were known, {parts[0]} and {parts[1]}"
+        f"{worst.correlation:+.3f}: if the other one were known, {' and '.join(parts)}"
     )
 
 
