@@ -79,7 +79,7 @@ def test_symmetry_is_that_of_three_towers() -> None:
 def test_clean_positions_give_every_parameter() -> None:
     """Twelve parameters from clean positions in the workspace to 1e-9."""
     mechanism, truth = pincal.load_mechanism("linear_delta"), drawn(1)
-    poses = np.concatenate([bed(15), bed(15) + [0.0, 0.0, 0.1]])
+    poses = np.concatenate([bed(15), bed(15) + np.array([0.0, 0.0, 0.1])])
     exact = pincal.Noise(0.0, 0.0, 0.0)
     data = pincal.simulate(mechanism, truth, pincal.Plan(poses), exact, 0).measurements
     result = pincal.calibrate(mechanism, data)
