@@ -202,11 +202,17 @@ def _mark_outliers(axes: Axes, found: Findings, leg: LegResult, factor: float) -
             named += 1
 
 
-def histogram_figure(found: Findings) -> Element:
-    """Return the distribution of residuals in standard deviations, against the normal one."""
-    white = np.concatenate(
-        [leg.residuals / residual_sigma(found.result, leg) for leg in found.result.legs]
-    )
+def histogram_figure(found: Findings) -> Element | None:
+    """Return the distribution of residuals in standard deviations, against the normal one.
+
+    None if all readings are exact.
+    """
+    legs = found.result.legs
+    sigma = np.concatenate([residual_sigma(found.result, leg) for leg in legs])
+    noisy = sigma > 0.0
+    if not noisy.any():
+        return None
+    white = np.concatenate([leg.residuals for leg in legs])[noisy] / sigma[noisy]
     white = white[np.isfinite(white)]
     with drawing():
         drawn = Figure(figsize=(WIDTH, 2.4), layout="constrained")
