@@ -154,6 +154,9 @@ def test_ties_are_tested_free_of_frames() -> None:
     assert tied.reduced_chi2 < 2.0
     radii = [leg.identified[0] for leg in tied.legs]
     assert np.ptp(radii) < 1e-12
+    assert all(
+        "radius" not in (one.first[1], one.second[1]) or one.known[0] > 0 for one in tied.weak
+    )
     longer = truth.with_parameters({"leg_1": {"arm": 0.343}})
     data = probed(mechanism, longer, PROBE)
     tied = pincal.calibrate(mechanism, data, method="latent", noise=PROBE, tied=["arm"], rough=True)

@@ -67,7 +67,7 @@ def import_(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Read a printer's configuration, or another tool's measurements.
+    """Read printer.cfg, config.g, or a table of FIGAROH's.
 
     A delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware, become a mechanism
     folder. Heights that DELTA_CALIBRATE saved, or points given by --probed, are written into it
@@ -174,8 +174,9 @@ def export(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write a linear delta for its firmware: a section of printer.cfg, or M665 and M666.
+    """Write a delta printer for its firmware.
 
+    FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of RepRapFirmware (.g).
     MECH may be a result of 'pincal calibrate'. What the firmware has no parameter for is said.
     The calibrated URDFs are in the result's own folder 'mechanism'.
     """
@@ -190,7 +191,7 @@ def export(
     text = write_klipper(found) if whose == "klipper" else write_reprap(found)
     with writing(output, force=force) as scratch:
         scratch.write_text(text, encoding="utf-8")
-    stdout.print(text.rstrip(), markup=False)
+    stdout.print(text.rstrip(), markup=False, soft_wrap=True)
     for one in found.remarks:
         warn(one)
     wrote(output)

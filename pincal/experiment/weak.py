@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
+_TIED = 1e6  # times better, as is none but a parameter tied to the other one
 _MOVED = 1e-9  # by a unit motion of the frames: not moved
 
 
@@ -36,7 +37,8 @@ class WeakPair:
     @property
     def gain(self) -> float:
         """By how many times knowing one betters the other, at most."""
-        return max(s / k if k > 0.0 else np.inf for s, k in zip(self.std, self.known, strict=True))
+        ratios = zip(self.std, self.known, strict=True)
+        return max(std / known if known > 0.0 else np.inf for std, known in ratios)
 
 
 def weakly_told(
@@ -46,7 +48,8 @@ def weakly_told(
 
     Args:
         names: Leg and name of each parameter.
-        covariance: Shape (n, n). Parameters whose variance is zero, or not finite, are left out.
+        covariance: Shape (n, n). Parameters whose variance is zero, or not finite, and pairs that
+            are tied, are left out.
         gauge: Directions that only move frames, columns of shape (n, n_gauge).
     """
     std = np.sqrt(np.diagonal(covariance))
@@ -71,7 +74,7 @@ def weakly_told(
         )
         for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist()
     ]
-    weak = [pair for pair in pairs if pair.gain >= _WEAKLY]
+    weak = [pair for pair in pairs if _WEAKLY <= pair.gain < _TIED]
     return tuple(sorted(weak, key=lambda pair: -pair.gain))
 
 

@@ -8,8 +8,10 @@ to a nozzle that does not turn can be said so, with the origin at the centre of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import asin, hypot, pi, sqrt
+from textwrap import wrap
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +107,15 @@ class Expressed:
     """By how much each carriage moves for a reading of one."""
     remarks: tuple[str, ...]
     """What has no counterpart in the parameters, in words."""
+
+
+def noted(remarks: Sequence[str], mark: str) -> list[str]:
+    """Return remarks as lines of comments that begin with a mark."""
+    return [
+        line
+        for text in remarks
+        for line in wrap(text, 88, initial_indent=f"{mark} Note: ", subsequent_indent=f"{mark} ")
+    ]
 
 
 def delta_printer(mechanism: Mechanism) -> Expressed:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import FileError, MechanismError
-from pincal.formats.delta import DeltaPrinter, Expressed, Three
+from pincal.formats.delta import DeltaPrinter, Expressed, Three, noted
 
 Array = NDArray[np.float64]
 _SAVED = "#*# "  # begins the lines of SAVE_CONFIG
@@ -87,7 +87,7 @@ def write_klipper(found: Expressed) -> str:
     printer = found.printer
     lines = ["# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of"]
     lines += ["# the same options, above the SAVE_CONFIG block: there it wins over what is saved."]
-    lines += [f"# Note: {text}" for text in found.remarks]
+    lines += noted(found.remarks, "#")
     lines += ["[printer]", "kinematics: delta", f"delta_radius: {printer.radius / _MM:.6f}"]
     for name, angle, arm, endstop in zip(
         _STEPPERS, printer.angles, printer.arms, printer.endstops, strict=True

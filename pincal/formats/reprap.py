@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import FileError, MechanismError
-from pincal.formats.delta import DeltaPrinter, Expressed
+from pincal.formats.delta import DeltaPrinter, Expressed, noted
 
 Array = NDArray[np.float64]
 _ANGLES = (210.0, 330.0, 90.0)
@@ -118,7 +118,7 @@ def write_reprap(found: Expressed) -> str:
     ends = _lettered(endstops - height)
     lines = ["; Delta kinematics, calibrated by pincal. Put it into config.g in the place of the"]
     lines += ["; same lines, and remove M665 and M666 from config-override.g, which would win."]
-    lines += [f"; Note: {text}" for text in found.remarks]
+    lines += noted(found.remarks, ";")
     lines += [f"M665 L{arms} R{printer.radius / _MM:.4f} H{height:.4f} {angles}"]
     lines += [f"M666 {ends} A0.00 B0.00"]
     return "\n".join(lines) + "\n"
