@@ -155,7 +155,7 @@ def test_klipper_heights_are_steps_down_from_the_endstops(tmp_path: Path) -> Non
     np.testing.assert_allclose(
         found.readings, [[4000, 5000, 6000] * way, [1000, 2000, 3000.5] * way]
     )
-    assert "1 distances of DELTA_ANALYZE were left out" in found.remarks[0]
+    assert "1 distance of DELTA_ANALYZE left out" in found.remarks[0]
 
 
 def test_klipper_includes_are_read_in_their_place(tmp_path: Path) -> None:

@@ -117,9 +117,9 @@ def _heights(config: _Config) -> tuple[Array, Array, tuple[str, ...]]:
     count = sum(not option.endswith(("_pos1", "_pos2")) for option in distances)
     if count:
         remarks.append(
-            f"{count} distances of DELTA_ANALYZE were left out: distances between two measured "
-            "poses are not read. They told how long the arms are; say what you know of them by "
-            "--prior arm=… or --fix arm"
+            f"{count} distance{'s' * (count > 1)} of DELTA_ANALYZE left out: distances between two "
+            "measured poses are not read. They told how long the arms are; say what you know of "
+            "them by --prior arm=… or --fix arm"
         )
     if not heights:
         return np.empty(0), np.empty((0, 3)), tuple(remarks)

@@ -192,14 +192,29 @@ def _covariances(task: Task, estimate: Estimate) -> tuple[Array, Array | None]:
 def _observed(latent: LatentPoses, found: Fit, known: bool) -> tuple[Observed, ...]:
     """Return how the measured quantities of the platform fit."""
     scale = 1.0 if known else float(np.sqrt(found.chi2 / max(found.degrees_of_freedom, 1)))
-    state, seen = found.last.state, latent.observation
-    values = seen.evaluate(state.matrices, state.external).value
+    seen = latent.observation
+    before, values = (
+        seen.evaluate(one.state.matrices, one.state.external).value
+        for one in (found.first, found.last)
+    )
     results = []
     for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):
         own = seen.measured[:, column] & (found.weights > 0.0)
         if own.any():
-            sigma = scale * _rms(latent.sigma_observed[own, column])
-            results.append(Observed(name, unit, int(own.sum()), _rms(values[own, column]), sigma))
+            sigmas, after = scale * latent.sigma_observed[own, column], values[own, column]
+            results.append(
+                Observed(
+                    name=name,
+                    unit=unit,
+                    count=int(own.sum()),
+                    rms=_rms(after),
+                    sigma=_rms(sigmas),
+                    rows=np.flatnonzero(own),
+                    sigmas=sigmas,
+                    residuals_before=before[own, column],
+                    residuals=after,
+                )
+            )
     return tuple(results)
 
 

@@ -91,6 +91,14 @@ class Observed:
     """Root mean square of predicted less measured."""
     sigma: float
     """Root mean square standard deviation of the measurements."""
+    rows: NDArray[np.intp]
+    """Rows of the measurements, shape (count,)."""
+    sigmas: Array
+    """Standard deviations of the measurements, shape (count,)."""
+    residuals_before: Array
+    """Predicted less measured where the search started, shape (count,)."""
+    residuals: Array
+    """Predicted less measured, shape (count,)."""
 
 
 @dataclass(frozen=True)

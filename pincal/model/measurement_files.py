@@ -194,8 +194,8 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     told = [name for name in places if name in table]
     if not partial and told and len(told) < len(places):
         raise MeasurementError(
-            f"{table.path}: of {', '.join(places)} only {', '.join(told)}; calibrate with poses "
-            "that were measured in part by '--method latent', or add the columns"
+            f"{table.path}: of {', '.join(places)} only {', '.join(told)}; add the others. (Poses "
+            "that were measured in part are calibrated with by --method latent)"
         )
 
     def numbers(name: str, unit: str) -> Array:
