@@ -33,7 +33,7 @@ leg = pincal.Leg(
         Joint("tip", "fixed"),
     ),
     point=Joint("b_1", "fixed", placed(parameters, polar("ob", "beta_b"))),
-    sensor=pincal.Sensor("slide", form="joint", gain=1.0, offset="gamma"),  # gain not sought
+    sensors=(pincal.Sensor("slide", form="joint", gain=1.0, offset="gamma"),),  # gain not sought
     parameters=tuple(parameters.items()),
 )
 platform = pincal.Platform("planar", home=(0.0, 0.0, 0.0))

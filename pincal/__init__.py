@@ -51,6 +51,7 @@ from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.model.setup import Distance, Setup, Target, read_setup
 from pincal.show.notebook import register
+from pincal.show.picture import Picture, picture
 from pincal.show.report import Report, report
 from pincal.show.view import View, view
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
@@ -98,6 +99,7 @@ __all__ = [
     "Noise",
     "ObservabilityError",
     "Orientations",
+    "Picture",
     "PincalError",
     "Placement",
     "Plan",
@@ -143,6 +145,7 @@ __all__ = [
     "load_mechanism",
     "margins",
     "mirror",
+    "picture",
     "placed",
     "polar",
     "r_diagonal",

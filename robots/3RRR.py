@@ -38,7 +38,7 @@ def mechanism() -> Mechanism:
             Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
         ),
         point=Joint("b_1", "fixed", placed(PARAMETERS, polar("ob", "beta_b"))),
-        sensor=Sensor("shoulder", form="joint", gain="k", offset="gamma"),
+        sensors=(Sensor("shoulder", form="joint", gain="k", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )
     return generate(

@@ -34,7 +34,7 @@ def line(name: str, anchor: tuple[float, float, float], azimuth: float) -> Leg:
             Joint("tip", "fixed"),
         ),
         point=Joint("end_effector", "fixed"),
-        sensor=Sensor("line", form="reading", gain="k", zero="home"),
+        sensors=(Sensor("line", form="reading", gain="k", zero="home"),),
         parameters=tuple(parameters.items()),
     )
 

@@ -44,7 +44,7 @@ def mechanism() -> Mechanism:
             Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
         ),
         point=Joint("end_effector", "fixed"),
-        sensor=Sensor("shoulder", form="reading", gain="k", offset="gamma"),
+        sensors=(Sensor("shoulder", form="reading", gain="k", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )
     return generate(

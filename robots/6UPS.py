@@ -58,7 +58,7 @@ def mechanism() -> Mechanism:
             Joint("tip", "fixed", Placement()),
         ),
         point=Joint("b_1", "fixed", placed(PARAMETERS, spherical("ob", "alpha_b", "beta_b"))),
-        sensor=Sensor("leg", form="joint", gain="k", offset="gamma"),
+        sensors=(Sensor("leg", form="joint", gain="k", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )
     elements: list[Element] = []

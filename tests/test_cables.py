@@ -52,7 +52,7 @@ def homed(kind: str) -> pincal.Mechanism:
     legs = []
     for leg in mechanism.legs:
         leg = leg.with_parameters({"gamma": 0.0} if "gamma" in leg.parameter_names else {})
-        legs.append(replace(leg, sensor=replace(leg.sensor, zero="home")))
+        legs.append(replace(leg, sensors=(replace(leg.sensors[0], zero="home"),)))
     return replace(mechanism, legs=tuple(legs))
 
 
@@ -90,8 +90,8 @@ def test_any_leg_can_be_homed(kind: str) -> None:
     poses = home + np.random.default_rng(3).uniform(-0.1, 0.1, (40, mechanism.platform.dof))
     at_home = pincal.inverse(mechanism, home).readings[0]
     for index, leg in enumerate(mechanism.legs):
-        gain, offset = leg.sensor.constants(leg.nominal_by_name)
-        constant = offset if leg.sensor.form == "reading" else -offset / gain
+        gain, offset = leg.sensors[0].constants(leg.nominal_by_name)
+        constant = offset if leg.sensors[0].form == "reading" else -offset / gain
         assert at_home[index] == pytest.approx(constant, abs=1e-12)
 
         def readings(p: Array, index: int = index, name: str = leg.name) -> Array:
@@ -131,7 +131,7 @@ def test_homed_mechanisms_are_saved_whole(kind: str, tmp_path: Path) -> None:
     """Saved and loaded, a homed mechanism gives the same readings."""
     mechanism = pincal.disturb(homed(kind), 0.01, seed=5)
     loaded = pincal.load_mechanism(mechanism.save(tmp_path / "saved"))
-    assert [leg.sensor for leg in loaded.legs] == [leg.sensor for leg in mechanism.legs]
+    assert [leg.sensors for leg in loaded.legs] == [leg.sensors for leg in mechanism.legs]
     poses = np.array([mechanism.platform.home]) + 0.1
     readings = [pincal.inverse(one, poses).readings for one in (mechanism, loaded)]
     np.testing.assert_allclose(*readings, rtol=0.0, atol=1e-14)
@@ -188,7 +188,7 @@ def test_a_zero_given_as_a_number_is_not_home() -> None:
     mechanism = homed("3RRR")
     leg = mechanism.legs[1]
     position = float(pincal.inverse(mechanism, np.zeros((1, 3))).joints[leg.name][0, 0])
-    fixed = replace(leg, sensor=replace(leg.sensor, zero=position))
+    fixed = replace(leg, sensors=(replace(leg.sensors[0], zero=position),))
     group = pincal.symmetry_group(
         replace(mechanism, legs=(mechanism.legs[0], fixed, mechanism.legs[2]))
     )

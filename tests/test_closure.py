@@ -71,7 +71,9 @@ def test_demand_derivatives(mechanism: pincal.Mechanism) -> None:
         psi = sensor_law(closure).reading(closed.joints[:, leg.active])
         rows = demand(closure, closed.closure, psi)
         np.testing.assert_allclose(rows.value, 0.0, atol=1e-14)
-        by_pose = -rows.pose[:, 0] / rows.reading  # of the reading, by implicit differentiation
+        by_pose = (
+            -rows.pose[:, 0] / rows.reading[:, 0]
+        )  # of the reading, by implicit differentiation
 
         def reading(values: Array, index: int = index) -> Array:
             return pincal.inverse(mechanism, poses + values).readings[:, index]

@@ -64,7 +64,7 @@ def mixed() -> pincal.Mechanism:
     )
     point = pincal.Joint("p", "fixed", pincal.placed(values, pincal.polar("r", "azimuth")))
     sensor = pincal.Sensor("rail", form="reading", gain=2.0, offset="gamma", direction=-1, zero=0.1)
-    leg = pincal.Leg("leg_1", joints, sensor, tuple(values.items()), point, tip="end_link")
+    leg = pincal.Leg("leg_1", joints, (sensor,), tuple(values.items()), point, tip="end_link")
     tip = LegClosure(leg, pincal.Platform("planar", (0.0, 0.0, 0.0))).tips(leg.home[None])[0]
     x, y, _ = (float(v) for v in tip - np.array(point.placement.xyz))
     return pincal.Mechanism("mixed: 1", pincal.Platform("planar", (x, y, 0.0)), (leg,), "å 'b' #")
@@ -372,9 +372,9 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
     "yaml-list": ([(YAML, "pincal: 1\n", "- 1\n"), (YAML, "name: 3RRR\n", "")], [YAML]),
     "yaml-version": ([(YAML, "pincal: 1", "pincal: 2")], [YAML, "pincal", "got 2"]),
     "key-unknown": ([(YAML, "description:", "remark:")], [YAML, "'remark'", "unknown"]),
-    "zero-word": ([(YAML, "zero: 0.0", "zero: house")], [YAML, "sensor.zero", "'home'"]),
-    "zero-infinite": ([(YAML, "zero: 0.0", "zero: .inf")], [YAML, "sensor.zero", "'home'"]),
-    "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensor.form"]),
+    "zero-word": ([(YAML, "zero: 0.0", "zero: house")], [YAML, "sensors.0.zero", "'home'"]),
+    "zero-infinite": ([(YAML, "zero: 0.0", "zero: .inf")], [YAML, "sensors.0.zero", "'home'"]),
+    "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensors.0.form"]),
     "key-missing": ([(YAML, "  tip: tip\n", "")], [YAML, "tip", "missing"]),
     "key-twice": ([(YAML, "    k: 1.0\n", "    k: 1.0\n    k: 1.1\n")], [YAML, "k"]),
     "type-wrong": ([(YAML, "    l: 1.5\n", "    l: long\n")], [YAML, "parameters.l", "'long'"]),

@@ -274,8 +274,9 @@ def test_imported_printers_are_the_mechanisms_they_say() -> None:
 def test_what_a_firmware_cannot_hold_is_said() -> None:
     """Gains are told as way per step; other mechanisms and tilted towers are refused."""
     mechanism = pincal.load_mechanism("linear_delta")
-    legs = [replace(leg, sensor=replace(leg.sensor, gain=1.002)) for leg in mechanism.legs[:1]]
-    stretched = replace(mechanism, legs=(*legs, *mechanism.legs[1:]))
+    first = mechanism.legs[0]
+    gained = replace(first, sensors=(replace(first.sensors[0], gain=1.002),))
+    stretched = replace(mechanism, legs=(gained, *mechanism.legs[1:]))
     found = delta_printer(stretched)
     assert found.gains == pytest.approx((1.002, 1.0, 1.0))
     assert "leg_1 moves 1.002000000 mm for each mm" in found.remarks[0]
@@ -285,8 +286,8 @@ def test_what_a_firmware_cannot_hold_is_said() -> None:
     leg = replace(mechanism.legs[0], joints=(tilted, *mechanism.legs[0].joints[1:]))
     with pytest.raises(MechanismError, match="1 mrad off the vertical"):
         delta_printer(replace(mechanism, legs=(leg, *mechanism.legs[1:])))
-    upwards = replace(leg.sensor, direction=1)
-    leg = replace(mechanism.legs[0], sensor=upwards)
+    upwards = replace(leg.sensors[0], direction=1)
+    leg = replace(mechanism.legs[0], sensors=(upwards,))
     with pytest.raises(MechanismError, match="readings grow upwards"):
         delta_printer(replace(mechanism, legs=(leg, *mechanism.legs[1:])))
     for other in ("3RRR", "4cable", "6UPS"):

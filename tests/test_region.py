@@ -480,7 +480,7 @@ def test_angles_count_wherever_limits_count_them_from() -> None:
 def test_grip_of_a_driven_elbow() -> None:
     """The type-1 margin is that of the drive, wherever it sits."""
     leg = mirrored().legs[0]
-    leg = replace(leg, sensor=replace(leg.sensor, joint="elbow"))
+    leg = replace(leg, sensors=(replace(leg.sensors[0], joint="elbow"),))
     elements = (pincal.Element(0.0), pincal.mirror(np.pi / 2))
     mechanism = pincal.generate("e", leg, elements, pincal.Platform("point", (0.0, 1.1)))
     grid = pincal.Grid.of("x=-1.5:1.5:0.1", "y=-2:2:0.1")

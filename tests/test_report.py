@@ -294,7 +294,7 @@ def test_without_a_workspace(planar: Any, monkeypatch: pytest.MonkeyPatch) -> No
     def fail(*_: object) -> None:
         raise pincal.WorkspaceError("none")
 
-    monkeypatch.setattr("pincal.show.workspace_errors.sample_workspace", fail)
+    monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
     report = pincal.report(result, data)
     page = page_of(report)
     assert "over the measured poses" in page.get_element_by_id("answers").text_content()

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal.model.sensor import sensor_laws
 from pincal.symmetry.carry import canonical, carry
 
 ROBOTS = Path(__file__).parents[1] / "robots"
@@ -140,8 +141,8 @@ def test_generated_parameters_are_the_papers() -> None:
     first, second = pincal.load_mechanism("5R").legs
     assert (second.nominal_by_name["A_x"], first.nominal_by_name["A_x"]) == (0.5, -0.5)
     p = second.nominal_by_name | {"k": 1.3, "gamma": 0.2}
-    law = second.sensor.law(p, second.sensor.zero, np.zeros(len(p)))
-    theta = np.array([0.4])
+    law = sensor_laws(second.sensors, p, np.zeros(1), np.zeros((1, len(p))))
+    theta = np.array([[0.4]])
     np.testing.assert_allclose(law.reading(theta), 1.3 * (np.pi - theta) + 0.2)
 
 
@@ -156,7 +157,7 @@ def test_canonical_form_of_a_leg_is_the_same_leg(mechanism: pincal.Mechanism) ->
         home = canonical(leg)
         np.testing.assert_allclose(back.nominal, home.nominal, atol=1e-12)
         np.testing.assert_allclose(back.home, home.home, atol=1e-12)
-        assert back.sensor.direction == home.sensor.direction
+        assert back.sensors[0].direction == home.sensors[0].direction
 
 
 def test_carried_leg_reads_the_same_at_carried_poses(mechanism: pincal.Mechanism) -> None:
@@ -242,15 +243,15 @@ def five_bar(**changes: object) -> pincal.Leg:
 def test_constants_of_the_sensor_break_a_symmetry(part: str, change: float) -> None:
     """They are no parameters, yet readings follow them."""
     leg = five_bar(
-        sensor=pincal.Sensor("shoulder", form="reading", gain=1.0, offset=0.0),
+        sensors=(pincal.Sensor("shoulder", form="reading", gain=1.0, offset=0.0),),
         parameters=tuple(p for p in five_bar().parameters if p[0] not in ("k", "gamma")),
     )
     platform = pincal.Platform("point", (0.0, 1.1))
     exact = pincal.generate("c", leg, (pincal.Element(0.0), pincal.mirror(np.pi / 2)), platform)
     assert pincal.symmetry_group(exact).name == "D2"
     second = exact.legs[1]
-    value = getattr(second.sensor, part) + change
-    changed = replace(second, sensor=replace(second.sensor, **{part: value}))
+    value = getattr(second.sensors[0], part) + change
+    changed = replace(second, sensors=(replace(second.sensors[0], **{part: value}),))
     group = pincal.symmetry_group(replace(exact, legs=(exact.legs[0], changed)))
     assert group.name == "C1"
     broken = [b for b in group.breaks if b.quantity == f"{part} of the sensor"]

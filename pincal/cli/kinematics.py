@@ -79,7 +79,7 @@ def forward(
     lost = np.flatnonzero(~solution.converged).tolist()
     _refuse_lost(readings, [(row, solution.reasons[row]) for row in lost], "reading")
     write_poses(output, mechanism, Plan(solution.poses), force=force)
-    if len(mechanism.legs) > mechanism.platform.dof:
+    if mechanism.redundant:
         row, leg = np.unravel_index(np.argmax(solution.gap), solution.gap.shape)
         remark(
             f"readings fit together within {solution.gap[row, leg]:.2g} m "

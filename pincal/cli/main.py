@@ -15,6 +15,7 @@ from pincal.cli import (
     identifiability,
     kinematics,
     mechanisms,
+    picture,
     study,
     symmetry,
     view,
@@ -27,6 +28,7 @@ from pincal.errors import PincalError
 _GROUPS = (
     mechanisms,
     view,
+    picture,
     symmetry,
     kinematics,
     workspace,

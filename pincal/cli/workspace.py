@@ -25,7 +25,7 @@ from pincal.model.files import load_mechanism
 from pincal.model.measurement_files import write_poses
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing, writing
+from pincal.model.output import refuse_existing
 from pincal.model.table import write_table
 from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.axes import Axis
@@ -233,8 +233,9 @@ def _report(
 
 def _draw(picture: Path, figure: Figure, force: bool) -> None:
     """Write a picture in the format of its name."""
-    with writing(picture, force=force) as scratch:
-        figure.savefig(scratch, format=picture.suffix[1:].lower(), dpi=150)
+    from pincal.show.picture_files import save_figure
+
+    save_figure(figure, picture, force=force)
     wrote(picture)
 
 
@@ -274,8 +275,9 @@ def _articular(
     }
     for place, (name, unit) in enumerate(zip(platform.coordinates, platform.units, strict=True)):
         columns[f"{name} [{unit}]"] = poses[:, place].tolist()
-    for place, leg in enumerate(mechanism.legs):
-        columns[f"{leg.name} [{leg.reading_unit}]"] = values[:, place].tolist()
+    read = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
+    for place, (name, unit) in enumerate(read):
+        columns[f"{name} [{unit}]"] = values[:, place].tolist()
     write_table(output, columns, force=force)
     stdout.print(table)
     wrote(output)

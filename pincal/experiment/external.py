@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pincal.kinematics.rotations import inverse_left_jacobian
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup
 
@@ -115,17 +116,3 @@ class ExternalUnknowns:
         last = range(len(self) - len(self.turn_axes), len(self))
         D[np.ix_(last, last)] = of_turn[np.ix_(self.turn_axes, self.turn_axes)]
         return D
-
-
-def inverse_left_jacobian(vectors: Array) -> Array:
-    """Return the derivative of a rotation vector by a turn on the left, shape (N, 3, 3)."""
-    angles = np.linalg.norm(vectors, axis=1)
-    small = angles < 1e-4
-    safe = np.where(small, 1.0, angles)
-    factor = np.where(
-        small,
-        1 / 12,
-        1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(np.where(small, 1.0, safe))),
-    )
-    S = np.cross(vectors[:, None], np.eye(3)).transpose(0, 2, 1)
-    return np.eye(3) - 0.5 * S + factor[:, None, None] * (S @ S)

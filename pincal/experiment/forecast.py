@@ -16,22 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.experiment.configurations import Legs, legs_at, nearby
 from pincal.experiment.external import ExternalUnknowns
 from pincal.experiment.frames import split_frames
 from pincal.experiment.observability import Identifiability, identifiability
 from pincal.experiment.observation import Observation, Rows
-from pincal.experiment.platform_error import PlatformError, platform_error, pose_gain, stacked
+from pincal.experiment.platform_error import PlatformError, platform_error
 from pincal.experiment.weak import WeakPair, weakly_told
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.derivatives import leg_demand
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 _GENERIC = 100  # poses at which frames are told from parameters, at least
-_ABOUT = 0.05  # of the mechanism's size, and [rad], by which they are moved about
 _TAKES_PART = 1e-6  # of a direction that the measurements do not tell
 
 
@@ -70,14 +69,14 @@ class Forecast:
         clear = np.outer(determined, determined)
         return weakly_told(names, np.where(clear, self.covariance, 0.0), self.gauge)
 
-    def platform_error(self, poses: Array) -> PlatformError:
+    def platform_error(self, poses: Plan | Array) -> PlatformError:
         """Return the error to expect of the calibrated platform over poses, shape (N, dof).
 
         Where frames are not measured, less what a motion of the frames explains.
         """
         return platform_error(self.mechanism, self.covariance, poses, self.lost, self.gauge)
 
-    def poses_for(self, accuracy: float, poses: Array) -> float:
+    def poses_for(self, accuracy: float, poses: Plan | Array) -> float:
         """Return how many poses like the planned ones bring the position error to a value.
 
         Errors fall with the root of the number of poses. Infinite if no number does.
@@ -100,7 +99,7 @@ class Forecast:
 
 def forecast(
     mechanism: Mechanism,
-    poses: Array,
+    poses: Plan | Array,
     noise: Noise | None = None,
     measured: Sequence[str] | None = None,
     setup: Setup | None = None,
@@ -109,7 +108,7 @@ def forecast(
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
-        poses: Poses to measure, coordinates of shape (N, dof); all sensors are read.
+        poses: Poses to measure, coordinates of shape (N, dof), or a plan; all sensors are read.
         noise: Standard deviations of what is measured.
         measured: Freedoms of the platform that are measured (see ``Platform.freedoms``; axes of
             the measurements' frame) and columns of the setup; all if not given.
@@ -120,42 +119,21 @@ def forecast(
         MechanismError: poses of a wrong shape, or not finite.
     """
     noise, setup, platform = noise or Noise(), setup or Setup(), mechanism.platform
-    demands = [leg_demand(mechanism, leg.name, poses) for leg in mechanism.legs]
-    by_parameter, by_pose = stacked(demands)
-    by_reading = np.concatenate([row.reading for row in demands], axis=1)
-    ok = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_parameter).all(axis=(1, 2))
-    by_parameter, by_pose, by_reading = by_parameter[ok], by_pose[ok], by_reading[ok]
-    matrices = platform.transforms(poses).as_matrix()[ok]
-    seen, sigma, kept = _planned(mechanism, matrices, noise, measured, setup)
-    n_legs, n = by_parameter.shape[2], by_parameter.shape[2] + seen.external.shape[2]
-    parameter = np.zeros((len(matrices), by_pose.shape[1] + len(sigma), n))
-    parameter[:, : by_pose.shape[1], :n_legs] = by_parameter
-    parameter[:, by_pose.shape[1] :, n_legs:] = seen.external
-    pose = np.concatenate((by_pose, seen.pose), axis=1)
-    deviation = np.concatenate(
-        (np.abs(by_reading) * noise.reading, np.tile(sigma, (len(matrices), 1))), axis=1
-    )
-    rows = _whitened(pose, parameter, deviation)
-    if not rows.size:
-        raise MeasurementError(
-            f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
-            f"{by_pose.shape[1]} sensors for {by_pose.shape[2]} freedoms. Measure more of the "
-            "platform"
-        )
-    names = [f"{name} ({leg.name})" for leg in mechanism.legs for name in leg.parameter_names]
+    legs = legs_at(mechanism, poses)
+    rows, unknowns, kept = information_rows(mechanism, legs, noise, measured, setup)
+    n = rows.shape[2]
+    n_legs = legs.parameter.shape[2]
     flat = rows.reshape(-1, n)
-    rank = identifiability(flat, [*names, *seen_names(platform, setup, kept)])
+    rank = identifiability(flat, unknowns)
     covariance, lost = _inverse(flat, rank.rank)
     size = largest_size(mechanism.legs, platform)
-    about = _about(mechanism, matrices, size)
-    more = stacked([leg_demand(mechanism, leg.name, about) for leg in mechanism.legs])
-    near = np.isfinite(more[0]).all(axis=(1, 2)) & np.isfinite(more[1]).all(axis=(1, 2))
-    gain = pose_gain(more[0][near], more[1][near])
-    there = platform.transforms(about).as_matrix()[near]
-    gauge, lost = split_frames(platform, there, gain, lost[:n_legs], size)
+    plan = Plan(legs.poses, readings=legs.readings)
+    near = legs_at(mechanism, nearby(mechanism, plan, _GENERIC, size))
+    there = platform.transforms(near.poses).as_matrix()
+    gauge, lost = split_frames(platform, there, near.gain, lost[:n_legs], size)
     return Forecast(
         mechanism,
-        int(ok.sum()),
+        len(legs.poses),
         kept,
         rows.shape[1],
         rank,
@@ -165,16 +143,49 @@ def forecast(
     )
 
 
-def _about(mechanism: Mechanism, matrices: Array, size: float) -> Array:
-    """Return generic poses about planned ones, coordinates of shape (N, dof).
+def information_rows(
+    mechanism: Mechanism,
+    legs: Legs,
+    noise: Noise,
+    measured: Sequence[str] | None,
+    setup: Setup,
+) -> tuple[Array, list[str], tuple[str, ...]]:
+    """Return what configurations tell about parameters and external unknowns, pose by pose.
 
-    What moves the platform as frames would at a few poses need not do so elsewhere.
+    Rows free of the poses and whitened, shape (N, k, n): their Gram matrix is the information.
+
+    Args:
+        mechanism: The mechanism.
+        legs: What all legs demand there.
+        noise: Standard deviations of what is measured.
+        measured: See ``forecast``.
+        setup: What measured numbers will mean.
+
+    Returns:
+        The rows, the names of the unknowns, and what is measured.
+
+    Raises:
+        MeasurementError: unknown freedoms, or measurements without noise or equations.
     """
-    platform, rng = mechanism.platform, np.random.default_rng(0)
-    scale = _ABOUT * np.array([size if unit == "m" else 1.0 for unit in platform.units])
-    many = np.tile(matrices, (-(-_GENERIC // len(matrices)), 1, 1)) if len(matrices) else matrices
-    twists = scale * rng.standard_normal((len(many), platform.dof))
-    return platform.from_matrices(platform.displaced(many, twists))
+    platform = mechanism.platform
+    matrices = platform.transforms(legs.poses).as_matrix()
+    seen, sigma, kept = _planned(mechanism, matrices, noise, measured, setup)
+    (count, n_rows, n_legs), n_readings = legs.parameter.shape, legs.reading.shape[2]
+    parameter = np.zeros((count, n_rows + len(sigma), n_legs + seen.external.shape[2]))
+    parameter[:, :n_rows, :n_legs] = legs.parameter
+    parameter[:, n_rows:, n_legs:] = seen.external
+    pose = np.concatenate((legs.pose, seen.pose), axis=1)
+    root = np.zeros((count, n_rows + len(sigma), n_readings + len(sigma)))
+    root[:, :n_rows, :n_readings] = noise.reading * legs.reading
+    root[:, n_rows:, n_readings:] = np.diag(sigma)
+    rows = _whitened(pose, parameter, root)
+    if not rows.size:
+        raise MeasurementError(
+            f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
+            f"{n_rows} equations for {pose.shape[2]} freedoms. Measure more of the platform"
+        )
+    names = [f"{name} ({leg.name})" for leg in mechanism.legs for name in leg.parameter_names]
+    return rows, [*names, *seen_names(platform, setup, kept)], kept
 
 
 def seen_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:
@@ -209,7 +220,7 @@ def _planned(
     if not set(kept) & set(turning):
         coordinates[:, platform.units.count("m") :] = np.nan
     data = Measurements(
-        poses=coordinates, readings=np.zeros((count, len(mechanism.legs))), extra=columns
+        poses=coordinates, readings=np.zeros((count, len(mechanism.reading_names))), extra=columns
     )
     observation = Observation(mechanism, data, setup)
     rows = observation.evaluate(matrices, observation.external.start)
@@ -219,20 +230,20 @@ def _planned(
     return some, sigma, kept
 
 
-def _whitened(pose: Array, parameter: Array, deviation: Array) -> Array:
+def _whitened(pose: Array, parameter: Array, root: Array) -> Array:
     """Return rows free of the poses, over their noise, shape (N, k, n).
 
     Args:
         pose: Derivatives by the pose, shape (N, r, dof).
         parameter: By parameters and external unknowns, shape (N, r, n).
-        deviation: Standard deviation of each row, shape (N, r).
+        root: Of the rows' covariance, how they follow what is measured, shape (N, r, s).
 
     Raises:
         MeasurementError: rows without noise.
     """
     Q, _ = np.linalg.qr(pose, mode="complete")
     free = Q[:, :, pose.shape[2] :].transpose(0, 2, 1)
-    noisy = free * deviation[:, None, :]
+    noisy = free @ root
     try:
         factor = np.linalg.cholesky(noisy @ noisy.transpose(0, 2, 1))
     except np.linalg.LinAlgError as error:

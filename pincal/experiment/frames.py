@@ -15,6 +15,7 @@ from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
 _RIGID = 1e-6  # relative misfit of a motion of the platform by frames alone
+_STILL = 1e-7  # motion of the platform below which it is none, of what each parameter would do
 
 
 def frame_motions(platform: Platform, matrices: Array) -> Array:
@@ -56,6 +57,24 @@ def beyond(platform: Platform, twists: Array, motions: Array, size: float) -> Ar
     return (wanted - U @ (U.T @ wanted)).reshape(twists.shape) / scale
 
 
+def reach(gain: Array, directions: Array) -> Array:
+    """Return how far directions would move the platform if parameters did not compensate, (k,)."""
+    return np.linalg.norm(np.abs(gain) @ np.abs(directions), axis=(0, 1))
+
+
+def still(gain: Array, directions: Array) -> int:
+    """Return how many of the directions' combinations do not move the platform at all.
+
+    Args:
+        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
+        directions: Columns, shape (n, k).
+    """
+    far = reach(gain, directions)
+    moved = (gain @ directions).reshape(-1, directions.shape[1]) / np.where(far > 0.0, far, 1.0)
+    s = np.linalg.svd(moved, compute_uv=False) if moved.size else np.zeros(0)
+    return directions.shape[1] - int((s > _STILL).sum())
+
+
 def split_frames(
     platform: Platform, matrices: Array, gain: Array, directions: Array, size: float
 ) -> tuple[Array, Array]:
@@ -70,7 +89,7 @@ def split_frames(
     """
     moved = gain @ directions
     left = beyond(platform, moved, frame_motions(platform, matrices), size)
-    scale = np.linalg.norm(moved, axis=(0, 1))
+    scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * reach(gain, directions))
     scale[scale == 0.0] = 1.0
     flat = (left / scale).reshape(-1, left.shape[2]) if left.size else np.zeros((1, left.shape[2]))
     _, s, axes = np.linalg.svd(flat, full_matrices=True)

@@ -75,7 +75,7 @@ class Identifiability:
     rank: int
     n_params: int
     condition: float
-    """Condition number, columns scaled to unit length; infinite where rank is lost."""
+    """Condition number, columns scaled to unit length; of what is determined where rank is lost."""
     groups: tuple[tuple[str, ...], ...]
     """Parameters that move together, one group for each lost rank."""
 
@@ -122,4 +122,4 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
             int(i) for i, w in zip(kept, column, strict=True) if abs(w) > 1e-6
         }
         groups.append(tuple(names[i] for i in sorted(members)))
-    return Identifiability(rank, n, np.inf, tuple(groups))
+    return Identifiability(rank, n, float(s[0] / s[rank - 1]) if rank else np.inf, tuple(groups))

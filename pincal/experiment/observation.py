@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.experiment.angles import ANGLES, angle
-from pincal.experiment.external import External, ExternalUnknowns, inverse_left_jacobian
+from pincal.experiment.external import External, ExternalUnknowns
 from pincal.kinematics.closure import point_velocity
+from pincal.kinematics.rotations import inverse_left_jacobian, turn_between
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
@@ -201,9 +201,7 @@ class Observation:
         whole = _whole(self.orientations)
         error = np.zeros((len(R), 3))
         measured = self.orientations[whole]
-        error[whole] = Rotation.from_matrix(
-            predicted[whole] @ measured.transpose(0, 2, 1)
-        ).as_rotvec()
+        error[whole] = turn_between(predicted[whole], measured)
         spread = inverse_left_jacobian(error)
         by_pose, by_external = spread @ by_pose, spread @ by_external
         rows += [(error[:, i], by_pose[:, i], by_external[:, i]) for i in self._turn_rows]

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.experiment.configurations import legs_at
 from pincal.experiment.frames import beyond
-from pincal.kinematics.closure import largest_size, solve
-from pincal.kinematics.derivatives import Demand, leg_demand
+from pincal.kinematics.closure import largest_size
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ class PlatformError:
 def platform_error(
     mechanism: Mechanism,
     covariance: Array,
-    poses: Array,
+    planned: Plan | Array,
     lost: Array | None = None,
     gauge: Array | None = None,
 ) -> PlatformError:
@@ -43,7 +44,7 @@ def platform_error(
     Args:
         mechanism: The mechanism.
         covariance: Of the parameters of all legs, shape (n, n).
-        poses: Poses over which to take the mean, coordinates of shape (N, dof).
+        planned: Poses over which to take the mean, coordinates of shape (N, dof), or a plan.
         lost: Directions of parameters that are not determined, columns of shape (n, n_lost).
         gauge: Directions of parameters that only move frames which are not measured, columns of
             shape (n, n_gauge): what these motions explain is left out.
@@ -51,9 +52,8 @@ def platform_error(
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    by_parameter, by_pose = stacked([leg_demand(mechanism, n, poses) for n in mechanism.leg_names])
-    ok = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_parameter).all(axis=(1, 2))
-    gain = pose_gain(by_parameter[ok], by_pose[ok])
+    legs = legs_at(mechanism, planned)
+    gain = legs.gain
     if gauge is not None:
         size = largest_size(mechanism.legs, mechanism.platform)
         gain = beyond(mechanism.platform, gain, gain @ gauge, size)
@@ -65,26 +65,5 @@ def platform_error(
     return PlatformError(
         float(np.sqrt(variance[linear].sum())),
         float(np.sqrt(variance[~linear].sum())),
-        int(ok.sum()),
+        len(gain),
     )
-
-
-def pose_gain(by_parameter: Array, by_pose: Array) -> Array:
-    """Return ∂(pose)/∂(parameter), shape (N, dof, n); least squares for more legs than freedoms."""
-    if by_pose.shape[1] != by_pose.shape[2]:
-        transposed = by_pose.transpose(0, 2, 1)
-        by_pose, by_parameter = transposed @ by_pose, transposed @ by_parameter
-    return -solve(by_pose, by_parameter)
-
-
-def stacked(demands: list[Demand]) -> tuple[Array, Array]:
-    """Return ∂e/∂φ and ∂e/∂x of all legs, shapes (N, n_rows, n_params) and (N, n_rows, dof)."""
-    by_pose = np.concatenate([row.pose for row in demands], axis=1)
-    sizes = [row.parameter.shape[2] for row in demands]
-    by_parameter = np.zeros((*by_pose.shape[:2], sum(sizes)))
-    row, column = 0, 0
-    for demand, size in zip(demands, sizes, strict=True):
-        k = demand.parameter.shape[1]
-        by_parameter[:, row : row + k, column : column + size] = demand.parameter
-        row, column = row + k, column + size
-    return by_parameter, by_pose

@@ -65,19 +65,27 @@ class Selection:
 
 
 def noise_weighted(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
-    """Return parameter rows over the standard deviation of their residual, shape (N, k, n).
+    """Return parameter rows whitened by the noise of their residuals, shape (N, k, n).
 
     Raises:
         MeasurementError: a residual has no noise.
     """
-    variance = (demand.pose * noise.of_poses(mechanism)) ** 2
-    total = variance.sum(axis=2) + (demand.reading * noise.reading) ** 2
-    if (total == 0.0).any():
+    noisy = np.concatenate(
+        (demand.pose * noise.of_poses(mechanism), demand.reading * noise.reading), axis=2
+    )
+    covariance = noisy @ noisy.transpose(0, 2, 1)
+    if (np.einsum("nkk->nk", covariance) == 0.0).any():
         raise MeasurementError(
             "a residual has no noise at all; give a standard deviation above zero for position, "
             "orientation or reading (only their ratios matter to the choice)"
         )
-    return np.asarray(demand.parameter / np.sqrt(total)[:, :, None])
+    if covariance.shape[1] == 1:
+        return np.asarray(demand.parameter / np.sqrt(covariance))
+    reached = np.isfinite(covariance).all(axis=(1, 2))
+    rows = np.full(demand.parameter.shape, np.nan)
+    roots = np.linalg.cholesky(covariance[reached])
+    rows[reached] = np.linalg.solve(roots, demand.parameter[reached])
+    return rows
 
 
 def select_poses(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.experiment.configurations import command
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Measurements, Noise, Plan
@@ -82,12 +83,11 @@ def simulate(
     noise = noise or Noise()
     rng = np.random.default_rng(seed)
     count, platform = len(plan.poses), mechanism.platform
-    redundant = len(mechanism.legs) > platform.dof
-    poses, readings, reasons = (_taken if redundant else _driven)(mechanism, truth, plan.poses)
+    poses, readings, reasons = (_taken if mechanism.redundant else _driven)(mechanism, truth, plan)
     rows = np.flatnonzero([not reason for reason in reasons])
     # One draw for each planned pose, so that a lost pose does not shift the others' noise.
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
-    reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.legs)))
+    reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.reading_names)))
     measurements = Measurements(
         poses=platform.moved(poses[rows], pose_noise[rows]),
         readings=readings[rows] + reading_noise[rows],
@@ -98,26 +98,26 @@ def simulate(
 
 
 def _driven(
-    mechanism: Mechanism, truth: Mechanism, planned: Array
+    mechanism: Mechanism, truth: Mechanism, planned: Plan
 ) -> tuple[Array, Array, list[str]]:
     """Return true poses and readings of nominal commands, and why a pose is not reached."""
-    commanded = inverse(mechanism, planned)
-    driven = np.flatnonzero(commanded.reached.all(axis=1))
-    solution = forward(truth, commanded.readings[driven], planned[driven])
-    reasons = [f"nominal mechanism: {commanded.reason(row)}" for row in range(len(planned))]
+    wanted, readings, reasons = command(mechanism, planned)
+    driven = np.flatnonzero([not reason for reason in reasons])
+    reasons = [reason and f"nominal mechanism: {reason}" for reason in reasons]
+    solution = forward(truth, readings[driven], wanted[driven])
     for row, reason in zip(driven, solution.reasons, strict=True):
         reasons[row] = f"true mechanism: {reason}" if reason else ""
-    poses = np.full(planned.shape, np.nan)
+    poses = np.full(planned.poses.shape, np.nan)
     poses[driven] = solution.poses
-    return poses, commanded.readings, reasons
+    return poses, readings, reasons
 
 
-def _taken(_: Mechanism, truth: Mechanism, planned: Array) -> tuple[Array, Array, list[str]]:
+def _taken(_: Mechanism, truth: Mechanism, planned: Plan) -> tuple[Array, Array, list[str]]:
     """Return planned poses and true readings there, and why a pose is not reached."""
-    there = inverse(truth, planned)
-    found = [there.reason(row) for row in range(len(planned))]
+    there = inverse(truth, planned.poses)
+    found = [there.reason(row) for row in range(len(planned.poses))]
     reasons = [f"true mechanism: {reason}" if reason else "" for reason in found]
-    return planned, there.readings, reasons
+    return planned.poses, there.readings, reasons
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Accuracy:
     """Poses that the model cannot command or the true mechanism cannot reach."""
 
 
-def platform_errors(model: Mechanism, truth: Mechanism, poses: Poses) -> Array:
+def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Array:
     """Return how far the true mechanism goes from poses that a model commands, shape (N, dof).
 
     With more legs than freedoms it goes to the pose of least gaps (see ``forward``).
@@ -147,17 +147,17 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Poses) -> Array:
         MechanismError: poses of a wrong shape, or not finite.
     """
     platform = model.platform
-    wanted = platform.coordinates_of(poses)
+    plan = poses if isinstance(poses, Plan) else Plan(platform.coordinates_of(poses))
+    wanted, readings, reasons = command(model, plan)
     errors = np.full(wanted.shape, np.nan)
-    commanded = inverse(model, wanted)
-    driven = np.flatnonzero(commanded.reached.all(axis=1))
-    solution = forward(truth, commanded.readings[driven], wanted[driven])
+    driven = np.flatnonzero([not reason for reason in reasons])
+    solution = forward(truth, readings[driven], wanted[driven])
     reached = driven[solution.converged]
     errors[reached] = platform.twists_between(wanted[reached], solution.poses[solution.converged])
     return errors
 
 
-def accuracy(model: Mechanism, truth: Mechanism, poses: Poses) -> Accuracy:
+def accuracy(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Accuracy:
     """Return the errors of the true mechanism when a model commands its poses.
 
     The root mean squares are the papers' RMSE of commanded against measured pose, without

@@ -175,7 +175,7 @@ def _tower(closure: LegClosure) -> Array:
         MechanismError: another kind of leg.
     """
     leg = closure.leg
-    slides = leg.active == 0 and leg.moving[0].kind == "prismatic"
+    slides = leg.active == [0] and leg.moving[0].kind == "prismatic"
     if not slides or closed_form(closure) is not driven_rod:
         raise MechanismError(
             f"{leg.name} is not a carriage, a universal joint and a rod, as a linear delta's legs "
@@ -190,13 +190,13 @@ def _tower(closure: LegClosure) -> Array:
             "have no parameter for that"
         )
     law = sensor_law(closure)
-    gain = -float(up[2]) * law.slope
+    gain = -float(up[2]) * law.slope[0]
     if gain <= 0.0:
         raise MechanismError(
             f"{leg.name}: its readings grow upwards; a firmware's count down from the endstop "
             "(direction -1 of the sensor)"
         )
-    top = rod.centre - closure.targets(np.eye(4)[None])[0] + up * law.start
+    top = rod.centre - closure.targets(np.eye(4)[None])[0] + up * law.start[0]
     return np.array([*top, rod.length, gain])
 
 

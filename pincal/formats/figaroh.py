@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, tuple[str, ...]]:
     """Return the measurements of a table of FIGAROH's, and remarks on columns that were left out.
 
-    A joint's column has the name of the leg whose drive it is or, if only one leg has it, of the
-    joint.
+    A joint's column has the name of the reading (the leg's, if it has one drive) or, if no other
+    drive is called so, of the joint.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -33,11 +33,11 @@ def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, 
     table = read_table(path)
     columns = _Columns(table)
     platform = mechanism.platform
-    drives = [leg.sensor.joint for leg in mechanism.legs]
+    drives = [sensor.joint for leg in mechanism.legs for sensor in leg.sensors]
     readings = np.column_stack(
         [
-            columns.take(leg.name, *([] if drives.count(drive) > 1 else [drive]))
-            for leg, drive in zip(mechanism.legs, drives, strict=True)
+            columns.take(name, *([] if drives.count(drive) > 1 else [drive]))
+            for name, drive in zip(mechanism.reading_names, drives, strict=True)
         ]
     )
     count = len(readings)

@@ -18,6 +18,8 @@ from pincal.experiment.external import External
 from pincal.identification.latent import LatentPoses
 from pincal.identification.problem import State
 from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.forward import placed_by_arm
+from pincal.kinematics.held import held
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.measurements import Measurements
@@ -60,14 +62,17 @@ def align(
     external = seen.external.start
     outside = seen.external
     whole = np.isfinite(data.poses).all() and len(seen.setup.targets) == 1
-    redundant = len(problem.legs) > platform.dof
+    redundant = mechanism.redundant
     if not len(outside) and (whole or redundant):
         state = placed(problem, data, parameters, external)
         return state if whole else settle(problem, state)
+    legs = [LegClosure(leg, platform) for leg in mechanism.legs]
+    there = placed_by_arm(mechanism, legs, problem.readings)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
-    state = State(parameters, home, (None,) * len(problem.legs), external)
-    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:  # from home to where the readings say
-        state = settle(problem.driven(mechanism, share), state)
+    joints = (None,) * len(problem.legs)
+    state = State(parameters, home if there is None else there, joints, external)
+    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:] if there is None else ():
+        state = settle(problem.driven(mechanism, share), state)  # from home to where readings say
     good = _well(mechanism, problem, state)
     if len(outside):
         state = replace(state, external=_aligned(problem, data, state, good))
@@ -82,10 +87,12 @@ def align(
 def _well(mechanism: Mechanism, problem: LatentPoses, state: State) -> Mask:
     """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
-    joints = [j for j in state.joints if j is not None]
-    closures = [leg.evaluate(q, state.matrices) for leg, q in zip(legs, joints, strict=True)]
-    redundant = len(legs) > mechanism.platform.dof  # of which the type-2 margin has no sign
-    told = problem.used.sum(axis=1) >= mechanism.platform.dof  # readings alone give the pose
+    closures = [
+        held(leg, state.matrices, one.readings, joints)[0]
+        for leg, one, joints in zip(legs, problem.residuals, state.joints, strict=True)
+    ]
+    redundant = mechanism.redundant  # of which the type-2 margin has no sign
+    told = problem.told(observed=False) >= mechanism.platform.dof  # readings alone give the pose
     good = told & (redundant | (platform_margin(mechanism, closures) > 0.0))
     missed = np.zeros(len(good))
     for leg, closure, own in zip(legs, closures, problem.used.T, strict=True):

@@ -55,6 +55,8 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
     noise = None if source == "rows" else task.noise.noise
     if source == "assumed":
         noise = Noise(*(float(np.sqrt(chi2)) * value for value in vars(task.noise.noise).values()))
+    held = estimate.held
+    lost = (held.words,) if held is not None and held.words else ()
     failed = [one.message for one in fits if not one.converged]
     evaluations = sum(one.evaluations for one in fits)
     latent = estimate.latent
@@ -75,13 +77,22 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         iterations=evaluations,
         converged=not failed,
         message="; ".join(failed) or f"converged after {evaluations} evaluations",
-        warnings=tuple(_warnings(task, legs, outliers, ties, dof, float(chi2))),
+        warnings=(
+            *(
+                f"these measurements do not tell everything: {words}; held as near to nominal as "
+                "can be, so that the machine is calibrated where it was measured only"
+                for words in lost
+            ),
+            *_warnings(task, legs, outliers, ties, dof, float(chi2)),
+        ),
         loss=task.loss,
         outliers=outliers,
         shift=_shift(estimate.fits),
         external=_external(task, estimate, outer),
         gauge=() if estimate.gauge is None else estimate.gauge.words,
         gauge_directions=None if estimate.gauge is None else estimate.gauge.of_legs,
+        undetermined=lost,
+        undetermined_directions=held.of_legs if held is not None and lost else None,
         ties=ties,
         observed=() if latent is None else _observed(latent, fits[0], task.noise.known),
         estimated_poses=None
@@ -99,6 +110,7 @@ def _leg_results(task: Task, one: Robust, std: dict[str, Array]) -> list[LegResu
         before = problem.leg_residual(found.first, index)
         after = problem.leg_residual(found.last, index)
         rank, condition = found.ranks[index]
+        values = after.value[own]
         results.append(
             LegResult(
                 name=leg.name,
@@ -116,13 +128,13 @@ def _leg_results(task: Task, one: Robust, std: dict[str, Array]) -> list[LegResu
                 rank=rank,
                 condition=condition,
                 rms_before=_rms(before.value[own]),
-                rms_after=_rms(after.value[own]),
+                rms_after=_rms(values),
                 unit=after.unit,
-                n_residuals=int(own.sum()),
-                sigma=after.sigma[own],
-                rows=one.rows[own],
-                residuals_before=before.value[own],
-                residuals=after.value[own],
+                n_residuals=values.size,
+                sigma=after.sigma[own].ravel(),
+                rows=np.repeat(one.rows[own], values.shape[1]),
+                residuals_before=before.value[own].ravel(),
+                residuals=values.ravel(),
             )
         )
     return results

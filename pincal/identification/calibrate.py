@@ -43,6 +43,7 @@ def calibrate(
     tied: Iterable[str] = (),
     priors: Mapping[str, float] | None = None,
     rough: bool = False,
+    hold_undetermined: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> CalibrationResult:
     """Return the identified parameters of a mechanism, with uncertainties.
@@ -68,6 +69,8 @@ def calibrate(
         priors: Standard deviations with which nominal values are known, by name as above.
         rough: Whether the nominal mechanism is known so roughly that measurements need not look
             like its own; units, signs and the order of legs are then not checked.
+        hold_undetermined: Whether directions of parameters that the measurements do not tell are
+            held as near to nominal as can be, and named; else they are refused.
         progress: Called with what is being done.
 
     Raises:
@@ -89,6 +92,7 @@ def calibrate(
         tied=tied,
         priors=priors,
         rough=rough,
+        hold_undetermined=hold_undetermined,
         progress=progress,
     )
     check_copies(measurements)
@@ -105,6 +109,8 @@ def estimate(task: Task) -> Estimate:
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
         MeasurementError: measurements that do not suit the method.
     """
+    if task.hold and task.method != "latent":
+        raise MeasurementError("what is not told is held with --method latent only")
     return latent_fit(task) if task.method == "latent" else measured_fits(task)
 
 
@@ -122,6 +128,7 @@ def calibration_task(
     tied: Iterable[str] = (),
     priors: Mapping[str, float] | None = None,
     rough: bool = False,
+    hold_undetermined: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Task:
     """Return what is to be identified, checked: arguments and errors are those of ``calibrate``."""
@@ -149,12 +156,13 @@ def calibration_task(
         every_pose=method == "latent" or poses == "all",
         untied=False,
         rough=rough,
+        hold=hold_undetermined,
         tell=progress or (lambda _: None),
     )
 
 
 def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:
-    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.legs)))
+    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names)))
     if (data.poses.shape, data.readings.shape) != expected:
         raise MeasurementError(
             f"poses {data.poses.shape} and readings {data.readings.shape} do not fit "

@@ -25,7 +25,8 @@ def check_start(problem: LatentPoses, state: State) -> None:
     state = settle(easy, state)
     size = largest_size(problem.legs, problem.residuals[0].platform)
     _, plain = easy.rows(state)
-    gaps = np.where(problem.used, np.concatenate([d.value for d in plain.demands], axis=1), 0.0)
+    missed = [np.linalg.norm(demand.value, axis=1) for demand in plain.demands]
+    gaps = np.where(problem.used, np.stack(missed, axis=1), 0.0)
     seen = problem.observation.evaluate(plain.state.matrices, state.external).value
     lengths = np.array([unit == "m" for unit in problem.observation.units], dtype=bool)
     missed = np.sqrt((gaps**2).sum(axis=1) + (seen[:, lengths] ** 2).sum(axis=1))

@@ -44,8 +44,9 @@ def check_rank(problem: Problem, unknowns: Unknowns, linear: Linear) -> list[tup
     if not all_.complete:
         raise ObservabilityError(
             f"the measured poses leave parameters undetermined: {all_.in_words()} "
-            f"(rank {all_.rank} of {all_.n_params}). Measure poses that tell them apart, or fix "
-            "one of them, or make it a constant in mechanism.yaml"
+            f"(rank {all_.rank} of {all_.n_params}). Measure poses that tell them apart, fix "
+            "one of them, make it a constant in mechanism.yaml, or hold what is not told as near "
+            "to nominal as can be (--hold-undetermined)"
         )
     own = (
         identifiability(J[:, columns], leg.parameter_names)

@@ -11,6 +11,7 @@ from pincal.experiment.external import External, ExternalUnknowns
 from pincal.identification.gauge import Gauge
 from pincal.identification.latent import LatentPoses
 from pincal.identification.robust import Robust
+from pincal.identification.undetermined import Held
 from pincal.identification.unknowns import Unknowns
 from pincal.model.mechanism import Mechanism
 
@@ -32,6 +33,8 @@ class Estimate:
     """Of legs and what is outside, of which the gauge speaks."""
     latent: LatentPoses | None = None
     """The problem, if poses were latent."""
+    held: Held | None = None
+    """What the measurements do not tell, if that was held."""
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Array]:
         """Return identified parameters by leg, each of shape (n_params,)."""

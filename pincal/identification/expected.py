@@ -24,5 +24,9 @@ def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
         MechanismError: poses of a wrong shape, or not finite.
     """
     return platform_error(
-        result.identified, result.covariance, poses, gauge=result.gauge_directions
+        result.identified,
+        result.covariance,
+        poses,
+        lost=result.undetermined_directions,
+        gauge=result.gauge_directions,
     )

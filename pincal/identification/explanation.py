@@ -37,8 +37,11 @@ def check_gaps(mechanism: Mechanism, poses: Array, readings: Array, gaps: Array)
     )
 
     def swapped() -> Iterable[Suspect]:
+        if readings.shape[1] != len(gaps):
+            return []
         table = [
-            [leg_fit(mechanism, i, poses, column).gap for column in readings.T] for i in indices
+            [leg_fit(mechanism, i, poses, column[:, None]).gap for column in readings.T]
+            for i in indices
         ]
         return exchanged(mechanism, poses, readings, np.array(table))
 
@@ -92,7 +95,8 @@ def _explained(mechanism: Mechanism, gaps: Array, suspect: Suspect) -> Array | N
     for index in np.argsort(-gaps):
         if suspect.by_leg and not doubtful[index]:
             continue
-        fit = leg_fit(mechanism, index, suspect.poses, suspect.readings[:, index])
+        own = mechanism.reading_columns[index]
+        fit = leg_fit(mechanism, int(index), suspect.poses, suspect.readings[:, own])
         if fit.rows < 2:
             continue
         most = min(EXPLAINED, _BETTER * gaps[index]) if suspect.by_leg else EXPLAINED

@@ -24,6 +24,7 @@ _NEAR = 0.1  # of a standard error: the search ends
 _STALLS = 1e-12  # relative fall of the cost at which the search ends
 _STEPS = 300  # of the search
 _STANDS = 1e-9  # of a standard error: no step is left, with the weights renewed
+_ROUNDED = 1e-7  # of a standard error: steps that shrink no more are rounding errors
 _STANDS_ROBUST = 1e-6  # weights of rows follow their residuals: convergence is slower
 _ROUNDS = 30
 _LEAST_DAMPING = 1e-6
@@ -89,22 +90,24 @@ def fit(
         ObservabilityError: parameters are not determined, or by the noise only.
         MeasurementError: residuals that do not exist, or have no noise.
     """
-    system = _System(problem, unknowns, known, loss, kept)
-    easy = replace(system, problem=problem.eased())
     start = start or problem.start(unknowns.start[: problem.columns[-1].stop])
-    first = easy.problem.linearise(start)
+    eased = problem.eased()
+    first = eased.linearise(start)
+    system = _System(problem, unknowns, known, loss, kept)
+    easy = replace(system, problem=eased)
     check_rank(problem, unknowns, first)
     if known:
         check_information(problem, unknowns, first)
     near, evaluations = _search(easy, first, tell)
     linear = near if easy.problem is problem else problem.linearise(near.state)
-    stands = _STANDS if loss is None else _STANDS_ROBUST
+    stands, decrement = (_STANDS if loss is None else _STANDS_ROBUST), np.inf
     for _ in range(_ROUNDS if loss is None else 10 * _ROUNDS):
         weights, scale = system.weights(linear)
         step, std = system.step(linear, weights)
         rounding = _ROUNDING * np.abs(unknowns.map).T @ system.size(linear.state)
-        decrement = float(((np.abs(step) - rounding) / std).max())
-        if decrement <= stands:
+        last, decrement = decrement, float(((np.abs(step) - rounding) / std).max())
+        if decrement <= stands or last / 2 < decrement <= _ROUNDED:  # no smaller but by chance
+            stands = max(stands, decrement)
             break
         linear = problem.linearise(problem.moved(linear, unknowns.map @ step))
         evaluations += 1

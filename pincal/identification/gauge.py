@@ -10,25 +10,22 @@ measured by what it alone would do to the measurements.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.experiment.elimination import eliminate
-from pincal.experiment.frames import split_frames
+from pincal.experiment.frames import split_frames, still
 from pincal.experiment.observability import identifiability
+from pincal.identification.consistent import consistent, lost_directions
 from pincal.identification.latent import LatentPoses
 from pincal.identification.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.derivatives import leg_demand
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_ROWS = 200  # generic poses, at least
-_SPREAD = 0.05  # of the mechanism's size, and [rad], by which they are moved about
-_LOST = 1e-9  # of the largest singular value, columns of unit length
 _TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
 
 
@@ -46,17 +43,6 @@ class Gauge:
     are none."""
 
 
-@dataclass(frozen=True)
-class _Generic:
-    """Derivatives at generic poses that all legs reach."""
-
-    matrices: Array
-    leg_pose: Array
-    leg_parameter: Array
-    seen_pose: Array
-    seen_parameter: Array
-
-
 def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> Gauge:
     """Return the gauge freedoms of a problem at its start.
 
@@ -64,21 +50,10 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
         ObservabilityError: what is measured leaves parameters undetermined at any poses; the
             message names them.
     """
-    generic = _generic(mechanism, problem, unknowns)
+    generic = consistent(mechanism, problem, unknowns, generic=True)
     n_legs, T = generic.leg_parameter.shape[2], unknowns.map
-    legs = np.concatenate(
-        (generic.leg_parameter, np.zeros((*generic.leg_parameter.shape[:2], T.shape[0] - n_legs))),
-        axis=2,
-    )
-    parameter = np.concatenate((legs, generic.seen_parameter), axis=1)
-    pose = np.concatenate((generic.leg_pose, generic.seen_pose), axis=1)
-    free = eliminate(np.zeros(pose.shape[:2]), parameter, pose)
-    _, prior = unknowns.prior_rows(unknowns.start)
-    J = np.concatenate((free.parameter.reshape(-1, T.shape[0]) @ T, prior))
-    lengths = np.linalg.norm(J, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    _, s, axes = np.linalg.svd(J / lengths, full_matrices=len(J) < T.shape[1])
-    lost = axes[int((s > _LOST * s[0]).sum()) :]
+    J = generic.jacobian(unknowns)
+    lost, lengths = lost_directions(J)
     directions = lost / lengths
     size = largest_size(problem.legs, mechanism.platform)
     gain = -np.linalg.pinv(generic.leg_pose) @ generic.leg_parameter
@@ -91,7 +66,10 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
             "more of the platform, or fix one of them, or make it a constant in mechanism.yaml"
         )
     weight = np.array([_weight(label) for label in unknowns.free_labels])
-    words = _words(len(lost), mechanism, unknowns, directions @ T.T)
+    n_still = still(gain, moved) if len(lost) else 0
+    words = _words(len(lost) - n_still, mechanism, unknowns, directions @ T.T)
+    if n_still:
+        words = (*words, _redundant(gain, unknowns.labels[:n_legs], n_still))
     return Gauge(directions, lost * lengths * weight, words, moved if words else None)
 
 
@@ -103,36 +81,6 @@ def _weight(label: str) -> float:
     if label.startswith("frame "):
         return 0.0
     return 1.0 if " of " in label else _TARGETS
-
-
-def _generic(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> _Generic:
-    """Return derivatives at poses moved about those of the start, that all legs reach."""
-    platform, rng = mechanism.platform, np.random.default_rng(0)
-    start = problem.start(unknowns.start[: problem.columns[-1].stop])
-    size = largest_size(problem.legs, platform)
-    scale = np.array([size if unit == "m" else 1.0 for unit in platform.units]) * _SPREAD
-    observation, parts = problem.observation.anywhere(), []
-    chosen = np.arange(len(start.matrices))[:_ROWS]
-    observation = observation.rows(chosen)
-    for _ in range(-(-_ROWS // len(chosen))):
-        twists = scale * rng.standard_normal((len(chosen), platform.dof))
-        matrices = platform.displaced(start.matrices[chosen], twists)
-        coordinates = platform.from_matrices(matrices)
-        demands = [
-            leg_demand(mechanism, leg.name, coordinates, start.parameters[columns])
-            for leg, columns in zip(problem.legs, problem.columns, strict=True)
-        ]
-        seen = observation.evaluate(matrices, start.external)
-        pose = np.concatenate([d.pose for d in demands], axis=1) / size
-        parameter = np.zeros((*pose.shape[:2], problem.columns[-1].stop))
-        for index, (demand, columns) in enumerate(zip(demands, problem.columns, strict=True)):
-            parameter[:, index, columns] = demand.parameter[:, 0] / size
-        outer = np.zeros((*seen.pose.shape[:2], len(unknowns.names)))
-        outer[:, :, parameter.shape[2] :] = seen.external
-        ok = np.isfinite(pose).all(axis=(1, 2)) & np.isfinite(parameter).all(axis=(1, 2))
-        ok &= np.isfinite(seen.pose).all(axis=(1, 2)) & np.isfinite(outer).all(axis=(1, 2))
-        parts.append((matrices[ok], pose[ok], parameter[ok], seen.pose[ok], outer[ok]))
-    return _Generic(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def _words(
@@ -156,6 +104,13 @@ def _words(
             "say how the platform's points lie in it"
         )
     return tuple(words)
+
+
+def _redundant(gain: Array, names: Sequence[str], n_still: int) -> str:
+    """Return in words which parameters do the same to the platform, so that some are not needed."""
+    together = identifiability(gain.reshape(-1, gain.shape[2]), names).in_words()
+    are = "parameter is" if n_still == 1 else "parameters are"
+    return f"{n_still} {are} redundant, whatever is measured: {together}"
 
 
 def _freedoms(count: int) -> str:

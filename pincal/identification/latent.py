@@ -17,9 +17,20 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.experiment.elimination import Eliminated, eliminate
 from pincal.experiment.observation import Observation
-from pincal.identification.problem import LegRows, Linear, State, leg_columns
+from pincal.identification.problem import (
+    LegRows,
+    Linear,
+    State,
+    by_readings,
+    joined_units,
+    leg_columns,
+    leg_readings,
+    leg_rows,
+)
 from pincal.identification.residuals import LegResidual
-from pincal.kinematics.inverse import inverse
+from pincal.kinematics.closure import LegClosure, product
+from pincal.kinematics.derivatives import Demand
+from pincal.kinematics.inverse import inverse, sensor_law
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -85,7 +96,7 @@ class LatentPoses:
             used: Which readings were measured, shape (N, n_legs).
             observation: What was measured of the platform.
             sigma_observed: Standard deviations of that, shape (N, r).
-            sigma_readings: Standard deviations of the readings, shape (N, n_legs).
+            sigma_readings: Standard deviations of the readings, shape (N, n_readings).
 
         Raises:
             MeasurementError: a row with too few measured quantities; nothing that has noise.
@@ -96,15 +107,23 @@ class LatentPoses:
         self.legs = [residual.leg for residual in residuals]
         self.columns = leg_columns(self.legs)
         self._eased = False
-        self.row_names = [f"reading of {leg.name}" for leg in self.legs]
+        self.row_names = [
+            f"reading of {name}" if one.width == 1 else f"closure of {name}"
+            for one in residuals
+            for name in one.names
+        ]
         self.row_names += [f"measured {name}" for name in observation.names]
         self._platform = residuals[0].platform
         self._n_params = self.columns[-1].stop
-        self.sigma_readings = np.where(used, sigma_readings, 1.0)
+        self._rows = leg_rows(residuals)
+        self._readings = leg_readings(self.legs)
+        read = np.repeat(used, [len(leg.sensors) for leg in self.legs], axis=1)
+        self.sigma_readings = np.where(read, sigma_readings, 1.0)
         self.sigma_observed = sigma_observed
         self._noisy = observation.measured & (sigma_observed > 0.0)
         self._check_counts()
-        if ((used & (sigma_readings <= 0.0)).sum(axis=1) > self._platform.dof).any():
+        noisy = np.stack([(self.sigma_readings[:, own] > 0.0).any(1) for own in self._readings], 1)
+        if ((used & ~noisy) @ self._widths > self._platform.dof).any():
             raise MeasurementError(
                 f"{len(self.legs)} exact readings contradict each other in "
                 f"{self._platform.dof} freedoms of the platform; give the readings a standard "
@@ -113,8 +132,27 @@ class LatentPoses:
         self.first: State | None = None
         """Where the search starts, once ``align`` has found it."""
 
+    @property
+    def readings(self) -> Array:
+        """Readings of all legs, shape (N, n_readings), [rad] or [m]."""
+        return np.concatenate([one.readings for one in self.residuals], axis=1)
+
+    @property
+    def _widths(self) -> NDArray[np.intp]:
+        """Number of equations of each leg."""
+        return np.array([one.width for one in self.residuals])
+
+    def told(self, observed: bool = True) -> NDArray[np.intp]:
+        """Return how many equations each pose has, shape (N,).
+
+        Args:
+            observed: Whether what was measured of the platform counts, or the legs alone.
+        """
+        legs = np.asarray(self.used @ self._widths)
+        return legs + self.observation.measured.sum(axis=1) if observed else legs
+
     def _check_counts(self) -> None:
-        told = self.used.sum(axis=1) + self.observation.measured.sum(axis=1)
+        told = self.told()
         dof = self._platform.dof
         if (told < dof).any():
             row = int(np.argmax(told < dof))
@@ -156,8 +194,8 @@ class LatentPoses:
         found = self.without_observation()
         home = inverse(mechanism, np.array([mechanism.platform.home])).readings[0]
         found.residuals = [
-            LegResidual(one.leg, one.platform, at + share * (one.readings - at))
-            for one, at in zip(self.residuals, home, strict=True)
+            LegResidual(one.leg, one.platform, home[own] + share * (one.readings - home[own]))
+            for one, own in zip(self.residuals, self._readings, strict=True)
         ]
         return found
 
@@ -171,26 +209,26 @@ class LatentPoses:
         ]
         demands = [demand for demand, _ in found]
         seen = self.observation.evaluate(state.matrices, state.external)
-        sigma_legs, sigma_seen = self._sigmas(np.concatenate([d.reading for d in demands], axis=1))
-        n_legs, n = len(demands), self._n_params + len(self.observation.external)
+        whiteners, sigma_seen = self._whiteners(demands)
+        n_legs, n = self._rows[-1].stop, self._n_params + len(self.observation.external)
         k = n_legs + seen.value.shape[1]
         value, pose = (
             np.empty((len(self.used), k)),
             np.empty((len(self.used), k, seen.pose.shape[2])),
         )
         parameter = np.zeros((len(self.used), k, n))
-        for index, (demand, columns) in enumerate(zip(demands, self.columns, strict=True)):
-            weight = self.used[:, index] / sigma_legs[:, index]
-            value[:, index] = weight * demand.value[:, 0]
-            pose[:, index] = weight[:, None] * demand.pose[:, 0]
-            parameter[:, index, columns] = weight[:, None] * demand.parameter[:, 0]
+        for W, demand, own, columns in zip(
+            whiteners, demands, self._rows, self.columns, strict=True
+        ):
+            value[:, own] = product(W, demand.value[:, :, None])[:, :, 0]
+            pose[:, own] = product(W, demand.pose)
+            parameter[:, own, columns] = product(W, demand.parameter)
         value[:, n_legs:] = seen.value / sigma_seen
         pose[:, n_legs:] = seen.pose / sigma_seen[:, :, None]
         parameter[:, n_legs:, self._n_params :] = seen.external / sigma_seen[:, :, None]
         here = replace(state, joints=tuple(joints for _, joints in found))
-        told = self.used.sum(axis=1) + self.observation.measured.sum(axis=1)
         return Rows(value, parameter, pose), Linear(
-            here, demands, value, parameter, told - self._platform.dof
+            here, demands, value, parameter, self.told() - self._platform.dof
         )
 
     def linearise(self, state: State) -> LatentLinear:
@@ -213,12 +251,32 @@ class LatentPoses:
             raise TypeError("a step needs the rows from which the poses were eliminated")
         state = linear.state
         twists = linear.eliminated.poses(step)
+        parameters = state.parameters + step[: self._n_params]
+        there = self._carried(linear, step, twists, parameters)
         return State(
-            state.parameters + step[: self._n_params],
-            self._platform.displaced(state.matrices, twists),
+            parameters,
+            self._platform.displaced(state.matrices, twists) if there is None else there,
             state.joints,
             self.observation.external.moved(state.external, step[self._n_params :]),
         )
+
+    def _carried(
+        self, linear: Linear, step: Array, twists: Array, parameters: Array
+    ) -> Array | None:
+        """Return poses at which an arm's closure is what a step was to make it, (N, 4, 4).
+
+        An arm that is read carries the platform exactly, along no straight line; none if no leg is
+        one.
+        """
+        for one, demand, columns in zip(self.residuals, linear.demands, self.columns, strict=True):
+            if one.leg.closes == "frame" and not one.leg.passive and self._platform.dof == 6:
+                gap = demand.value + demand.parameter @ step[columns]
+                gap += (demand.pose @ twists[:, :, None])[:, :, 0]
+                leg = LegClosure(one.leg, self._platform, parameters[columns])
+                joints = np.empty((len(gap), len(one.leg.moving)))
+                joints[:, one.leg.active] = sensor_law(leg).position(one.readings)
+                return leg.frame(joints, gap)
+        return None
 
     def shaken(self, linear: Linear) -> State:
         """Return the state with poses shaken by how well they are known."""
@@ -231,23 +289,56 @@ class LatentPoses:
         return replace(state, matrices=self._platform.displaced(state.matrices, twists))
 
     def leg_residual(self, linear: Linear, index: int) -> LegRows:
-        """Return predicted less measured readings at the estimated poses."""
+        """Return what a leg misses at the estimated poses.
+
+        Predicted less measured reading; of a leg that demands several things its closure.
+        """
         demand = linear.demands[index]
+        if demand.value.shape[1] > 1:
+            by_reading = by_readings(demand, self.sigma_readings[:, self._readings[index]])
+            return LegRows(demand.value, np.sqrt(np.einsum("nkk->nk", by_reading)), "m")
         return LegRows(
-            -demand.value[:, 0] / demand.reading[:, 0],
-            self.sigma_readings[:, index],
-            self.legs[index].reading_unit,
+            demand.as_joint().value,
+            self.sigma_readings[:, self._readings[index]],
+            joined_units(self.legs[index]),
         )
 
-    def _sigmas(self, by_reading: Array) -> tuple[Array, Array]:
-        """Return standard deviations of the legs' rows [m] and of the observed quantities.
+    def _whiteners(self, demands: Sequence[Demand]) -> tuple[list[Array], Array]:
+        """Return what whitens each leg's rows, and standard deviations of the observed quantities.
 
-        What is given as exact counts as a thousand times better than what is typical.
+        Inverse roots of the rows' covariance by the readings' noise, each of shape (N, k, k), zero
+        where the readings were not measured; shape (N, r).
 
         Raises:
             MeasurementError: nothing has noise.
         """
-        legs = np.abs(by_reading) * self.sigma_readings
+        sigmas = [self.sigma_readings[:, own] for own in self._readings]
+        own = [by_readings(demand, s) for demand, s in zip(demands, sigmas, strict=True)]
+        by_reading = np.concatenate([np.linalg.norm(d.reading, axis=2) for d in demands], axis=1)
+        legs = np.concatenate([np.sqrt(np.einsum("nkk->nk", one)) for one in own], axis=1)
+        floors, sigma_seen = self._floors(by_reading, legs)
+        whiteners: list[Array] = []
+        for index, (covariance, rows) in enumerate(zip(own, self._rows, strict=True)):
+            k = covariance.shape[1]
+            covariance[:, range(k), range(k)] += floors[:, rows] ** 2
+            root = np.sqrt(covariance) if k == 1 else np.linalg.cholesky(covariance)
+            W = 1.0 / root if k == 1 else np.linalg.inv(root)
+            whiteners.append(np.asarray(self.used[:, index, None, None] * W))
+        return whiteners, sigma_seen
+
+    def _floors(self, by_reading: Array, legs: Array) -> tuple[Array, Array]:
+        """Return least standard deviations of the legs' rows [m], those of observed quantities.
+
+        What is given as exact counts as a thousand times better than what is typical.
+
+        Args:
+            by_reading: How the legs' rows follow their readings, shape (N, K).
+            legs: Standard deviations of the rows by their readings' noise, shape (N, K).
+
+        Raises:
+            MeasurementError: nothing has noise.
+        """
+        used = np.repeat(self.used, self._widths, axis=1)
         seen = self.observation.measured
         lengths = np.array([unit == "m" for unit in self.observation.units], dtype=bool)
         size = float(np.median(np.abs(by_reading)))  # [m/rad] or 1
@@ -255,7 +346,7 @@ class LatentPoses:
         noisy = self._noisy
         own = [sigma[:, lengths][noisy[:, lengths]], size * sigma[:, ~lengths][noisy[:, ~lengths]]]
         known = next(
-            (v for v in (own[0], legs[self.used & (legs > 0.0)], own[1]) if len(v)), np.zeros(0)
+            (v for v in (own[0], legs[used & (legs > 0.0)], own[1]) if len(v)), np.zeros(0)
         )
         if not len(known):
             raise MeasurementError(
@@ -265,12 +356,13 @@ class LatentPoses:
         typical = float(np.median(known))
         if self._eased:
             floor = np.where(lengths, typical, typical / size)
-            return np.hypot(legs, typical), np.where(seen, np.maximum(sigma, floor), 1.0)
-        noisy_legs = legs[self.used & (legs > 0.0)]
+            every = np.full(legs.shape, typical)
+            return every, np.where(seen, np.maximum(sigma, floor), 1.0)
+        noisy_legs = legs[used & (legs > 0.0)]
         small = _EXACT * float(np.median(noisy_legs)) if len(noisy_legs) else 0.0
         least = _EXACT * typical
         exact = np.where(lengths, least, least / size)
         return (
-            np.where(self.sigma_readings > 0.0, np.hypot(legs, small), least),
+            np.where(legs > 0.0, small, least),
             np.where(seen, np.where(sigma > 0.0, sigma, exact), 1.0),
         )

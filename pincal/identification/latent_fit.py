@@ -12,6 +12,7 @@ from pincal.identification.gauge import find_gauge
 from pincal.identification.latent import LatentPoses
 from pincal.identification.robust import robust_fit
 from pincal.identification.task import Task
+from pincal.identification.undetermined import hold_undetermined
 from pincal.identification.unknowns import Unknowns
 
 
@@ -60,8 +61,10 @@ def latent_fit(task: Task) -> Estimate:
     problem, unknowns = latent_problem(task)
     gauge = find_gauge(task.mechanism, problem, unknowns)
     free = unknowns.held(gauge.constraints) if gauge.words else unknowns
+    held = hold_undetermined(task.mechanism, problem, free) if task.hold else None
+    free = free if held is None else held.unknowns
     task.tell("identifying all legs and poses")
     found = robust_fit(task, problem, free, np.arange(len(task.data)))
     outside = problem.observation.external
     external = found.fit.last.state.external
-    return Estimate([found], outside, external, gauge, unknowns, problem)
+    return Estimate([found], outside, external, gauge, unknowns, problem, held)

@@ -96,12 +96,14 @@ def group_problem(
     """
     used = task.used[:, group]
     rows = np.flatnonzero(used.any(axis=1))
+    every = np.arange(task.noise.readings.shape[1])
+    columns = np.concatenate([every[task.mechanism.reading_columns[i]] for i in group])
     problem = MeasuredPoses(
         [task.residual(i, task.kind, rows) for i in group],
         poses[rows],
         used[rows],
         roots[rows],
-        task.noise.readings[rows][:, group],
+        task.noise.readings[np.ix_(rows, columns)],
         weighted=task.kind == "closure",
     )
     return problem, rows
@@ -202,7 +204,7 @@ def _check_whole(task: Task) -> None:
         raise MeasurementError("further targets and distances need --method latent")
     for values, names in (
         (data.poses, platform.coordinates),
-        (data.readings, task.mechanism.leg_names),
+        (data.readings, task.mechanism.reading_names),
     ):
         if not (told := np.isfinite(values)).all():
             row, column = (int(i) for i in np.argwhere(~told)[0])

@@ -29,7 +29,7 @@ class NoiseModel:
     poses: Array
     """Of the platform's freedoms, shape (N, dof)."""
     readings: Array
-    """Shape (N, n_legs)."""
+    """Shape (N, n_readings)."""
     source: Source
 
     @property
@@ -69,7 +69,7 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
     elif (repeated := noise_of_repeats(mechanism, data)) is not None:
         source, one = "repeats", repeated
     else:
-        exact = full and data.readings.shape[1] <= mechanism.platform.dof
+        exact = full and not mechanism.redundant
         source, one = "assumed", Noise(_ASSUMED, _ASSUMED, 0.0 if exact else _ASSUMED)
     poses = np.tile(one.of_poses(mechanism), (len(data), 1))
     if data.sigma_poses is not None:

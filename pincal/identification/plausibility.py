@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.identification.explanation import DOUBTFUL, EXPLAINED, REFUSED, check_gaps
-from pincal.identification.leg_fit import LegFit, leg_fit
+from pincal.identification.leg_fit import LegFit, leg_fits
 from pincal.identification.suspects import mirrored
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.inverse import inverse
@@ -40,7 +40,7 @@ def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
         return
     some = complete[:: -(-len(complete) // _ROWS)]
     poses, readings = data.poses[some], data.readings[some]
-    fits = [leg_fit(mechanism, i, poses, readings[:, i]) for i in range(len(mechanism.legs))]
+    fits = leg_fits(mechanism, poses, readings)
     gaps = np.array([fit.gap if fit.rows > 1 else 0.0 for fit in fits])
     if (gaps > DOUBTFUL).any():
         check_gaps(mechanism, poses, readings, gaps)
@@ -86,7 +86,7 @@ def _check_modes(mechanism: Mechanism, fits: list[LegFit]) -> None:
     found = []
     for leg, fit in zip(mechanism.legs, fits, strict=True):
         if not fit.as_home and fit.gap <= REFUSED:
-            passive = [joint.name for joint in leg.moving if joint.name != leg.sensor.joint]
+            passive = [leg.moving[i].name for i in leg.passive]
             found.append(f"{leg.name} ({' and '.join(passive)}, in {fit.bent} of {fit.rows} rows)")
     if found:
         raise MeasurementError(
@@ -104,11 +104,11 @@ def _check_side(mechanism: Mechanism, poses: Array, readings: Array) -> None:
     Raises:
         MeasurementError: naming the axis.
     """
-    share = _beyond(mechanism, poses)
+    share = 0.0 if mechanism.by_readings else _beyond(mechanism, poses)
     if share <= 0.5:
         return
     for suspect in mirrored(mechanism, poses, readings):
-        fits = [leg_fit(mechanism, i, suspect.poses, col) for i, col in enumerate(readings.T)]
+        fits = leg_fits(mechanism, suspect.poses, readings)
         gap = max((fit.gap for fit in fits if fit.rows > 1), default=np.inf)
         bent = not all(fit.as_home for fit in fits)
         if gap <= EXPLAINED and not bent and _beyond(mechanism, suspect.poses) < 0.5:
@@ -127,19 +127,24 @@ def _beyond(mechanism: Mechanism, poses: Array) -> float:
 def _check_readings(mechanism: Mechanism, data: Measurements, complete: NDArray[np.intp]) -> None:
     """Raise if readings do not follow the nominal ones, or are whole turns off.
 
+    Only where poses tell readings.
+
     Raises:
         MeasurementError: they do not; the message names the leg and, for turns, the row.
     """
+    if mechanism.by_readings:
+        return
     nominal = inverse(mechanism, data.poses[complete]).readings
     for index, leg in enumerate(mechanism.legs):
+        (sensor,), (unit,) = leg.sensors, leg.reading_units
         given = data.readings[complete, index]
         reached = np.isfinite(nominal[:, index]) & np.isfinite(given)
         if reached.sum() < 2:
             continue
         rows, expected, given = complete[reached], nominal[reached, index], given[reached]
-        if leg.reading_unit == "rad":
-            gain, _ = leg.sensor.constants(leg.nominal_by_name)
-            turn = 2 * np.pi * (abs(gain) if leg.sensor.form == "reading" else 1 / abs(gain))
+        if unit == "rad":
+            gain, _ = sensor.constants(leg.nominal_by_name)
+            turn = 2 * np.pi * (abs(gain) if sensor.form == "reading" else 1 / abs(gain))
             turns = np.round((given - expected) / turn)
             if turns.any():
                 first = int(np.argmax(turns != 0))
@@ -150,12 +155,12 @@ def _check_readings(mechanism: Mechanism, data: Measurements, complete: NDArray[
                     "the turns, or correct the nominal offset"
                 )
         spread, off = _spread(expected), _spread(given - expected)
-        size = 1.0 if leg.reading_unit == "rad" else LegClosure(leg, mechanism.platform).size
+        size = 1.0 if unit == "rad" else LegClosure(leg, mechanism.platform).size
         if off > max(_FOLLOWS * spread, DOUBTFUL * size):
             raise MeasurementError(
                 f"{leg.name}: the readings do not follow those of the nominal mechanism (spread of "
                 f"the differences {off:.2g}, of the nominal readings {spread:.2g} "
-                f"{leg.reading_unit}). Check their order and signs, the signs and frame of the "
+                f"{unit}). Check their order and signs, the signs and frame of the "
                 "poses, and the mechanism"
             )
 

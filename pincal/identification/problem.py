@@ -88,12 +88,12 @@ class Linear:
 
 @dataclass(frozen=True)
 class LegRows:
-    """Residuals of one leg as people read them."""
+    """Residuals of one leg as people read them, k at a pose."""
 
     value: Array
-    """Shape (N,)."""
+    """Shape (N, k)."""
     sigma: Array
-    """Their modelled standard deviations, shape (N,)."""
+    """Their modelled standard deviations, shape (N, k)."""
     unit: str
 
 
@@ -138,10 +138,38 @@ class Problem(Protocol):
         """Return what a leg misses at each pose."""
 
 
+def leg_rows(residuals: Sequence[LegResidual]) -> list[slice]:
+    """Return the residuals of each leg among those of all at a pose."""
+    ends = np.cumsum([one.width for one in residuals]).tolist()
+    return [slice(end - one.width, end) for one, end in zip(residuals, ends, strict=True)]
+
+
+def leg_readings(legs: Sequence[Leg]) -> list[slice]:
+    """Return the readings of each leg among those of some legs."""
+    ends = np.cumsum([len(leg.sensors) for leg in legs]).tolist()
+    return [slice(end - len(leg.sensors), end) for leg, end in zip(legs, ends, strict=True)]
+
+
+def by_readings(demand: Demand, sigma: Array) -> Array:
+    """Return the covariance of a leg's residuals by its readings' noise, shape (N, k, k).
+
+    Args:
+        demand: What the leg demands.
+        sigma: Standard deviations of its readings, shape (N, n_active).
+    """
+    D = demand.reading * sigma[:, None, :]
+    return D @ D.transpose(0, 2, 1)
+
+
 def leg_columns(legs: Sequence[Leg]) -> list[slice]:
     """Return the parameters of each leg among those of all."""
     ends = np.cumsum([len(leg.parameters) for leg in legs])
     return [slice(int(e) - len(g.parameters), int(e)) for e, g in zip(ends, legs, strict=True)]
+
+
+def joined_units(leg: Leg) -> str:
+    """Return the unit of a leg's readings: m, rad, or both."""
+    return " or ".join(dict.fromkeys(leg.reading_units))
 
 
 class MeasuredPoses:
@@ -165,7 +193,7 @@ class MeasuredPoses:
             used: Which poses serve which leg, shape (N, n_legs).
             pose_roots: Roots L of the covariances L Lᵀ of the measured poses, as twists in base
                 axes, shape (N, dof, dof).
-            sigma_readings: Standard deviations of the readings, shape (N, n_legs).
+            sigma_readings: Standard deviations of the readings, shape (N, n_readings).
             weighted: Whether whitened residuals are minimised, or plain ones.
         """
         self.residuals = residuals
@@ -176,7 +204,10 @@ class MeasuredPoses:
         self._pose_roots = pose_roots
         self._sigma_readings = sigma_readings
         self._weighted = weighted
-        self.row_names = [f"closure of {leg.name}" for leg in self.legs]
+        self._rows = leg_rows(residuals)
+        self._used = np.repeat(used, [one.width for one in residuals], axis=1)
+        self._readings = leg_readings(self.legs)
+        self.row_names = [f"closure of {name}" for one in residuals for name in one.names]
 
     def start(self, parameters: Array) -> State:
         """Return the state of measured poses."""
@@ -213,11 +244,11 @@ class MeasuredPoses:
             )
         ]
         demands = [demand for demand, _ in found]
-        values = np.where(self.used, np.concatenate([d.value for d in demands], axis=1), 0.0)
-        jacobian = np.zeros((*self.used.shape, len(state.parameters)))
-        for index, (demand, columns) in enumerate(zip(demands, self.columns, strict=True)):
-            own = self.used[:, index, None]
-            jacobian[:, index, columns] = np.where(own, demand.parameter[:, 0], 0.0)
+        values = np.where(self._used, np.concatenate([d.value for d in demands], axis=1), 0.0)
+        jacobian = np.zeros((*self._used.shape, len(state.parameters)))
+        for demand, rows, columns in zip(demands, self._rows, self.columns, strict=True):
+            own = self._used[:, rows, None]
+            jacobian[:, rows, columns] = np.where(own, demand.parameter, 0.0)
         root = self._root(demands)
         whitener = np.linalg.inv(root)
         return Linear(
@@ -225,7 +256,7 @@ class MeasuredPoses:
             demands,
             np.asarray((whitener @ values[:, :, None])[:, :, 0]),
             np.asarray(whitener @ jacobian),
-            self.used.sum(axis=1),
+            self._used.sum(axis=1),
             None if self._weighted else root,
             np.asarray(whitener @ self._pose_columns(demands)),
         )
@@ -244,16 +275,16 @@ class MeasuredPoses:
     def leg_residual(self, linear: Linear, index: int) -> LegRows:
         """Return a leg's closure or joint residual at each pose."""
         demand = linear.demands[index]
-        by_pose = (demand.pose @ self._pose_roots)[:, 0]
-        by_reading = demand.reading[:, 0] * self._sigma_readings[:, index]
-        sigma = np.sqrt(np.einsum("ni,ni->n", by_pose, by_pose) + by_reading**2)
-        unit = "m" if self._weighted else self.legs[index].reading_unit
-        return LegRows(demand.value[:, 0], sigma, unit)
+        by_pose = demand.pose @ self._pose_roots
+        by_reading = by_readings(demand, self._sigma_readings[:, self._readings[index]])
+        variance = np.einsum("nki,nki->nk", by_pose, by_pose) + np.einsum("nkk->nk", by_reading)
+        unit = "m" if self._weighted else joined_units(self.legs[index])
+        return LegRows(demand.value, np.sqrt(variance), unit)
 
     def _pose_columns(self, demands: list[Demand]) -> Array:
         """Return how residuals follow the roots of the poses' noise, shape (N, m, dof)."""
         X = np.concatenate([d.pose for d in demands], axis=1) @ self._pose_roots
-        return np.where(self.used[:, :, None], X, 0.0)
+        return np.where(self._used[:, :, None], X, 0.0)
 
     def _root(self, demands: list[Demand]) -> Array:
         """Return Cholesky factors of the residuals' covariance at each pose, shape (N, m, m).
@@ -262,18 +293,18 @@ class MeasuredPoses:
         """
         X = self._pose_columns(demands)
         covariance = X @ X.transpose(0, 2, 1)
-        by_reading = np.concatenate([d.reading for d in demands], axis=1) * self._sigma_readings
-        m = len(demands)
-        covariance[:, range(m), range(m)] += by_reading**2
-        together = self.used[:, :, None] & self.used[:, None, :]
+        for demand, rows, readings in zip(demands, self._rows, self._readings, strict=True):
+            covariance[:, rows, rows] += by_readings(demand, self._sigma_readings[:, readings])
+        m = self._used.shape[1]
+        together = self._used[:, :, None] & self._used[:, None, :]
         covariance = np.where(together, covariance, 0.0)
         diagonal = covariance[:, range(m), range(m)]
-        if (diagonal[self.used] <= 0.0).any():
+        if (diagonal[self._used] <= 0.0).any():
             raise MeasurementError(
                 "a residual has no noise at all; give a standard deviation above zero for "
                 "position, orientation or reading (only their ratios matter to the estimate)"
             )
-        covariance[:, range(m), range(m)] = np.where(self.used, diagonal, 1.0)
+        covariance[:, range(m), range(m)] = np.where(self._used, diagonal, 1.0)
         try:
             return np.asarray(np.linalg.cholesky(covariance))
         except np.linalg.LinAlgError as error:

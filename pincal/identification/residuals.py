@@ -14,17 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
+from pincal.kinematics.held import held
 from pincal.kinematics.inverse import close, sensor_law
-from pincal.kinematics.starts import start
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
 Residual = Literal["closure", "joint"]
-_STEPS = 60
-_SMALL = 1e-8  # step, of the leg's size, and [rad]: of its square, e is off at most
 
 
 class LegResidual:
@@ -43,7 +41,7 @@ class LegResidual:
         Args:
             leg: The nominal leg.
             platform: The platform.
-            readings: Measured readings, shape (N,), [rad] or [m].
+            readings: Measured readings, shape (N, n_active), [rad] or [m].
             kind: ``"closure"`` or ``"joint"``.
             rows: Rows of the measurements, counted from 0, for messages, shape (N,).
         """
@@ -52,6 +50,26 @@ class LegResidual:
         self.readings = readings
         self._kind = kind
         self._rows = np.arange(len(readings)) if rows is None else rows
+
+    @property
+    def width(self) -> int:
+        """Number of residuals at a pose."""
+        if self._kind == "joint":
+            return len(self.leg.sensors)
+        return len(self.platform.closing(self.leg.closes)) - len(self.leg.passive)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the residuals at a pose, to follow 'closure of'."""
+        if self.width == 1:
+            return (self.leg.name,)
+        if self._kind == "joint":
+            return self.leg.reading_names
+        if self.leg.passive:
+            return tuple(f"{self.leg.name}, equation {i + 1}" for i in range(self.width))
+        twists = ("x", "y", "z", "rx", "ry", "rz")
+        rows = self.platform.closing(self.leg.closes)
+        return tuple(f"{self.leg.name} in {twists[row]}" for row in rows)
 
     def part(self, rows: NDArray[np.intp]) -> LegResidual:
         """Return the residual at some of its rows."""
@@ -76,35 +94,8 @@ class LegResidual:
         closure = LegClosure(self.leg, self.platform, parameters)
         if self._kind == "joint":
             return self._joint(closure, matrices)
-        closed, joints = self.closed(closure, matrices, joints)
+        closed, joints = held(closure, matrices, self.readings, joints)
         return demand(closure, closed, self.readings), joints
-
-    def closed(
-        self,
-        closure: LegClosure,
-        matrices: Array,
-        joints: Array | None = None,
-        steps: int = _STEPS,
-    ) -> tuple[Closure, Array]:
-        """Return the leg at poses and readings, passive joints closing it best, and the joints.
-
-        Args:
-            closure: The leg at its parameter values.
-            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-            joints: Where the search for passive joints starts, shape (N, n_joints).
-            steps: Most Gauss-Newton steps.
-        """
-        joints = start(closure, matrices)[0] if joints is None else joints.copy()
-        active = self.leg.active
-        joints[:, active] = sensor_law(closure).position(self.readings)
-        passive = [i for i in range(joints.shape[1]) if i != active]
-        for _ in range(steps):
-            closed = closure.evaluate(joints, matrices)
-            step = closed.passive_step()
-            joints[:, passive] += step
-            if np.abs(step).max(initial=0.0) <= _SMALL * max(1.0, closure.size):
-                break
-        return closed, joints
 
     def _joint(self, closure: LegClosure, matrices: Array) -> tuple[Demand, Array]:
         closed = close(closure, matrices)
@@ -117,5 +108,5 @@ class LegResidual:
             )
         predicted = sensor_law(closure).reading(closed.joints[:, self.leg.active])
         rows = demand(closure, closed.closure, predicted).as_joint()
-        difference = (predicted - self.readings)[:, None]
+        difference = predicted - self.readings
         return Demand(difference, rows.parameter, rows.pose, rows.reading), closed.joints

@@ -158,6 +158,10 @@ class CalibrationResult:
     """What was fixed by choice, since no such measurement can tell it, in words."""
     gauge_directions: Array | None = None
     """Directions of the legs' parameters along which that choice was made, shape (n, n_gauge)."""
+    undetermined: tuple[str, ...] = ()
+    """What these measurements do not tell and was held near nominal values, in words."""
+    undetermined_directions: Array | None = None
+    """Directions of the legs' parameters that were held so, shape (n, n_lost)."""
     ties: tuple[TieTest, ...] = ()
     observed: tuple[Observed, ...] = ()
     """With latent poses: how the measured quantities of the platform fit."""

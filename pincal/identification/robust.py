@@ -71,7 +71,12 @@ def robust_fit(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[n
     name: LossName = "tukey" if task.loss == "reject" else task.loss
     coarse = fit(problem, unknowns, known=known, loss=LOSSES["cauchy"], tell=task.tell)
     one = fit(
-        problem, unknowns, known=known, loss=LOSSES[name], start=coarse.last.state, tell=task.tell
+        problem,
+        unknowns,
+        known=known,
+        loss=LOSSES[name],
+        start=coarse.last.state,
+        tell=task.tell,
     )
     scale = one.scale
     if task.loss == "reject":

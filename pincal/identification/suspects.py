@@ -48,7 +48,7 @@ class Suspect:
     poses: Array
     """Poses put right, shape (N, dof), [m] and [rad]."""
     readings: Array
-    """Readings put right, shape (N, n_legs), [rad] or [m]."""
+    """Readings put right, shape (N, n_readings), [rad] or [m]."""
     by_leg: bool = False
     """Whether it may concern the readings of some legs only."""
     least: float = 0.0
@@ -121,7 +121,7 @@ def exchanged(mechanism: Mechanism, poses: Array, readings: Array, gaps: Array) 
     Args:
         mechanism: The mechanism.
         poses: Measured poses, shape (N, dof).
-        readings: Measured readings, shape (N, n_legs).
+        readings: Measured readings, one a leg, shape (N, n_legs).
         gaps: Gap of leg i with the readings of column j over the leg's size, shape
             (n_legs, n_legs).
     """
@@ -139,7 +139,7 @@ def exchanged(mechanism: Mechanism, poses: Array, readings: Array, gaps: Array) 
 def _units(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[tuple[int, Suspect]]:
     """Yield what units may be wrong together, and in how many kinds of columns."""
     coordinates = np.array(mechanism.platform.units)
-    columns = np.array([leg.reading_unit for leg in mechanism.legs])
+    columns = np.array(mechanism.reading_units)
     kinds = [
         (name, unit, on_readings)
         for name, unit, on_readings in (

@@ -41,6 +41,8 @@ class Task:
     """Whether ties are left out, for the test of the same estimator without them."""
     rough: bool
     """Whether the nominal mechanism is known so roughly that nothing is checked against it."""
+    hold: bool
+    """Whether what the measurements do not tell is held near its nominal values."""
     tell: Callable[[str], None]
     """Called with what is being done."""
 
@@ -62,9 +64,11 @@ class Task:
     def used(self) -> NDArray[np.bool_]:
         """Which row serves which leg, shape (N, n_legs)."""
         if self.method == "latent":
-            return np.isfinite(self.data.readings)
+            told = np.isfinite(self.data.readings)
+            columns = self.mechanism.reading_columns
+            return np.stack([told[:, own].all(axis=1) for own in columns], axis=1)
         if self.every_pose:
-            return np.ones(self.data.readings.shape, dtype=bool)
+            return np.ones((len(self.data), len(self.mechanism.legs)), dtype=bool)
         names = self.mechanism.leg_names
         return np.stack([self.data.serves(name) for name in names], axis=1)
 
@@ -74,7 +78,11 @@ class Task:
         """Return the residual of a leg at some rows of the measurements, all if not given."""
         mechanism = self.mechanism
         rows = np.arange(len(self.data)) if rows is None else rows
-        readings = self.data.readings[rows, leg]
-        home = np.nanmedian(readings) if np.isfinite(readings).any() else 0.0
-        readings = np.where(np.isfinite(readings), readings, home)  # not used where not measured
+        readings = self.data.readings[rows][:, mechanism.reading_columns[leg]]
+        told = np.isfinite(readings)
+        usual = [
+            np.median(own[one]) if one.any() else 0.0
+            for own, one in zip(readings.T, told.T, strict=True)
+        ]
+        readings = np.where(told, readings, usual)  # not used where not measured
         return LegResidual(mechanism.legs[leg], mechanism.platform, readings, kind, rows)

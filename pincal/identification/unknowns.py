@@ -39,6 +39,11 @@ class Unknowns:
     free_labels: tuple[str, ...]
     """Names of the free parameters that say whose they are, length n_free."""
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names that say whose they are, length n."""
+        return _labels(zip(self.owners, self.names, strict=True))
+
     def prior_rows(self, parameters: Array) -> tuple[Array, Array]:
         """Return residuals of the priors in standard deviations and their Jacobian in z.
 
@@ -141,7 +146,7 @@ def unknowns(
     T = np.concatenate([np.array(columns).reshape(-1, n), np.eye(n)[single]]).T
     order = np.argsort([np.flatnonzero(column)[0] for column in T.T], kind="stable")
     T = T[:, order]
-    labels = [f"{name} of {leg}" for leg, name in pairs] + list(external)
+    labels = _labels([*pairs, *(("", name) for name in external)])
     members = [np.flatnonzero(column) for column in T.T]
     return Unknowns(
         owners=(*(leg for leg, _ in pairs), *("" for _ in external)),
@@ -155,6 +160,10 @@ def unknowns(
             for own in members
         ),
     )
+
+
+def _labels(pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    return tuple(f"{name} of {owner}" if owner else name for owner, name in pairs)
 
 
 def _places(pairs: list[tuple[str, str]], said: str) -> list[int]:

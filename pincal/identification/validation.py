@@ -225,10 +225,11 @@ def _drift(whole: Estimate) -> tuple[str, ...]:
             own = one.problem.used[:, index] & (one.weights > 0.0)
             rows = one.problem.leg_residual(one.last, index)
             values = rows.value[own]
-            if len(values) < 10 or np.ptp(values) == 0.0:
+            if len(values) < 10 or not np.ptp(values, axis=0).all():
                 continue
-            found = spearmanr(np.arange(len(values)), values)
-            if found.pvalue < UNLIKELY / len(one.problem.legs):
+            trends = [spearmanr(np.arange(len(values)), column) for column in values.T]
+            found = min(trends, key=lambda trend: trend.pvalue)
+            if found.pvalue < UNLIKELY / len(one.problem.legs) / len(trends):
                 words.append(
                     f"{leg.name}: residuals follow the order of the rows (rank correlation "
                     f"{found.statistic:+.2f}, p = {found.pvalue:.1g}): drift, of temperature or "

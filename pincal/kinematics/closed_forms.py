@@ -30,6 +30,8 @@ _EXACT = 1e-12  # of the leg's size
 @lru_cache(maxsize=256)
 def closed_form(closure: LegClosure) -> ClosedForm | None:
     """Return the closed form of a leg, or None if it has none."""
+    if closure.leg.closes == "frame":
+        return None
     kinds = [joint.kind for joint in closure.leg.moving]
     pointing = ["revolute"] * (closure.platform.space - 1)
     if kinds[1:] == pointing and _points(closure, rod=True):
@@ -44,7 +46,7 @@ def is_line(closure: LegClosure) -> bool:
 
     The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
     """
-    return closure.leg.active == 2 and closed_form(closure) is pointing_slide
+    return closure.leg.active == [2] and closed_form(closure) is pointing_slide
 
 
 @dataclass(frozen=True)

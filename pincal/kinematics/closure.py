@@ -1,10 +1,12 @@
 """Loop closure of one leg, with every derivative of it, at N poses.
 
 Closure is a platform-point constraint in the rows that the mechanism can move in:
-c(x, θ, p; φ) = p_tip(θ, p; φ) − (r + R b(φ)) = 0, with pose x, active joint θ,
-passive joints p and parameters φ. Passive joints are eliminated by projection on the
-left null space N of ∂c/∂p: Nᵀ c is what the leg demands of pose, reading and
-parameters, whatever its passive joints do.
+c(x, θ, p; φ) = p_tip(θ, p; φ) − (r + R b(φ)) = 0, with pose x, active joints θ,
+passive joints p and parameters φ. A leg that closes a frame has rows for its turn as well:
+the rotation vector from the platform's frame to the tip's, times the leg's size. Passive joints
+are eliminated by projection on the left null space N of ∂c/∂p: Nᵀ c is what the leg demands of
+pose, readings and parameters, whatever its passive joints do. The leg of a usual mechanism demands
+one equation; one with fewer passive joints more, a serial arm six.
 """
 
 from __future__ import annotations
@@ -15,9 +17,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pincal.kinematics.chain import leg_chain, point_chain
 from pincal.kinematics.forest import cross
+from pincal.kinematics.rotations import inverse_left_jacobian, turn_between
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
@@ -31,7 +35,7 @@ class Closure:
     gap: Array
     """c, shape (N, m), base frame, [m]."""
     active: Array
-    """∂c/∂θ, shape (N, m, 1)."""
+    """∂c/∂θ, shape (N, m, n_active)."""
     passive: Array
     """∂c/∂p, shape (N, m, n_passive)."""
     parameter: Array
@@ -39,7 +43,7 @@ class Closure:
     pose: Array
     """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
     twists: tuple[Array, Array | None]
-    """Tip twists (6, N) of the active joint and of the next revolute joint, if there is one."""
+    """Tip twists (6, N) of the first active joint and of the next revolute joint, if any."""
 
     @cached_property
     def normal(self) -> Array:
@@ -57,12 +61,12 @@ class Closure:
 
     @cached_property
     def drive(self) -> Array:
-        """Nᵀ ∂c/∂θ, shape (N, m - n_passive, 1): zero at a type-1 singularity."""
+        """Nᵀ ∂c/∂θ, shape (N, m - n_passive, n_active): less of rank at a type-1 singularity."""
         return self.project(self.active)
 
     @cached_property
     def lever(self) -> Array:
-        """Speed of the next revolute axis after the active joint per unit of its rate, (N,).
+        """Speed of the next revolute axis after the first active joint per unit of its rate, (N,).
 
         At a planar dyad the length l; the tip's own speed where there is no such axis.
         """
@@ -76,8 +80,11 @@ class Closure:
         return np.where(lever > 1e-9 * own, lever, own)
 
     def active_step(self) -> Array:
-        """Return the Newton step of the active joint that closes the leg, shape (N, 1)."""
-        return -solve(self.drive, self.constraint[:, :, None])[:, :, 0]
+        """Return the Newton step of the active joints that closes the leg, shape (N, n_active).
+
+        Of least squares where the leg demands more than they can give, the shortest where less.
+        """
+        return -least_squares(self.drive, self.constraint[:, :, None])[:, :, 0]
 
     def passive_step(self, gap_change: Array | None = None) -> Array:
         """Return the Gauss-Newton step of the passive joints, shape (N, n_passive).
@@ -98,13 +105,13 @@ class LegClosure:
         self.leg = leg
         self.platform = platform
         self.parameters = leg.nominal if parameters is None else np.asarray(parameters, float)
-        self._rows = list(platform.closure_rows)
-        spatial = len(self._rows) == 3
-        self._chain = leg_chain(leg, spatial)
+        self._rows = list(platform.closing(leg.closes))
+        self._turns = leg.closes == "frame"
+        self._chain = leg_chain(leg, platform.space == 3 or self._turns)
         point = point_chain(leg)
-        b, db = point.forest.columns(point.configurations(self.parameters, np.zeros((1, 0))))
-        self._b = b[0]
-        self._db = db[:3, 0] @ point.from_parameters
+        b, db, turn = point.forest.frames(point.configurations(self.parameters, np.zeros((1, 0))))
+        self._b, self._turn = b[0], turn[0]
+        self._db = db[:, 0] @ point.from_parameters
 
     @cached_property
     def size(self) -> float:
@@ -146,26 +153,75 @@ class LegClosure:
     def evaluate(self, joints: Array, matrices: Array) -> Closure:
         """Return closure and derivatives at joint positions (N, n_joints) and poses (N, 4, 4)."""
         chain, rows = self._chain, self._rows
-        tips, columns = chain.forest.columns(chain.configurations(self.parameters, joints))
-        speed = np.stack([columns[row] for row in rows], axis=1)  # (N, m, n)
+        configurations = chain.configurations(self.parameters, joints)
+        R = matrices[:, :3, :3]
+        arm = R @ self._b
+        if self._turns:
+            tips, columns, turns = chain.forest.frames(configurations)
+        else:
+            tips, columns = chain.forest.columns(configurations)
+        gap = tips - matrices[:, :3, 3] - arm
+        pose = -point_velocity(arm, self.platform.twist_rows)
+        own = [row for row in rows if row < 3]
+        speed = np.stack([columns[row] for row in own], axis=1)  # (N, m, n)
+        point = (R @ self._db[:3])[:, own] if self._db.any() or self._turns else None
+        gap, pose = gap[:, own], pose[:, own]
+        if self._turns:
+            linear = (gap, pose, speed, point)
+            gap, pose, speed, point = (
+                np.concatenate(both, axis=1)
+                for both in zip(linear, self._turning(turns, R, columns), strict=True)
+            )
         moved = speed @ chain.from_joints
-        arm = matrices[:, :3, :3] @ self._b
-        passive = [i for i in range(len(self.leg.moving)) if i != self.leg.active]
         parameter = speed @ chain.from_parameters
-        if self._db.any():
-            parameter -= (matrices[:, :3, :3] @ self._db)[:, rows]
+        if point is not None:
+            parameter -= point
         return Closure(
-            gap=(tips - matrices[:, :3, 3] - arm)[:, rows],
-            active=moved[:, :, self.leg.active, None],
-            passive=moved[:, :, passive],
+            gap=gap,
+            active=moved[:, :, self.leg.active],
+            passive=moved[:, :, self.leg.passive],
             parameter=parameter,
-            pose=-point_velocity(arm, self.platform.twist_rows)[:, rows],
+            pose=pose,
             twists=self._drive_twists(columns),
         )
 
+    def _turning(self, turns: Array, R: Array, columns: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the rows of the turn: gap, and its derivatives by pose, chain and platform point.
+
+        Rotation vectors times the leg's size, so that all rows are lengths.
+        """
+        error = turn_between(turns, R @ self._turn)
+        axes = [row - 3 for row in self._rows if row >= 3]
+        spread = (self.size or 1.0) * inverse_left_jacobian(error)
+        back = spread.transpose(0, 2, 1)[:, axes]
+        turned = np.equal.outer((3, 4, 5), self.platform.twist_rows).astype(float)
+        return (
+            (self.size or 1.0) * error[:, axes],
+            -(back @ turned),
+            (spread @ columns[3:].transpose(1, 0, 2))[:, axes],
+            back @ R @ self._db[3:],
+        )
+
+    def frame(self, joints: Array, gap: Array | None = None) -> Array:
+        """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
+
+        Args:
+            joints: Shape (N, n_joints).
+            gap: What the closure is to be there, shape (N, 6); nothing if not given.
+        """
+        chain = self._chain
+        tips, _, turns = chain.forest.frames(chain.configurations(self.parameters, joints))
+        if gap is not None:
+            tips = tips - gap[:, :3]
+            turns = Rotation.from_rotvec(-gap[:, 3:] / (self.size or 1.0)).as_matrix() @ turns
+        matrices = np.tile(np.eye(4), (len(joints), 1, 1))
+        matrices[:, :3, :3] = turns @ self._turn.T
+        matrices[:, :3, 3] = tips - matrices[:, :3, :3] @ self._b
+        return matrices
+
     def _drive_twists(self, columns: Array) -> tuple[Array, Array | None]:
-        """Return the tip twists of the active joint and of the next revolute joint."""
-        moving, active = self.leg.moving, self.leg.active
+        """Return the tip twists of the first active joint and of the next revolute joint."""
+        moving, active = self.leg.moving, self.leg.active[0]
         entries = self._chain.joint_entries
         following = [i for i in range(active + 1, len(moving)) if moving[i].kind == "revolute"]
         turn = columns[:, :, entries[following[0]]] if following else None
@@ -216,6 +272,16 @@ def solve(a: Array, b: Array) -> Array:
     singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
     safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
     return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, b))
+
+
+def least_squares(a: Array, b: Array) -> Array:
+    """Return the shortest X of least |A X - B|, shapes (N, m, k) and (N, m, j) to (N, k, j)."""
+    if a.shape[1] == a.shape[2]:
+        return solve(a, b)
+    transposed = a.transpose(0, 2, 1)
+    if a.shape[1] > a.shape[2]:
+        return solve(product(transposed, a), product(transposed, b))
+    return product(transposed, solve(product(a, transposed), b))
 
 
 def left_null(matrix: Array) -> Array:

@@ -13,7 +13,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.closure import Closure, LegClosure, least_squares, product
+from pincal.kinematics.held import held
 from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Demand:
-    """Nᵀ c of one leg and its derivatives at N poses; one row each for one drive."""
+    """Nᵀ c of one leg and its derivatives at N poses; one row where joints are as many as rows."""
 
     value: Array
     """e = Nᵀ c, shape (N, k), [m]."""
@@ -32,34 +33,45 @@ class Demand:
     pose: Array
     """∂e/∂x for the platform's freedoms as a twist, shape (N, k, dof), [1] and [m/rad]."""
     reading: Array
-    """∂e/∂ψ, shape (N, k), [m/rad] or [1]."""
+    """∂e/∂ψ, shape (N, k, n_active), [m/rad] or [1]."""
 
     def as_joint(self) -> Demand:
-        """Return the rows of the joint residual: predicted less measured reading."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = -1.0 / self.reading
+        """Return the rows of the joint residual: predicted less measured readings.
+
+        They are (∂e/∂ψ)⁻¹ times those of e, of least squares where e has more rows than readings.
+        """
+
+        def turned(rows: Array) -> Array:
+            return -least_squares(self.reading, rows)
+
+        by_reading = -np.broadcast_to(
+            np.eye(self.reading.shape[2]), (len(self.value), *2 * self.reading.shape[2:])
+        )
         return Demand(
-            self.value * scale,
-            self.parameter * scale[:, :, None],
-            self.pose * scale[:, :, None],
-            -np.ones_like(self.reading),
+            turned(self.value[:, :, None])[:, :, 0],
+            turned(self.parameter),
+            turned(self.pose),
+            by_reading,
         )
 
 
 def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
-    """Return what a leg demands, from its closure and the readings, shape (N,)."""
+    """Return what a leg demands, from its closure and the readings, shape (N, n_active)."""
     law = sensor_law(leg)
-    driven = closure.drive * law.by_parameter(readings)[:, None, :]
     return Demand(
         closure.constraint,
-        closure.project(closure.parameter) + driven,
+        closure.project(closure.parameter) + product(closure.drive, law.by_parameter(readings)),
         closure.project(closure.pose),
-        closure.drive[:, :, 0] * law.slope,
+        closure.drive * law.slope,
     )
 
 
 def demand_chunks(
-    mechanism: Mechanism, leg: str, poses: Poses, parameters: Array | None = None
+    mechanism: Mechanism,
+    leg: str,
+    poses: Poses,
+    parameters: Array | None = None,
+    readings: Array | None = None,
 ) -> Iterator[tuple[slice, Demand]]:
     """Yield what a leg demands at poses, in chunks of bounded memory; NaN where out of reach.
 
@@ -68,6 +80,8 @@ def demand_chunks(
         leg: Name of the leg.
         poses: N platform poses.
         parameters: Parameter values of the leg, shape (n_params,); nominal if not given.
+        readings: Of the leg at these poses, shape (N, n_active); those of inverse kinematics if
+            not given.
 
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
@@ -76,7 +90,12 @@ def demand_chunks(
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     for begin in range(0, len(transforms), CHUNK):
         rows = slice(begin, min(begin + CHUNK, len(transforms)))
-        closed = close(closure, transforms[rows].as_matrix())
+        matrices = transforms[rows].as_matrix()
+        if readings is not None:
+            told, _ = held(closure, matrices, readings[rows])
+            yield rows, demand(closure, told, readings[rows])
+            continue
+        closed = close(closure, matrices)
         psi = sensor_law(closure).reading(closed.joints[:, closure.leg.active])
         part = demand(closure, closed.closure, psi)
         for array in (part.value, part.parameter, part.pose, part.reading):
@@ -85,13 +104,17 @@ def demand_chunks(
 
 
 def leg_demand(
-    mechanism: Mechanism, leg: str, poses: Poses, parameters: Array | None = None
+    mechanism: Mechanism,
+    leg: str,
+    poses: Poses,
+    parameters: Array | None = None,
+    readings: Array | None = None,
 ) -> Demand:
     """Return what a leg demands at poses that it reaches: value zero, NaN where out of reach.
 
     Arguments and errors are those of ``demand_chunks``.
     """
-    parts = [part for _, part in demand_chunks(mechanism, leg, poses, parameters)]
+    parts = [part for _, part in demand_chunks(mechanism, leg, poses, parameters, readings)]
     return Demand(
         *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Demand))
     )
@@ -112,14 +135,15 @@ def identification_jacobian(
         parameters: Parameter values of the leg, shape (n_params,); nominal if not given.
 
     Returns:
-        Shape (N, n_params), [rad/unit] or [m/unit]; NaN where the leg does not reach.
+        Shape (N, n_params), [rad/unit] or [m/unit]; NaN where the leg does not reach. With
+        several sensors a row for each, pose by pose.
 
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
     transforms = mechanism.platform.transforms(poses)
-    C = np.empty((len(transforms), len(mechanism.leg(leg).parameters)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for rows, part in demand_chunks(mechanism, leg, transforms, parameters):
-            np.divide(part.parameter[:, 0], -part.reading, out=C[rows])
-    return C
+    one = mechanism.leg(leg)
+    C = np.empty((len(transforms), len(one.sensors), len(one.parameters)))
+    for rows, part in demand_chunks(mechanism, leg, transforms, parameters):
+        C[rows] = -least_squares(part.reading, part.parameter)
+    return C.reshape(-1, len(one.parameters))

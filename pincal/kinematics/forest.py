@@ -86,6 +86,20 @@ class Forest:
             Tips in the base frame, shape (N, 3), [m]; columns, shape (6, N, n), the
             velocity of the tip in the base frame (linear first) for each joint.
         """
+        tips, columns, _ = self._evaluated(configurations)
+        return tips, columns
+
+    def frames(self, configurations: Array) -> tuple[Array, Array, Array]:
+        """Return tips, columns (see ``columns``) and the tips' orientations, shape (N, 3, 3).
+
+        Chains made with ``spatial`` only: their dummies turn about the tip's z and x.
+        """
+        tips, columns, dummies = self._evaluated(configurations)
+        z, x = dummies[3:, :, 0].T, dummies[3:, :, 1].T
+        return tips, columns, np.stack((x, cross(z, x), z), axis=2)
+
+    def _evaluated(self, configurations: Array) -> tuple[Array, Array, Array]:
+        """Return tips, columns, and the twists of the dummy joints, shape (6, N, 1 or 2)."""
         count, n = configurations.shape
         blocks = -(-count // self.copies)
         padded = np.zeros((blocks, self.copies, self.width))
@@ -99,7 +113,7 @@ class Forest:
         rows = out.reshape(blocks, 6, self.copies, self.width).transpose(1, 0, 2, 3)
         twists = rows.reshape(6, blocks * self.copies, self.width)[:, :count]
         tips = self._tips(twists[:, :, n:])
-        return tips, _shifted(twists[:, :, :n], tips)
+        return tips, _shifted(twists[:, :, :n], tips), twists[:, :, n:]
 
     def _tips(self, dummies: Array) -> Array:
         """Return the tips from the twists of the dummy joints, shapes (6, N, 1 or 2) to (N, 3)."""

@@ -41,7 +41,7 @@ class ForwardSolution:
     shape (N,). Legs that are no more than the freedoms are closed then."""
     gap: Array
     """How far each leg stays from closing, shape (N, n_legs), [m]; NaN where not found. Rounding
-    errors, unless there are more legs than freedoms and their readings contradict each other."""
+    errors, unless the legs demand more than there are freedoms and readings contradict."""
     iterations: int
     reasons: tuple[str, ...]
     """Why a row has no pose; empty strings where it has one."""
@@ -56,7 +56,7 @@ def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
-        readings: Sensor readings, shape (N, n_legs), [rad] or [m], legs in order.
+        readings: Sensor readings, shape (N, n_readings), [rad] or [m], legs in order.
         guess: N poses near the solutions; the home pose if not given.
 
     Raises:
@@ -64,9 +64,10 @@ def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -
             home pose out of its leg's reach.
     """
     readings = np.asarray(readings, dtype=np.float64)
-    if readings.ndim != 2 or readings.shape[1] != len(mechanism.legs):
+    width = len(mechanism.reading_names)
+    if readings.ndim != 2 or readings.shape[1] != width:
         raise MechanismError(
-            f"readings have shape (N, {len(mechanism.legs)}), one column a leg; "
+            f"readings have shape (N, {width}) for {', '.join(mechanism.reading_names)}; "
             f"got {readings.shape}"
         )
     if not np.isfinite(readings).all():
@@ -80,7 +81,7 @@ def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
     poses = np.full((len(readings), platform.dof), np.nan)
-    gap = np.full(readings.shape, np.nan)
+    gap = np.full((len(readings), len(legs)), np.nan)
     reasons: list[str] = []
     iterations = 0
     for begin in range(0, len(readings), CHUNK):
@@ -99,10 +100,11 @@ def _solve(
     mechanism: Mechanism, legs: list[LegClosure], readings: Array, guess: RigidTransform
 ) -> tuple[Array, list[str], Array, int]:
     """Return matrices, reasons, gaps and the number of steps for one chunk."""
-    matrices = guess.as_matrix().copy()
+    matrices = placed_by_arm(mechanism, legs, readings)
+    matrices = guess.as_matrix().copy() if matrices is None else matrices
     joints = [_joints_near(leg, matrices) for leg in legs]
-    for leg, column, q in zip(legs, readings.T, joints, strict=True):
-        q[:, leg.leg.active] = sensor_law(leg).position(column)
+    for leg, columns, q in zip(legs, mechanism.reading_columns, joints, strict=True):
+        q[:, leg.leg.active] = sensor_law(leg).position(readings[:, columns])
     size = max(leg.size for leg in legs)
     open_ = np.ones(len(matrices), dtype=bool)
     steps = 0
@@ -119,7 +121,7 @@ def _solve(
         for leg, q, closure in zip(legs, joints, closures, strict=True):
             change = product(closure.pose, (shorten * twist)[:, :, None])[:, :, 0]
             step = closure.passive_step(change)
-            q[rows[:, None], _passive(leg)] += step
+            q[rows[:, None], leg.leg.passive] += step
             moved = np.maximum(moved, np.abs(step).max(axis=1, initial=0.0))
         finite = np.isfinite(moved)
         good = rows[finite]
@@ -130,8 +132,23 @@ def _solve(
     return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
 
 
+def placed_by_arm(mechanism: Mechanism, legs: list[LegClosure], readings: Array) -> Array | None:
+    """Return the poses that a leg tells whose every joint is read, shape (N, 4, 4).
+
+    None if there is no such leg, or it ends in a point.
+    """
+    for leg, columns in zip(legs, mechanism.reading_columns, strict=True):
+        if leg.leg.closes == "frame" and not leg.leg.passive:
+            joints = np.empty((len(readings), len(leg.leg.moving)))
+            joints[:, leg.leg.active] = sensor_law(leg).position(readings[:, columns])
+            return leg.frame(joints)
+    return None
+
+
 def _joints_near(leg: LegClosure, matrices: Array) -> Array:
     """Return joints that close the leg at poses, or nearly so where it does not reach."""
+    if not leg.leg.passive:  # all are read
+        return np.empty((len(matrices), len(leg.leg.moving)))
     closed = close(leg, matrices)
     near, _ = start(leg, matrices)
     return np.where(closed.reached[:, None], closed.joints, near)
@@ -143,13 +160,9 @@ def _in_mode(leg: LegClosure, joints: Array, matrices: Array, rows: NDArray[np.i
     left = rows[mode_sign(closure) != home_mode(leg.leg, leg.platform)]
     if not (len(left) and is_line(leg)):
         return closure
-    joints[left[:, None], _passive(leg)] = start(leg, matrices[left])[0][:, _passive(leg)]
+    passive = leg.leg.passive
+    joints[left[:, None], passive] = start(leg, matrices[left])[0][:, passive]
     return leg.evaluate(joints[rows], matrices[rows])
-
-
-def _passive(leg: LegClosure) -> list[int]:
-    """Return the indices of a leg's passive joints."""
-    return [i for i in range(len(leg.leg.moving)) if i != leg.leg.active]
 
 
 def _platform_step(closures: list[Closure]) -> Array:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.kinematics.closed_forms import wrapped
-from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.closure import Closure, LegClosure, least_squares, product
 from pincal.kinematics.starts import home_mode, mode_sign, start
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.model.sensor import SensorLaw
+from pincal.model.sensor import SensorLaw, sensor_laws
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -108,8 +108,11 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
     """Return the Newton step of all joints, shape (N, n_joints)."""
     with np.errstate(all="ignore"):
         active = closure.active_step()
-        passive = closure.passive_step((closure.active * active[:, None, :])[:, :, 0])
-        return np.insert(passive, [leg.leg.active], active, axis=1)
+        change = product(closure.active, active[:, :, None])[:, :, 0]
+        passive = closure.passive_step(change)
+        step = np.empty((len(active), active.shape[1] + passive.shape[1]))
+        step[:, leg.leg.active], step[:, leg.leg.passive] = active, passive
+        return step
 
 
 def _small(leg: LegClosure, closure: Closure) -> Mask:
@@ -118,20 +121,24 @@ def _small(leg: LegClosure, closure: Closure) -> Mask:
 
 @lru_cache(maxsize=64)
 def sensor_law(leg: LegClosure) -> SensorLaw:
-    """Return what a leg's sensor reads at the leg's parameter values, made once.
+    """Return what a leg's sensors read at the leg's parameter values, made once.
 
     Raises:
         MechanismError: a homed sensor, and a home pose out of the leg's reach.
     """
-    zero = leg.leg.sensor.zero
-    position, slopes = _at_home(leg) if isinstance(zero, str) else (zero, np.zeros(1))
-    return leg.leg.sensor.law(leg.by_name, position, slopes)
+    sensors = leg.leg.sensors
+    if any(sensor.homed for sensor in sensors):
+        zeros, slopes = _at_home(leg)
+    else:
+        zeros, slopes = np.zeros(len(sensors)), np.zeros((len(sensors), len(leg.parameters)))
+    return sensor_laws(sensors, leg.by_name, zeros, slopes)
 
 
-def _at_home(leg: LegClosure) -> tuple[float, Array]:
-    """Return the active joint's position at the home pose, and its derivative.
+def _at_home(leg: LegClosure) -> tuple[Array, Array]:
+    """Return the active joints' positions at the home pose, and their derivatives.
 
-    q_home in [rad] or [m], and ∂q_home/∂φ = −(Nᵀ ∂c/∂φ) / (Nᵀ ∂c/∂θ), shape (n_params,).
+    q_home in [rad] or [m], shape (n_active,), and ∂q_home/∂φ = −(Nᵀ ∂c/∂θ)⁻¹ (Nᵀ ∂c/∂φ), shape
+    (n_active, n_params).
     """
     closed = close(leg, leg.platform.home_pose.as_matrix())
     if not closed.reached[0]:
@@ -141,8 +148,9 @@ def _at_home(leg: LegClosure) -> tuple[float, Array]:
             f"reach with {values}; correct the home pose or these values"
         )
     with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = -closed.closure.project(closed.closure.parameter) / closed.closure.drive
-    return float(closed.joints[0, leg.leg.active]), slopes[0, 0]
+        by_parameter = closed.closure.project(closed.closure.parameter)
+        slopes = -least_squares(closed.closure.drive, by_parameter)
+    return closed.joints[0, leg.leg.active], slopes[0]
 
 
 def close_chunks(
@@ -164,7 +172,7 @@ class InverseSolution:
     joints: dict[str, Array]
     """By leg: positions of its moving joints, shape (N, n_joints); NaN where not reached."""
     readings: Array
-    """Sensor readings, shape (N, n_legs), [rad] or [m]; NaN where not reached."""
+    """Sensor readings, shape (N, n_readings), [rad] or [m]; NaN where not reached."""
     reached: Mask
     """Whether each leg closes in its working mode, shape (N, n_legs)."""
     leg_names: tuple[str, ...]
@@ -192,11 +200,12 @@ def inverse(mechanism: Mechanism, poses: Poses) -> InverseSolution:
     laws = [sensor_law(LegClosure(leg, mechanism.platform)) for leg in mechanism.legs]
     count = len(transforms)
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
-    readings = np.empty((count, len(mechanism.legs)))
+    readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
     for rows, _, closed in close_chunks(mechanism, transforms):
         for index, (leg, law, one) in enumerate(zip(mechanism.legs, laws, closed, strict=True)):
             joints[leg.name][rows] = one.joints
-            readings[rows, index] = law.reading(one.joints[:, leg.active])
+            columns = mechanism.reading_columns[index]
+            readings[rows, columns] = law.reading(one.joints[:, leg.active])
             reached[rows, index] = one.reached
     return InverseSolution(joints, readings, reached, mechanism.leg_names)

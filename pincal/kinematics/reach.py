@@ -122,9 +122,9 @@ def _rod(closure: LegClosure, least_type1: float) -> Reach:
     rod, leg = rod_geometry(closure), closure.leg
     dyad = rod.axis is not None and closure.platform.space == 2
     exact = dyad and not any(joint.limited for joint in leg.moving)
-    if leg.active != 0:  # the grip of a driven elbow is another quantity
+    if leg.active != [0]:  # the grip of a driven elbow is another quantity
         exact &= least_type1 == 0.0
-    grip = least_type1 if dyad and leg.active == 0 else 0.0
+    grip = least_type1 if dyad and leg.active == [0] else 0.0
     if rod.axis is None:
         first = leg.moving[0]
         middle = rod.centre + rod.speed * (first.lower + first.upper) / 2
@@ -143,7 +143,7 @@ def _slide(closure: LegClosure, least_type1: float) -> Reach:
     low, high = sorted((form.forth * slide.lower, form.forth * slide.upper))
     planes: list[Array] = []
     exact = least_type1 <= 1.0 - SLACK  # a slide along the leg always has full grip
-    if closure.leg.active != len(second) + 1:  # not so where another joint is driven
+    if closure.leg.active != [len(second) + 1]:  # not so where another joint is driven
         exact &= least_type1 == 0.0
     if first.limited:
         # with C, S = r cos q₁, r sin q₁: sin(q₁ − lower) ≥ 0 and sin(upper − q₁) ≥ 0

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.inverse import close, close_chunks
+from pincal.kinematics.held import held
+from pincal.kinematics.inverse import close, close_chunks, sensor_law
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -53,9 +54,20 @@ def margins(mechanism: Mechanism, poses: Poses) -> SingularityMargins:
 
 
 def drive_margins(closures: Sequence[Closure]) -> Array:
-    """Return |Nᵀ ∂c/∂θ| over the drive's lever, one column a leg, shape (N, n_legs)."""
+    """Return |Nᵀ ∂c/∂θ| over the drive's lever, one column a leg, shape (N, n_legs).
+
+    Of several drives, the least singular value of their columns, each of unit speed at its best.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([np.linalg.norm(c.drive, axis=(1, 2)) / c.lever for c in closures], axis=1)
+        return np.stack([_grip(closure) for closure in closures], axis=1)
+
+
+def _grip(closure: Closure) -> Array:
+    if closure.drive.shape[2] == 1:
+        return np.asarray(np.linalg.norm(closure.drive, axis=(1, 2)) / closure.lever)
+    speed = np.linalg.norm(closure.active, axis=1, keepdims=True)
+    columns = np.nan_to_num(closure.drive / speed)
+    return np.asarray(np.linalg.svd(columns, compute_uv=False)[:, -1])
 
 
 def platform_margin(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
@@ -83,9 +95,20 @@ def _radius(mechanism: Mechanism) -> float:
 
 @lru_cache(maxsize=64)
 def home_determinant(mechanism: Mechanism) -> float:
-    """Return the determinant at home, with its sign; NaN if a leg misses the home pose."""
+    """Return the determinant at home, with its sign; NaN if a leg misses the home pose.
+
+    Where poses do not tell readings, with those of home: it need not quite be such a pose.
+    """
     matrices = mechanism.platform.home_pose.as_matrix()
-    closed = [close(LegClosure(leg, mechanism.platform), matrices) for leg in mechanism.legs]
-    if not all(leg.reached[0] for leg in closed):
-        return float("nan")
-    return float(_determinant(mechanism, [leg.closure for leg in closed])[0])
+    closures = []
+    for leg in mechanism.legs:
+        closure = LegClosure(leg, mechanism.platform)
+        if mechanism.by_readings:
+            readings = sensor_law(closure).reading(leg.home[None, leg.active])
+            closures.append(held(closure, matrices, readings, leg.home[None])[0])
+            continue
+        closed = close(closure, matrices)
+        if not closed.reached[0]:
+            return float("nan")
+        closures.append(closed.closure)
+    return float(_determinant(mechanism, closures)[0])

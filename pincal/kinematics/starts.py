@@ -36,14 +36,12 @@ def start(
         matrices: Poses ``T_base_platform``, shape (N, 4, 4).
         attempt: Counts from 0; each gives another sampled start. A closed form has one.
     """
-    targets = closure.targets(matrices)
     form = closed_form(closure)
     if form:
-        joints, possible = form(closure, targets)
+        joints, possible = form(closure, closure.targets(matrices))
         return joints, possible & (attempt == 0)
     tree, joints, reach = _samples(closure.leg, closure.platform)
-    rows = list(closure.platform.closure_rows)
-    distance, nearest = tree.query(targets[:, rows], [attempt + 1])
+    distance, nearest = tree.query(_places(closure, matrices), [attempt + 1])
     index = np.minimum(nearest[:, 0], len(joints) - 1)  # none is near where a target is infinite
     return joints[index], distance[:, 0] <= reach
 
@@ -61,15 +59,34 @@ def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
     poses = np.broadcast_to(platform.home_pose.as_matrix(), (_SAMPLES, 4, 4))
     keep = mode_sign(closure.evaluate(joints, poses)) == home_mode(leg, platform)
     joints = joints[keep]
-    tree = KDTree(closure.tips(joints)[:, list(platform.closure_rows)])
+    if leg.closes == "frame":
+        tree = KDTree(_places(closure, closure.frame(joints)))
+    else:
+        tree = KDTree(closure.tips(joints)[:, list(platform.closure_rows)])
     gaps = tree.query(tree.data, [2])[0]
     return tree, joints, _BEYOND * float(gaps.max())
 
 
+def _places(closure: LegClosure, matrices: Array) -> Array:
+    """Return where poses put a leg's end, shape (N, k), [m]: its point, and its axes if it turns.
+
+    The axes' tips are as far from the point as the leg is long.
+    """
+    points = closure.targets(matrices)[:, list(closure.platform.closure_rows)]
+    if closure.leg.closes == "point":
+        return points
+    axes = matrices[:, :3, :3].reshape(len(matrices), 9)
+    return np.concatenate((points, closure.size * axes), axis=1)
+
+
 def mode_sign(closure: Closure) -> Array:
-    """Return the sign of det ∂c/∂(θ, p), shape (N,); one where the closure is not square."""
+    """Return the sign of det ∂c/∂(θ, p), shape (N,).
+
+    One where the closure is not square, or where no joint is passive: those that are read say
+    themselves how the leg bends.
+    """
     both = np.concatenate((closure.active, closure.passive), axis=2)
-    if both.shape[1] != both.shape[2]:
+    if both.shape[1] != both.shape[2] or not closure.passive.shape[2]:
         return np.ones(len(both))
     if both.shape[1] == 2:
         return np.sign(both[:, 0, 0] * both[:, 1, 1] - both[:, 0, 1] * both[:, 1, 0])

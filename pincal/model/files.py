@@ -109,7 +109,7 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
         )
     point = points[spec.platform_point]
     names = {joint.name for joint in (*chain, point)}
-    for key in (*spec.placements, *spec.home, spec.sensor.joint):
+    for key in (*spec.placements, *spec.home, *(sensor.joint for sensor in spec.sensors)):
         if key not in names:
             raise MechanismError(
                 f"{spec.name}: unknown joint {key!r}; {path.name} has "
@@ -133,10 +133,11 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
     return Leg(
         name=spec.name,
         joints=tuple(described(joint) for joint in chain),
-        sensor=Sensor(**spec.sensor.model_dump()),
+        sensors=tuple(Sensor(**sensor.model_dump()) for sensor in spec.sensors),
         parameters=tuple(spec.parameters.items()),
         point=described(point),
         tip=spec.tip,
+        closes=spec.closes,
     )
 
 
@@ -202,21 +203,24 @@ def _dump(mechanism: Mechanism) -> str:
 
 
 def _dump_leg(leg: Leg) -> dict[str, Any]:
-    sensor = leg.sensor
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",
         "tip": leg.tip,
         "platform_point": leg.point.name,
+        **({} if leg.closes == "point" else {"closes": leg.closes}),
         "home": _Flow((joint.name, float(joint.home)) for joint in leg.moving),
-        "sensor": _Flow(
-            joint=sensor.joint,
-            form=sensor.form,
-            gain=sensor.gain,
-            offset=sensor.offset,
-            direction=sensor.direction,
-            zero=sensor.zero if isinstance(sensor.zero, str) else float(sensor.zero),
-        ),
+        "sensors": [
+            _Flow(
+                joint=sensor.joint,
+                form=sensor.form,
+                gain=sensor.gain,
+                offset=sensor.offset,
+                direction=sensor.direction,
+                zero=sensor.zero if isinstance(sensor.zero, str) else float(sensor.zero),
+            )
+            for sensor in leg.sensors
+        ],
         "parameters": {name: float(value) for name, value in leg.parameters},
         "placements": {
             joint.name: [_Flow({c.kind: _values(c)}) for c in joint.placement.coordinates]

@@ -1,4 +1,4 @@
-"""A leg is a serial chain from base to platform point with named kinematic parameters."""
+"""A leg is a serial chain from base to platform with named kinematic parameters."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from pincal.model.sensor import Sensor
 
 Array = NDArray[np.float64]
 JointKind = Literal["revolute", "prismatic", "fixed"]
+Closing = Literal["point", "frame"]
 
 
 @dataclass(frozen=True)
@@ -42,22 +43,27 @@ class Joint:
 
 @dataclass(frozen=True)
 class Leg:
-    """Serial chain from the base to a platform point.
+    """Serial chain from the base to a platform point, or to a frame of the platform.
 
-    The chain's last frame (``tip``) meets the platform's point (``point``). Joint
-    positions of a leg are ordered as its moving joints, base first.
+    The chain's last frame (``tip``) meets the platform's point (``point``): its origin alone, or,
+    if the leg ``closes`` a frame, its orientation too. A serial arm is a leg that closes a frame
+    and whose joints all have sensors. Joint positions of a leg are ordered as its moving joints,
+    base first; readings as its sensors.
     """
 
     name: str
     joints: tuple[Joint, ...]
     """All joints, base first, fixed ones included; the last one's frame is the tip."""
-    sensor: Sensor
+    sensors: tuple[Sensor, ...]
+    """One for each active joint; most legs have one."""
     parameters: tuple[tuple[str, float], ...]
     """Names and nominal values of the identified parameters, in order."""
     point: Joint
     """Platform point: a fixed joint from the platform frame."""
     tip: str = "tip"
     """Name of the tip link."""
+    closes: Closing = "point"
+    """Whether the tip's origin meets the platform, or its whole frame."""
 
     def __post_init__(self) -> None:
         for joint in self.moving:
@@ -71,10 +77,16 @@ class Leg:
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
             raise MechanismError(f"{self.name}: joint names repeat: {names}")
-        if self.sensor.joint not in {joint.name for joint in self.moving}:
+        read = [sensor.joint for sensor in self.sensors]
+        if wrong := [name for name in read if name not in {j.name for j in self.moving}]:
             raise MechanismError(
-                f"{self.name}: active joint {self.sensor.joint!r} is not a moving joint of the "
+                f"{self.name}: active joint {wrong[0]!r} is not a moving joint of the "
                 f"leg; it has {', '.join(j.name for j in self.moving)}"
+            )
+        if not read or len(set(read)) != len(read):
+            raise MechanismError(
+                f"{self.name}: its sensors read {', '.join(read) or 'nothing'}; expected one "
+                "sensor or more, each of another joint"
             )
         used = set(self.units)
         declared = [name for name, _ in self.parameters]
@@ -92,9 +104,10 @@ class Leg:
             )
         if not all(np.isfinite(value) for _, value in self.parameters):
             raise MechanismError(f"{self.name}: a nominal parameter is not a finite number")
-        gain, _ = self.sensor.constants(self.nominal_by_name)
-        if gain == 0.0:
-            raise MechanismError(f"{self.name}: the sensor's gain is zero; it must not be")
+        for sensor in self.sensors:
+            gain, _ = sensor.constants(self.nominal_by_name)
+            if gain == 0.0:
+                raise MechanismError(f"{self.name}: the sensor's gain is zero; it must not be")
         for joint in (*self.joints, self.point):
             joint.placement.rest(self.nominal_by_name, f"{self.name}, joint {joint.name!r}")
 
@@ -104,9 +117,15 @@ class Leg:
         return tuple(joint for joint in self.joints if joint.kind != "fixed")
 
     @cached_property
-    def active(self) -> int:
-        """Index of the active joint among the moving joints."""
-        return [joint.name for joint in self.moving].index(self.sensor.joint)
+    def active(self) -> list[int]:
+        """Indices of the active joints among the moving joints, in the order of the sensors."""
+        names = [joint.name for joint in self.moving]
+        return [names.index(sensor.joint) for sensor in self.sensors]
+
+    @cached_property
+    def passive(self) -> list[int]:
+        """Indices of the passive joints among the moving joints."""
+        return [index for index in range(len(self.moving)) if index not in self.active]
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
@@ -131,17 +150,25 @@ class Leg:
         units: dict[str, str] = {}
         for joint in (*self.joints, self.point):
             units |= joint.placement.parameter_units
-        if isinstance(self.sensor.gain, str):
-            units[self.sensor.gain] = "1"
-        if isinstance(self.sensor.offset, str):
-            units[self.sensor.offset] = self.reading_unit
+        for sensor, unit in zip(self.sensors, self.reading_units, strict=True):
+            if isinstance(sensor.gain, str):
+                units[sensor.gain] = "1"
+            if isinstance(sensor.offset, str):
+                units[sensor.offset] = unit
         return units
 
     @property
-    def reading_unit(self) -> str:
-        """Unit of the sensor's reading: rad or m."""
-        joint = next(j for j in self.joints if j.name == self.sensor.joint)
-        return "m" if joint.kind == "prismatic" else "rad"
+    def reading_units(self) -> tuple[str, ...]:
+        """Unit of each sensor's reading: rad or m."""
+        kinds = {joint.name: joint.kind for joint in self.joints}
+        return tuple("m" if kinds[s.joint] == "prismatic" else "rad" for s in self.sensors)
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:
+        """Names of the readings: the leg's, or of several sensors their joints'."""
+        if len(self.sensors) == 1:
+            return (self.name,)
+        return tuple(sensor.joint for sensor in self.sensors)
 
     @cached_property
     def home(self) -> Array:

@@ -23,16 +23,21 @@ _ANGLES = ("yaw", "pitch", "roll")  # that may be measured one by one
 def read_poses(path: str | Path, mechanism: Mechanism) -> Plan:
     """Return the poses of a CSV file, with its ``set`` column if there is one.
 
+    And with the readings, of a mechanism whose poses do not tell them.
+
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
     table = _read(path, mechanism)
-    return Plan(_poses(table, mechanism), _sets(table, mechanism))
+    readings = None
+    if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
+        readings = _readings(table, mechanism)
+    return Plan(_poses(table, mechanism), _sets(table, mechanism), readings)
 
 
 def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
-    """Return the readings of a CSV file, shape (N, n_legs), [rad] or [m].
+    """Return the readings of a CSV file, shape (N, n_readings), [rad] or [m].
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -68,7 +73,7 @@ def read_measurements(
         if name in table or not partial
     }
     named = {f"sigma_{name}": name for name in more if f"sigma_{name}" in table}
-    units = {leg.name: leg.reading_unit for leg in mechanism.legs}
+    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
     readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
     data = Measurements(
         poses=poses,
@@ -112,7 +117,10 @@ def write_poses(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    write_table(path, _pose_columns(mechanism, plan, orientation), force=force)
+    columns = _pose_columns(mechanism, plan, orientation)
+    if plan.readings is not None:
+        columns |= _reading_columns(mechanism, plan.readings)
+    write_table(path, columns, force=force)
 
 
 def write_readings(
@@ -145,8 +153,8 @@ def write_measurements(
         names = zip(platform.freedoms, platform.units, data.sigma_poses.T, strict=True)
         columns |= {f"sigma_{name} [{unit}]": values for name, unit, values in names}
     if data.sigma_readings is not None:
-        legs = zip(mechanism.legs, data.sigma_readings.T, strict=True)
-        columns |= {f"sigma_{leg.name} [{leg.reading_unit}]": values for leg, values in legs}
+        read = _reading_columns(mechanism, data.sigma_readings)
+        columns |= {f"sigma_{name}": values for name, values in read.items()}
     columns |= {f"{name} [{_unit(name)}]": values for name, values in data.extra.items()}
     more = data.sigma_extra.items()
     columns |= {f"sigma_{name} [{_unit(name)}]": values for name, values in more}
@@ -163,7 +171,7 @@ def _read(path: str | Path, mechanism: Mechanism, more: Mapping[str, str] | None
     """Return a table; a column whose name differs from a known one by its case is refused."""
     table = read_table(path)
     turns = [name for names, _ in WAYS.values() for name in names]
-    values = [*mechanism.platform.coordinates, *turns, *mechanism.leg_names]
+    values = [*mechanism.platform.coordinates, *turns, *mechanism.reading_names]
     values += list(more or ())
     known = ["set", "run", "pose", *values, *(f"sigma_{name}" for name in values)]
     for column in table.units:
@@ -233,7 +241,8 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
 
 
 def _readings(table: Table, mechanism: Mechanism) -> Array:
-    return np.column_stack([table.numbers(leg.name, leg.reading_unit) for leg in mechanism.legs])
+    units = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
+    return np.column_stack([table.numbers(name, unit) for name, unit in units])
 
 
 def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
@@ -301,6 +310,8 @@ def _pose_columns(
 
 def _reading_columns(mechanism: Mechanism, readings: Array) -> dict[str, Array | tuple[str, ...]]:
     return {
-        f"{leg.name} [{leg.reading_unit}]": values
-        for leg, values in zip(mechanism.legs, readings.T, strict=True)
+        f"{name} [{unit}]": values
+        for name, unit, values in zip(
+            mechanism.reading_names, mechanism.reading_units, readings.T, strict=True
+        )
     }

@@ -48,6 +48,8 @@ class Plan:
     """Coordinates, shape (N, dof), [m] and [rad]."""
     sets: tuple[str, ...] | None = None
     """Leg for which each pose was chosen, ``"all"`` for every leg; None if not said."""
+    readings: Array | None = None
+    """Readings to command, shape (N, n_readings), where poses do not tell them."""
 
     def serves(self, leg: str) -> Mask:
         """Return which poses were chosen for a leg, shape (N,)."""
@@ -64,12 +66,12 @@ class Measurements(Plan):
     frame. Estimators with latent poses take rows in which part of a pose, or all of it, is NaN.
     """
 
-    readings: Array
-    """Shape (N, n_legs), legs in order, [rad] or [m]."""
+    readings: Array = field()
+    """Shape (N, n_readings), legs in order, [rad] or [m]."""
     sigma_poses: Array | None = None
     """Standard deviation of each freedom, shape (N, dof), if the file gives it."""
     sigma_readings: Array | None = None
-    """Standard deviation of each reading, shape (N, n_legs), if the file gives it."""
+    """Standard deviation of each reading, shape (N, n_readings), if the file gives it."""
     extra: Mapping[str, Array] = field(default_factory=dict)
     """Further measured quantities by column, each of shape (N,): positions of further targets
     and distances [m] (see ``Setup``), single angles of a spatial platform [rad]."""

@@ -35,6 +35,12 @@ class Mechanism:
             raise MechanismError(f"mechanism {self.name!r}: leg names repeat: {names}")
         if not (self.name and self.name.isprintable() and len(self.name) <= 100):
             raise MechanismError(f"{self.name[:100]!r} is no name for a mechanism")
+        readings = self.reading_names
+        if len(set(readings)) != len(readings):
+            raise MechanismError(
+                f"mechanism {self.name!r}: names of readings repeat: {', '.join(readings)}; a "
+                "leg's only sensor is named after the leg, several ones after their joints"
+            )
         if "platform" in names:
             raise MechanismError("'platform' names the platform's file; name the leg otherwise")
         points: dict[str, tuple[str, Placement]] = {}
@@ -47,7 +53,7 @@ class Mechanism:
                     f"{other} and {leg.name} share the platform point {leg.point.name!r}, so it "
                     "must be the same for both and have no parameters; give each leg its own point"
                 )
-        planar = len(self.platform.closure_rows) == 2
+        planar = self.platform.space == 2
         for leg in self.legs if planar else ():
             for joint in leg.joints:
                 _check_planar(
@@ -58,6 +64,49 @@ class Mechanism:
     def leg_names(self) -> tuple[str, ...]:
         """Names of the legs, in order."""
         return tuple(leg.name for leg in self.legs)
+
+    @cached_property
+    def reading_names(self) -> tuple[str, ...]:
+        """Names of the readings, leg by leg."""
+        return tuple(name for leg in self.legs for name in leg.reading_names)
+
+    @cached_property
+    def reading_units(self) -> tuple[str, ...]:
+        """Units of the readings, rad or m."""
+        return tuple(unit for leg in self.legs for unit in leg.reading_units)
+
+    @cached_property
+    def reading_columns(self) -> tuple[slice, ...]:
+        """Where the readings of each leg are among all of them."""
+        ends = np.cumsum([len(leg.sensors) for leg in self.legs]).tolist()
+        return tuple(
+            slice(end - len(leg.sensors), end) for leg, end in zip(self.legs, ends, strict=True)
+        )
+
+    @cached_property
+    def constraints(self) -> int:
+        """Equations that the legs demand of pose and readings, passive joints eliminated."""
+        rows = (len(self.platform.closing(leg.closes)) - len(leg.passive) for leg in self.legs)
+        return sum(max(count, 0) for count in rows)
+
+    @cached_property
+    def by_readings(self) -> bool:
+        """Whether readings tell poses, and poses do not tell readings.
+
+        Of serial arms, whose readings have many solutions, and of legs with fewer joints than
+        their closure has rows, which reach a surface of poses only. Their poses are made by forward
+        kinematics.
+        """
+        rows = [len(self.platform.closing(leg.closes)) for leg in self.legs]
+        return any(
+            len(leg.moving) != count or not leg.passive
+            for leg, count in zip(self.legs, rows, strict=True)
+        )
+
+    @property
+    def redundant(self) -> bool:
+        """Whether the legs demand more than fixes the platform, so that readings may contradict."""
+        return self.constraints > self.platform.dof
 
     def leg(self, name: str) -> Leg:
         """Return a leg by name.

@@ -103,6 +103,12 @@ class Platform:
         """Rows of the loop closure that are kept: two in a plane, three in space."""
         return _KINDS[self.kind].closure_rows
 
+    def closing(self, closes: str) -> tuple[int, ...]:
+        """Return the rows of a twist in which a leg closes a ``"point"`` or a ``"frame"``."""
+        if closes == "point":
+            return self.closure_rows
+        return (0, 1, 5) if self.space == 2 else (0, 1, 2, 3, 4, 5)
+
     @property
     def space(self) -> int:
         """Dimension of the space that the mechanism moves in: 2 or 3."""

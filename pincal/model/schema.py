@@ -73,7 +73,8 @@ class LegSpec(Strict):
     tip: str
     platform_point: str
     home: dict[str, Number]
-    sensor: SensorSpec
+    closes: Literal["point", "frame"] = "point"
+    sensors: list[SensorSpec] = Field(min_length=1)
     parameters: dict[Name, Number]
     placements: dict[str, list[dict[str, Value | list[Value]]]]
 

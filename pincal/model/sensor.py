@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,28 +14,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SensorLaw:
-    """Joint position of a reading at some parameter values: q = slope ψ + start."""
+    """Active joints' positions of readings at some parameter values: q = slope ψ + start."""
 
-    slope: float
-    """∂q/∂ψ, [1]."""
-    start: float
-    """Joint position at which the reading is zero, [rad] or [m]."""
+    slope: Array
+    """∂q/∂ψ, shape (n_active,), [1]."""
+    start: Array
+    """Joint positions at which readings are zero, shape (n_active,), [rad] or [m]."""
     slope_by_parameter: Array
-    """∂slope/∂φ, shape (n_params,)."""
+    """∂slope/∂φ, shape (n_active, n_params)."""
     start_by_parameter: Array
-    """∂start/∂φ, shape (n_params,)."""
+    """∂start/∂φ, shape (n_active, n_params)."""
 
-    def reading(self, joint: Array) -> Array:
-        """Return the readings ψ of joint positions, same shape, [rad] or [m]."""
-        return (joint - self.start) / self.slope
+    def reading(self, joints: Array) -> Array:
+        """Return the readings ψ of active joints' positions, shape (N, n_active), [rad] or [m]."""
+        return (joints - self.start) / self.slope
 
-    def position(self, reading: Array) -> Array:
-        """Return the joint positions of readings ψ, same shape, [rad] or [m]."""
-        return self.slope * reading + self.start
+    def position(self, readings: Array) -> Array:
+        """Return the active joints' positions of readings ψ, shape (N, n_active)."""
+        return self.slope * readings + self.start
 
-    def by_parameter(self, reading: Array) -> Array:
-        """Return ∂q/∂φ at given readings, shape (N,) to (N, n_params)."""
-        return reading[:, None] * self.slope_by_parameter + self.start_by_parameter
+    def by_parameter(self, readings: Array) -> Array:
+        """Return ∂q/∂φ at given readings, shape (N, n_active) to (N, n_active, n_params)."""
+        return readings[:, :, None] * self.slope_by_parameter + self.start_by_parameter
 
 
 @dataclass(frozen=True)
@@ -71,15 +71,11 @@ class Sensor:
         offset = parameters[self.offset] if isinstance(self.offset, str) else self.offset
         return self.direction * gain, offset
 
-    def law(
-        self, parameters: Mapping[str, float], zero: float, zero_by_parameter: Array
-    ) -> SensorLaw:
-        """Return the law at parameter values.
+    def law(self, parameters: Mapping[str, float]) -> tuple[float, float, Array, Array]:
+        """Return slope and start of q = slope ψ + start, and their derivatives by parameters.
 
         Args:
             parameters: Values of the leg's parameters by name, in order.
-            zero: Joint position from which q counts, [rad] or [m].
-            zero_by_parameter: Its derivative, shape (n_params,).
         """
         gain, offset = self.constants(parameters)
         by_gain = np.array([float(name == self.gain) for name in parameters])
@@ -91,4 +87,31 @@ class Sensor:
             slope, start = 1.0 / gain, -offset / gain
             slopes = -self.direction * slope**2 * by_gain
             starts = -slope * by_offset + offset * self.direction * slope**2 * by_gain
-        return SensorLaw(slope, start + zero, slopes, starts + zero_by_parameter)
+        return slope, start, slopes, starts
+
+
+def sensor_laws(
+    sensors: Sequence[Sensor],
+    parameters: Mapping[str, float],
+    home: Array,
+    home_by_parameter: Array,
+) -> SensorLaw:
+    """Return the law of a leg's sensors at parameter values.
+
+    Args:
+        sensors: The sensors.
+        parameters: Values of the leg's parameters by name, in order.
+        home: The active joints' positions at the platform's home pose, shape (n_active,).
+        home_by_parameter: Their derivatives, shape (n_active, n_params).
+    """
+    slope, start, slopes, starts = map(
+        np.array, zip(*(sensor.law(parameters) for sensor in sensors), strict=True)
+    )
+    homed = np.array([sensor.homed for sensor in sensors])
+    zeros = np.array([0.0 if isinstance(one.zero, str) else one.zero for one in sensors])
+    return SensorLaw(
+        slope,
+        start + np.where(homed, home, zeros),
+        slopes,
+        starts + np.where(homed[:, None], home_by_parameter, 0.0),
+    )

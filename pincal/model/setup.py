@@ -74,7 +74,14 @@ class Setup:
         points = {f"{name}_{axis}": "m" for name in further for axis in axes}
         columns = points | dict.fromkeys(self.distances, "m")
         platform = mechanism.platform
-        taken = {*mechanism.leg_names, *platform.coordinates, *platform.freedoms, "set", "run"}
+        taken = {
+            *mechanism.leg_names,
+            *mechanism.reading_names,
+            *platform.coordinates,
+            *platform.freedoms,
+            "set",
+            "run",
+        }
         taken |= {"pose", "rx", "ry", "rz", *(n for names, _ in WAYS.values() for n in names)}
         taken |= {name for name in columns if name.startswith("sigma_")}
         taken |= set(points) & set(self.distances)

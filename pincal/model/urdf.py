@@ -71,6 +71,42 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     return tuple(chain)
 
 
+def read_path(path: Path, tip: str, base: str | None = None) -> tuple[Joint, ...]:
+    """Return the joints between two links of a URDF that may branch, base first.
+
+    Args:
+        path: The URDF.
+        tip: Link at the end.
+        base: Link at the foot; the root if not given.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: not well-formed, or no path from base to tip.
+    """
+    robot = _read_xml(path)
+    links = [str(link.get("name")) for link in robot.findall("link")]
+    for name in (tip, *([] if base is None else [base])):
+        if name not in links:
+            raise MechanismError(f"{path}: no link named {name!r}; it has {', '.join(links)}")
+    above: dict[str, etree._Element] = {}
+    for element in robot.findall("joint"):
+        child = _link(element, "child", path)
+        if child in above:
+            raise MechanismError(
+                f"{path}, line {element.sourceline}: link {child!r} hangs on two joints; a URDF "
+                "is a tree"
+            )
+        above[child] = element
+    link: str = tip
+    found: list[etree._Element] = []
+    while link in above and link != base and len(found) <= len(above):
+        found.append(above[link])
+        link = _link(above[link], "parent", path)
+    if (base is not None and link != base) or (link in above and base is None):
+        raise MechanismError(f"{path}: no chain of joints leads from {base or 'a root'} to {tip!r}")
+    return tuple(_joint(element, path) for element in reversed(found))
+
+
 def read_points(path: Path) -> dict[str, Joint]:
     """Return the fixed joints of a platform URDF by the names of joint and child link.
 
@@ -186,6 +222,7 @@ def leg_urdf(leg: Leg) -> str:
     """Return a leg's URDF: its joints, a box at its foot, and rods from each joint to the next."""
     robot = etree.Element("robot", name=leg.name)
     size = _size(leg)
+    read = {sensor.joint for sensor in leg.sensors}
     link = _link_element(robot, f"{leg.name}_base")
     foot = _triple_text(leg.joints[0].placement.xyz)
     _visual(link, "box", size=(3 * size, 3 * size, size), xyz=foot, rgba=_GREY)
@@ -195,12 +232,13 @@ def leg_urdf(leg: Leg) -> str:
             _rod(link, joint.placement.xyz, size)
         link = _link_element(robot, leg.tip if last else f"{leg.name}_{joint.name}_link")
         if joint.kind == "revolute":
-            colour = _ORANGE if joint.name == leg.sensor.joint else _BLUE
+            colour = _ORANGE if joint.name in read else _BLUE
             roll = _axis_rpy(joint.axis)
             _visual(link, "cylinder", radius=size, length=3 * size, rpy=roll, rgba=colour)
         elif joint.kind == "prismatic":
-            colour = _ORANGE if joint.name == leg.sensor.joint else _BLUE
-            _visual(link, "box", size=(2 * size, 2 * size, 2 * size), rgba=colour)
+            colour = _ORANGE if joint.name in read else _BLUE
+            along = _axis_rpy(joint.axis)  # longer than what it carries is wide
+            _visual(link, "box", size=(2 * size, 2 * size, 4 * size), rpy=along, rgba=colour)
         else:
             _visual(link, "sphere", radius=size, rgba=_BLUE)
         parent = (
@@ -229,7 +267,7 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
 
 def _size(leg: Leg) -> float:
     """Return a radius for joints that suits the longest link (a stroke is two), two digits, [m]."""
-    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints]
+    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints[1:]]
     lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
     return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
 

@@ -15,7 +15,7 @@ from pincal.identification.calibrate import calibration_task
 from pincal.identification.measured import given_poses
 from pincal.identification.result import CalibrationResult
 from pincal.kinematics.derivatives import identification_jacobian
-from pincal.model.measurements import Measurements
+from pincal.model.measurements import Measurements, Plan
 from pincal.model.setup import Setup
 from pincal.show.workspace_errors import WorkspaceErrors, errors_at, workspace_errors
 from pincal.workspace.criteria import in_workspace
@@ -109,7 +109,7 @@ def findings(result: CalibrationResult, data: Measurements, setup: Setup | None)
         MeasurementError: measurements or a setup that are not those of the calibration.
     """
     mechanism = result.nominal
-    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.legs)))
+    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names)))
     last = max((int(leg.rows.max(initial=-1)) for leg in result.legs), default=-1)
     if (data.poses.shape, data.readings.shape) != expected or last >= len(data):
         raise MeasurementError(
@@ -118,7 +118,8 @@ def findings(result: CalibrationResult, data: Measurements, setup: Setup | None)
             "'calibrate' was given"
         )
     poses = _base_poses(result, data, setup or Setup())
-    errors = workspace_errors(result, poses) if result.converged else None
+    measured = Plan(poses, readings=data.readings if mechanism.by_readings else None)
+    errors = workspace_errors(result, measured) if result.converged else None
     return Findings(result, data, poses, errors)
 
 

@@ -143,7 +143,7 @@ def _both(found: Findings, column: int) -> tuple[float, float]:
 
 def observability_figure(found: Findings) -> Element:
     """Return |R_ii| of each parameter and leg at the poses used (3-RRR paper, Fig. 9)."""
-    units = {leg.reading_unit for leg in found.result.nominal.legs}
+    units = set(found.result.nominal.reading_units)
     unit = units.pop() if len(units) == 1 else "reading"
     with drawing():
         drawn = Figure(figsize=(WIDTH, 2.8), layout="constrained")

@@ -9,6 +9,7 @@ import numpy as np
 
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import EVERY_LEG, Noise
+from pincal.model.mechanism import Mechanism
 from pincal.show.calibration import trust_in_words
 from pincal.show.findings import Findings
 from pincal.show.markup import Content, Element, bullets, table, tag
@@ -63,7 +64,7 @@ def measured(found: Findings) -> Element:
         ("mechanism", result.nominal.name),
         ("rows", _rows(found)),
         ("of the platform", _columns(found)),
-        ("readings", ", ".join(f"{leg.name} [{leg.reading_unit}]" for leg in result.nominal.legs)),
+        ("readings", ", ".join(_readings(result.nominal))),
         ("noise", f"{_SOURCES.get(result.noise_source, result.noise_source)}: {_noise(found)}"),
         ("identified", f"{_METHODS[result.method]}; {_RESIDUALS[result.residual]}"),
     ]
@@ -148,7 +149,7 @@ def _sigmas(noise: Noise, found: Findings) -> str:
     parts = [f"{1e3 * noise.position:.3g} mm in position"]
     if found.turns:
         parts.append(f"{1e3 * noise.orientation:.3g} mrad in orientation")
-    units = {SHOWN[leg.reading_unit][0] for leg in found.result.nominal.legs}
+    units = {SHOWN[unit][0] for unit in found.result.nominal.reading_units}
     reading = f"{1e3 * noise.reading:.3g} {' or '.join(sorted(units))} in readings"
     return ", ".join([*parts, reading if noise.reading else "readings exact"])
 
@@ -262,3 +263,9 @@ def reproduction(
         tag("p", f"Made on {date} with {', '.join(versions)}. No random choice is involved."),
         table("Files read, and their SHA-256", ("file", "SHA-256"), rows) if rows else None,
     )
+
+
+def _readings(mechanism: Mechanism) -> list[str]:
+    """Return the names of readings with their units."""
+    read = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
+    return [f"{name} [{unit}]" for name, unit in read]

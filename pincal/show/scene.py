@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.experiment.simulation import platform_errors
@@ -71,13 +72,17 @@ class Scene:
         """Whether all moves in the x-y plane."""
         return len(self.mechanism.platform.closure_rows) == 2
 
-    def bounds(self) -> Array:
-        """Return least and largest coordinates of all that is drawn, shape (2, 3), [m]."""
+    def points(self) -> Array:
+        """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
         bodies = [self.body] + ([self.identified.body] if self.identified else [])
         feet = [leg.joints[0].placement.xyz for leg in self.mechanism.legs]
-        points = [one.placements[:, :, :3, 3].reshape(-1, 3) for one in bodies]
+        parts = [one.placements[:, :, :3, 3].reshape(-1, 3) for one in bodies]
         clouds = [self.cloud.positions] if self.cloud else []
-        every = np.concatenate((feet, *points, *clouds))
+        return np.concatenate((feet, *parts, *clouds))
+
+    def bounds(self) -> Array:
+        """Return least and largest coordinates of all that is drawn, shape (2, 3), [m]."""
+        every = self.points()
         return np.stack((np.nanmin(every, axis=0), np.nanmax(every, axis=0)))
 
 
@@ -116,6 +121,18 @@ def scene(
     if identified is not None:
         found = replace(found, identified=_identified(found, identified, magnify))
     return found if workspace is None else replace(found, cloud=_cloud(mechanism, workspace))
+
+
+def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> Plan:
+    """Return poses in any form as a plan.
+
+    Raises:
+        MechanismError: poses of a wrong shape.
+    """
+    if isinstance(poses, Plan):
+        return poses
+    given = poses if isinstance(poses, RigidTransform) else np.asarray(poses, np.float64)
+    return Plan(mechanism.platform.coordinates_of(given))
 
 
 def _cloud(mechanism: Mechanism, workspace: Array) -> Cloud:

@@ -36,18 +36,21 @@ def titled(title: str, table: Table, caption: str = "") -> Group:
 
 
 def parameters_table(mechanism: Mechanism) -> Group:
-    """Return a table of nominal parameters, one row a parameter, one column a leg."""
-    table = plain_table()
-    table.add_column("parameter")
-    for name in mechanism.leg_names:
-        table.add_column(name, justify="right")
-    table.add_column("unit")
+    """Return a table of nominal parameters, one column a leg, or one row where legs are more."""
     names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
+    grid = [["parameter", *mechanism.leg_names, "unit"]]
     for name in names:
         values = [leg.nominal_by_name.get(name) for leg in mechanism.legs]
-        cells = ["" if value is None else f"{value:.6f}" for value in values]
         unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
-        table.add_row(name, *cells, unit)
+        grid.append([name, *("" if v is None else f"{v:.6f}" for v in values), unit])
+    if len(mechanism.legs) > len(names):
+        grid = [list(row) for row in zip(*grid, strict=True)]
+    header, *rows = grid
+    table = plain_table()
+    for cell in header:
+        table.add_column(cell, justify="left" if cell in ("parameter", "unit") else "right")
+    for row in rows:
+        table.add_row(*row)
     return titled(f"{mechanism.name}: nominal parameters", table)
 
 

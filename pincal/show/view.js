@@ -155,7 +155,7 @@
       Object.assign(camera, { left: -half * aspect, right: half * aspect, top: half, bottom: -half, zoom: 1 });
       camera.position.copy(centre).add(new THREE.Vector3(0, 10 * size, 0));
     } else {
-      const towards = turned([0.45, -0.85, 0.28]).normalize();
+      const towards = turned(data.towards).normalize();
       const right = new THREE.Vector3(0, 1, 0).cross(towards).normalize();
       const up = towards.clone().cross(right);
       const slope = Math.tan(((camera.fov / 2) * Math.PI) / 180);

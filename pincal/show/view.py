@@ -15,7 +15,7 @@ from pincal.errors import WorkspaceError
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import writing
-from pincal.show.scene import MAGNIFY, Scene, scene
+from pincal.show.scene import MAGNIFY, Scene, plan_of, scene
 
 Array = NDArray[np.float64]
 _SAMPLED = 24
@@ -98,13 +98,7 @@ def view(
         MeasurementError: no poses or too many; a workspace of a wrong shape; a factor that is
             not positive.
     """
-    if poses is None:
-        plan = Plan(_some_poses(mechanism))
-    elif isinstance(poses, Plan):
-        plan = poses
-    else:
-        given = poses if isinstance(poses, RigidTransform) else np.asarray(poses, np.float64)
-        plan = Plan(mechanism.platform.coordinates_of(given))
+    plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
     cloud = None if workspace is None else np.asarray(workspace, np.float64)
     return View(scene(mechanism, plan, cloud, identified, magnify), source)
 

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.experiment.configurations import as_plan, legs_at
 from pincal.experiment.frames import beyond
-from pincal.experiment.platform_error import pose_gain, stacked
 from pincal.experiment.simulation import platform_errors
 from pincal.identification.result import CalibrationResult
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.derivatives import leg_demand
-from pincal.workspace.sampling import sample_workspace
+from pincal.model.measurements import Plan
+from pincal.workspace.sampling import sample_configurations
 
 Array = NDArray[np.float64]
 _SAMPLED = 1000
@@ -52,31 +52,27 @@ class WorkspaceErrors:
         return _rms(self.after)
 
 
-def workspace_errors(result: CalibrationResult, measured: Array) -> WorkspaceErrors:
+def workspace_errors(result: CalibrationResult, measured: Plan) -> WorkspaceErrors:
     """Return the platform's errors at samples of the workspace.
 
     Args:
         result: The calibration.
-        measured: Measured poses, shape (N, dof): taken if no workspace is found with the default
-            margins.
+        measured: Measured configurations: taken if no workspace is found with the default margins.
     """
     try:
-        return errors_at(result, sample_workspace(result.nominal, _SAMPLED))
+        return errors_at(result, sample_configurations(result.nominal, _SAMPLED))
     except WorkspaceError:
         found = errors_at(result, measured)
         return WorkspaceErrors(found.poses, found.before, found.after, sampled=False)
 
 
-def errors_at(result: CalibrationResult, poses: Array) -> WorkspaceErrors:
-    """Return the platform's errors at poses, coordinates of shape (N, dof)."""
-    platform = result.nominal.platform
-    moved = platform_errors(result.nominal, result.identified, poses)
-    by_parameter, by_pose = stacked(
-        [leg_demand(result.identified, name, poses) for name in result.nominal.leg_names]
-    )
-    reached = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_parameter).all(axis=(1, 2))
+def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErrors:
+    """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
+    platform, plan = result.nominal.platform, as_plan(planned)
+    moved = platform_errors(result.nominal, result.identified, plan)
+    legs = legs_at(result.identified, plan)
+    reached, gain = legs.reached, legs.gain
     both = np.asarray(reached & np.isfinite(moved).all(axis=1))
-    gain = pose_gain(by_parameter[reached], by_pose[reached])
     if result.gauge_directions is not None and both.any():
         size = largest_size(result.nominal.legs, platform)
         motions = gain @ result.gauge_directions
@@ -85,7 +81,7 @@ def errors_at(result: CalibrationResult, poses: Array) -> WorkspaceErrors:
         gain = beyond(platform, gain, motions, size)
     variance = np.full(moved.shape, np.nan)
     variance[reached] = np.einsum("nip,pq,niq->ni", gain, result.covariance, gain)
-    return WorkspaceErrors(poses, _sizes(result, moved**2), _sizes(result, variance))
+    return WorkspaceErrors(plan.poses, _sizes(result, moved**2), _sizes(result, variance))
 
 
 def _sizes(result: CalibrationResult, squares: Array) -> Array:

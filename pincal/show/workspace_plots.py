@@ -148,7 +148,7 @@ def articular_figure(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figur
     """
     if len(mechanism.legs) == 3:
         return _plane_of_equal_sums(mechanism, spaces)
-    names, units = mechanism.leg_names, [leg.reading_unit for leg in mechanism.legs]
+    names, units = mechanism.reading_names, mechanism.reading_units
     pairs = [(i, (i + 1) % len(names)) for i in range(len(names))]
     if len(names) == 2:
         pairs = pairs[:1]
@@ -176,7 +176,7 @@ def _plane_of_equal_sums(mechanism: Mechanism, spaces: Mapping[str, Array]) -> F
     columns = min(3, len(spaces) + 1)
     rows = -(-(len(spaces) + 1) // columns)
     figure = Figure(figsize=(4.4 * columns, 4.4 * rows + 0.3), layout="constrained")
-    unit = mechanism.legs[0].reading_unit
+    unit = mechanism.reading_units[0]
     cloud = figure.add_subplot(rows, columns, 1, projection="3d")
     title, readings = next(iter(spaces.items()))
     height = equal_sums(readings)[:, 2]

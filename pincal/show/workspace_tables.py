@@ -84,10 +84,11 @@ def articular_table(
         table.add_column(name, justify="right" if numeric else "left", no_wrap=True)
     for name, readings in spaces.items():
         heads = [name, f"{len(readings):,}"]
-        for leg, column in zip(mechanism.legs, readings.T, strict=True):
+        read = zip(mechanism.reading_names, mechanism.reading_units, readings.T, strict=True)
+        for reading, unit, column in read:
             low, high = (column.min(), column.max()) if len(column) else (np.nan, np.nan)
-            ends = [f"{low:.3f}", escape(f"{high:.3f} [{leg.reading_unit}]")]
-            table.add_row(*heads, leg.name, *ends)
+            ends = [f"{low:.3f}", escape(f"{high:.3f} [{unit}]")]
+            table.add_row(*heads, reading, *ends)
             heads = ["", ""]
     lines = [
         f"{check.element}: {check.solved} of {check.asked} permuted readings solved, "

@@ -45,9 +45,10 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         rest = p.rest(old, where)
         if on_base:
             coordinates = _move_point(p.coordinates, element, old, new, where)
-            if joint is not leg.point:  # the frame of a point has no meaning
-                rest[:3, :3] = element.matrix @ rest[:3, :3] @ local
-            rest[:3, 3] = element.matrix @ rest[:3, 3]
+            before = local if p.turns else element.matrix  # what rz does not carry
+            if joint is not leg.point or leg.closes == "frame":  # a point's frame has no meaning
+                rest[:3, :3] = before @ rest[:3, :3] @ local
+            rest[:3, 3] = before @ rest[:3, 3]
         else:
             coordinates = p.coordinates
             if element.reflection:
@@ -78,7 +79,7 @@ def canonical(leg: Leg) -> Leg:
 
 
 def _flip_axis(leg: Leg, index: int) -> Leg:
-    joint, sensor = leg.joints[index], leg.sensor
+    joint = leg.joints[index]
     axis = np.array(joint.axis)
     if axis[np.argmax(np.abs(axis))] > 0:
         return leg
@@ -86,7 +87,8 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
         joint, axis=_triple(-axis), home=-joint.home, lower=-joint.upper, upper=-joint.lower
     )
     parameters = leg.nominal_by_name
-    if sensor.joint == joint.name:
+    sensor = _sensor_of(leg, joint)
+    if sensor is not None:
         offset = sensor.offset
         if sensor.form == "joint":
             offset = _changed(offset, parameters, lambda value: -value)
@@ -96,7 +98,8 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
 
 
 def _absorb_turn(leg: Leg, index: int) -> Leg:
-    joint, sensor, zero = leg.joints[index], leg.sensor, leg.sensor.zero
+    joint = leg.joints[index]
+    sensor = _sensor_of(leg, joint)
     rest = joint.placement.rest(leg.nominal_by_name, leg.name)
     axis = np.array(joint.axis)
     if joint.kind != "revolute" or not np.allclose(rest[:3, :3] @ axis, axis, atol=1e-12):
@@ -106,7 +109,7 @@ def _absorb_turn(leg: Leg, index: int) -> Leg:
         return leg
     rest[:3, :3] = np.eye(3)
     parameters = leg.nominal_by_name
-    if sensor.joint != joint.name or isinstance(zero, str):  # home turns along
+    if sensor is None or isinstance(sensor.zero, str):  # home turns along
         turn = wrapped(joint.home + turn) - joint.home
     elif sensor.form == "joint":
         _, offset = sensor.constants(parameters)
@@ -114,6 +117,7 @@ def _absorb_turn(leg: Leg, index: int) -> Leg:
         offset_value = _changed(sensor.offset, parameters, lambda value: value + turn)
         sensor = replace(sensor, offset=offset_value)
     else:
+        zero = float(sensor.zero)
         turn = wrapped(zero + turn) - zero
         sensor = replace(sensor, zero=zero + turn)
     limited = joint.upper - joint.lower < 2 * np.pi
@@ -127,9 +131,20 @@ def _absorb_turn(leg: Leg, index: int) -> Leg:
     return _with(leg, index, turned, sensor, parameters)
 
 
-def _with(leg: Leg, index: int, joint: Joint, sensor: Sensor, parameters: dict[str, float]) -> Leg:
+def _sensor_of(leg: Leg, joint: Joint) -> Sensor | None:
+    """Return the sensor that reads a joint, or None."""
+    return next((sensor for sensor in leg.sensors if sensor.joint == joint.name), None)
+
+
+def _with(
+    leg: Leg, index: int, joint: Joint, changed: Sensor | None, parameters: dict[str, float]
+) -> Leg:
     joints = (*leg.joints[:index], joint, *leg.joints[index + 1 :])
-    return replace(leg, joints=joints, sensor=sensor, parameters=tuple(parameters.items()))
+    sensors = tuple(
+        changed if changed is not None and one.joint == changed.joint else one
+        for one in leg.sensors
+    )
+    return replace(leg, joints=joints, sensors=sensors, parameters=tuple(parameters.items()))
 
 
 def _changed(value: Value, parameters: dict[str, float], change: Callable[[float], float]) -> Value:
@@ -151,10 +166,11 @@ def _move_point(
     vector = np.zeros(3)
     present = set()
     for c in coordinates:
-        if c.turns:
+        if c.turns and not (c.kind == "rz" and c is coordinates[-1]):
             raise SymmetryError(
                 f"{where}: a placement on the base with a rotation ({c.kind}) cannot be carried "
-                "by a symmetry; give the point by polar, spherical or x, y, z"
+                "by a symmetry; give the point by polar, spherical or x, y, z, and a turn "
+                "about z last, by rz"
             )
         if c.kind in ("x", "y", "z"):
             vector["xyz".index(c.kind)] += c.steps[0].amount(old)
@@ -169,7 +185,7 @@ def _move_point(
         if c.kind in ("x", "y", "z"):
             target = float(moved["xyz".index(c.kind)])
             result.append(Coordinate(c.kind, (_set(c.values[0], target, new),)))
-        else:
+        else:  # an azimuth, alone or of a point
             *kept, azimuth = c.values
             before = old[azimuth] if isinstance(azimuth, str) else azimuth
             azimuth = _set(azimuth, element.azimuth(before), new)
@@ -188,6 +204,7 @@ def _mirror_coordinate(c: Coordinate, old: dict[str, float], new: dict[str, floa
 
 def _set(value: Value, target: float, new: dict[str, float]) -> Value:
     """Return a constant at its target, or a parameter's name after setting its nominal value."""
+    target += 0.0  # no negative zero
     if isinstance(value, str):
         new[value] = target
         return value

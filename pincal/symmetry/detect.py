@@ -170,7 +170,7 @@ def _permutation(
     carried_home = element.poses(mechanism.platform, home)
     moved = float(np.abs(mechanism.platform.twists_between(home, carried_home)).max())
     for leg in legs:
-        if leg.sensor.homed and moved > tolerance:
+        if moved > tolerance and any(sensor.homed for sensor in leg.sensors):
             return (), Break(element, leg.name, "home pose from which the sensor counts", moved)
         try:
             carried = carry(leg, element, leg.name, leg.point.name)
@@ -227,23 +227,12 @@ def _difference(
             return f"orientation of joint {b.name!r}", max(turn, tilt)
     if home_mode(carried, mechanism.platform) != home_mode(leg, mechanism.platform):
         return "working mode (the side on which the leg bends)", None
-    if (carried.sensor.form, carried.sensor.direction) != (leg.sensor.form, leg.sensor.direction):
-        return "form or direction of the sensor", None
-    if carried.active != leg.active:
-        return "active joint", None
-    turning = leg.reading_unit == "rad"
-    gains, offsets = zip(
-        *(one.sensor.constants(one.nominal_by_name) for one in (carried, leg)), strict=True
-    )
-    if abs(gains[0] - gains[1]) > tolerance:
-        return "gain of the sensor", abs(gains[0] - gains[1])
-    if carried.sensor.homed != leg.sensor.homed:
-        return "zero of the sensor", None
-    zeros = [0.0 if isinstance(one.sensor.zero, str) else one.sensor.zero for one in (carried, leg)]
-    for what, (first, second) in (("offset", offsets), ("zero", zeros)):
-        shift = abs(wrapped(first - second) if turning else first - second)
-        if shift > tolerance * (1.0 if turning else size):
-            return f"{what} of the sensor", shift
+    if carried.active != leg.active or carried.closes != leg.closes:
+        return "active joint" if carried.active != leg.active else "end", None
+    for index, unit in enumerate(leg.reading_units):
+        scale = 1.0 if unit == "rad" else size
+        if found := _sensors_differ(carried, leg, index, tolerance * scale):
+            return found
     for a, b in zip(carried.moving, leg.moving, strict=True):
         if not (a.limited or b.limited):
             continue
@@ -253,6 +242,36 @@ def _difference(
             continue
         if a.kind == "prismatic" or not _same_line(carried, leg, mechanism.platform, tolerance):
             return f"limits of joint {b.name!r}", shift if np.isfinite(shift) else None
+    return None
+
+
+def _sensors_differ(
+    carried: Leg, leg: Leg, index: int, tolerance: float
+) -> tuple[str, float | None] | None:
+    """Return the first quantity in which two legs' sensors differ, and by how much.
+
+    Args:
+        carried: One leg.
+        leg: The other one.
+        index: Of the sensor.
+        tolerance: Largest deviation, [rad] or [m].
+    """
+    a, b = carried.sensors[index], leg.sensors[index]
+    if (a.form, a.direction) != (b.form, b.direction):
+        return "form or direction of the sensor", None
+    gains, offsets = zip(
+        a.constants(carried.nominal_by_name), b.constants(leg.nominal_by_name), strict=True
+    )
+    if abs(gains[0] - gains[1]) > tolerance:
+        return "gain of the sensor", abs(gains[0] - gains[1])
+    if a.homed != b.homed:
+        return "zero of the sensor", None
+    zeros = [0.0 if isinstance(one.zero, str) else one.zero for one in (a, b)]
+    for what, (first, second) in (("offset", offsets), ("zero", zeros)):
+        turning = leg.reading_units[index] == "rad"
+        shift = abs(wrapped(first - second) if turning else first - second)
+        if shift > tolerance:
+            return f"{what} of the sensor", shift
     return None
 
 

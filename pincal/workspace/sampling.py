@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.inverse import close
+from pincal.kinematics.forward import forward
+from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.singularity import margins
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.workspace.box import reach_box
 from pincal.workspace.component import HomeComponent
@@ -27,6 +29,62 @@ _BATCH = 16_384
 _PILOT = 1_500  # accepted poses from which the box is tightened and connected
 _WIDEN = 0.1  # of the box around the accepted poses, on each side
 _MOST = 400  # batches without enough poses before giving up
+
+
+def sample_configurations(
+    mechanism: Mechanism,
+    count: int,
+    seed: int | np.random.Generator = 0,
+    least: Margins | None = None,
+) -> Plan:
+    """Return configurations of a mechanism: poses, and readings where poses do not tell them.
+
+    Readings are spread evenly between the limits of the active joints, and poses are those of
+    forward kinematics; other mechanisms have the poses of ``sample_workspace``.
+
+    Args:
+        mechanism: The mechanism.
+        count: Number of configurations.
+        seed: Seed or generator.
+        least: Margins from singularities; of serial arms, none.
+
+    Raises:
+        WorkspaceError: no or too few configurations count.
+    """
+    if not mechanism.by_readings:
+        return Plan(sample_workspace(mechanism, count, seed, least))
+    rng = np.random.default_rng(seed)
+    low, high = _reading_limits(mechanism)
+    arm = all(not leg.passive for leg in mechanism.legs)
+    poses, readings, total = [], [], 0
+    for _ in range(_MOST):
+        drawn = rng.uniform(low, high, (2 * count, len(low)))
+        solution = forward(mechanism, drawn)
+        kept = np.flatnonzero(solution.converged)
+        if not arm:
+            kept = kept[in_workspace(mechanism, solution.poses[kept], least)]
+        poses.append(solution.poses[kept])
+        readings.append(drawn[kept])
+        total += len(kept)
+        if total >= count:
+            return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
+    raise WorkspaceError(
+        f"only {total} of {count} configurations found between the limits of the active joints; "
+        "lower the margins or the count"
+    )
+
+
+def _reading_limits(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return least and largest readings within the limits of the active joints."""
+    ends = []
+    for leg in mechanism.legs:
+        law = sensor_law(LegClosure(leg, mechanism.platform))
+        joints = [leg.moving[index] for index in leg.active]
+        low = [joint.lower if joint.limited else joint.home - np.pi for joint in joints]
+        high = [joint.upper if joint.limited else joint.home + np.pi for joint in joints]
+        ends.append(law.reading(np.array([low, high])))
+    both = np.concatenate(ends, axis=1)
+    return both.min(axis=0), both.max(axis=0)
 
 
 def sample_workspace(
@@ -50,6 +108,8 @@ def sample_workspace(
     """
     if count < 1:
         raise WorkspaceError(f"the number of poses is {count}; expected at least 1")
+    if mechanism.by_readings:
+        return sample_configurations(mechanism, count, seed, least).poses
     rng = np.random.default_rng(seed)
     low, high, connected = _explore(mechanism, rng, least)
     found = [np.empty((0, mechanism.platform.dof))]

@@ -1,0 +1,147 @@
+"""All legs at planned configurations: by poses, or by readings where poses do not tell them.
+
+Most mechanisms are planned by poses, and inverse kinematics gives the readings. The readings of a
+serial arm do not follow from its pose, and legs with fewer joints than their closure has rows reach
+a surface of poses only: such a plan carries readings, and forward kinematics gives the poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closure import solve
+from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.forward import forward
+from pincal.kinematics.inverse import inverse
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_ABOUT = 0.05  # of the mechanism's size, and [rad], by which configurations are moved about
+
+
+@dataclass(frozen=True)
+class Legs:
+    """What all legs demand at N configurations that they reach, to first order."""
+
+    poses: Array
+    """Coordinates, shape (N, dof), [m] and [rad]."""
+    readings: Array | None
+    """Shape (N, n_readings), if poses do not tell them."""
+    reached: Mask
+    """Which of the planned configurations these are, shape (M,)."""
+    parameter: Array
+    """∂e/∂φ, shape (N, n_rows, n_params)."""
+    pose: Array
+    """∂e/∂x, shape (N, n_rows, dof)."""
+    reading: Array
+    """∂e/∂ψ, shape (N, n_rows, n_readings)."""
+
+    @property
+    def gain(self) -> Array:
+        """∂(pose)/∂(parameter), shape (N, dof, n_params); of least squares for redundant legs."""
+        by_pose, by_parameter = self.pose, self.parameter
+        if by_pose.shape[1] != by_pose.shape[2]:
+            transposed = by_pose.transpose(0, 2, 1)
+            by_pose, by_parameter = transposed @ by_pose, transposed @ by_parameter
+        return -solve(by_pose, by_parameter)
+
+
+def as_plan(planned: Plan | Array) -> Plan:
+    """Return a plan, or one of bare poses, shape (N, dof)."""
+    return planned if isinstance(planned, Plan) else Plan(np.asarray(planned, dtype=np.float64))
+
+
+def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
+    """Return what all legs demand at planned configurations, those that they reach.
+
+    Raises:
+        MechanismError: poses or readings of a wrong shape, or not finite.
+    """
+    plan = as_plan(planned)
+    poses, readings = plan.poses, plan.readings
+    found = np.ones(len(poses), dtype=bool)
+    if readings is not None:
+        solution = forward(mechanism, readings, poses)
+        found = solution.converged
+        poses, readings = solution.poses[found], readings[found]
+    demands = [
+        leg_demand(mechanism, leg.name, poses, None, None if readings is None else readings[:, own])
+        for leg, own in zip(mechanism.legs, mechanism.reading_columns, strict=True)
+    ]
+    pose = np.concatenate([row.pose for row in demands], axis=1)
+    parameter = _blocks([row.parameter for row in demands])
+    reading = _blocks([row.reading for row in demands])
+    ok = np.isfinite(pose).all(axis=(1, 2)) & np.isfinite(parameter).all(axis=(1, 2))
+    reached = np.zeros(len(found), dtype=bool)
+    reached[np.flatnonzero(found)[ok]] = True
+    return Legs(
+        poses[ok],
+        None if readings is None else readings[ok],
+        reached,
+        parameter[ok],
+        pose[ok],
+        reading[ok],
+    )
+
+
+def _blocks(parts: list[Array]) -> Array:
+    """Return matrices of shape (N, k, n) along a diagonal, shape (N, Σk, Σn)."""
+    rows, columns = (np.cumsum([0, *(part.shape[axis] for part in parts)]) for axis in (1, 2))
+    out = np.zeros((len(parts[0]), rows[-1], columns[-1]))
+    for part, row, column in zip(parts, rows, columns, strict=False):
+        out[:, row : row + part.shape[1], column : column + part.shape[2]] = part
+    return out
+
+
+def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:
+    """Return the poses that a mechanism commands and their readings, and why some have none.
+
+    Where the plan has readings these are commanded, and the poses are those of the mechanism then.
+    Shapes (N, dof) and (N, n_readings); NaN where there is a reason, which is else empty.
+
+    Raises:
+        MechanismError: poses or readings of a wrong shape, or not finite.
+    """
+    plan = as_plan(planned)
+    if plan.readings is not None:
+        solution = forward(mechanism, plan.readings, plan.poses)
+        return solution.poses, plan.readings, list(solution.reasons)
+    solved = inverse(mechanism, plan.poses)
+    reasons = [solved.reason(row) for row in range(len(plan.poses))]
+    return plan.poses, solved.readings, reasons
+
+
+def nearby(
+    mechanism: Mechanism, planned: Plan | Array, count: int, size: float, seed: int = 0
+) -> Plan:
+    """Return generic configurations about planned ones, as many rounds of them as give ``count``.
+
+    What moves the platform as frames would at a few poses need not do so elsewhere.
+
+    Args:
+        mechanism: The mechanism.
+        planned: Configurations that it reaches.
+        count: Least number of configurations.
+        size: Of the mechanism, [m].
+        seed: Of the draws.
+    """
+    plan, platform, rng = as_plan(planned), mechanism.platform, np.random.default_rng(seed)
+    rounds = -(-count // max(len(plan.poses), 1))
+    poses = np.tile(plan.poses, (rounds, 1))
+    if plan.readings is not None:
+        units = mechanism.reading_units
+        readings = np.tile(plan.readings, (rounds, 1))
+        readings = readings + _scale(units, size) * rng.standard_normal(readings.shape)
+        return Plan(poses, readings=readings)
+    matrices = platform.transforms(poses).as_matrix()
+    twists = _scale(platform.units, size) * rng.standard_normal(poses.shape)
+    return Plan(platform.from_matrices(platform.displaced(matrices, twists)))
+
+
+def _scale(units: tuple[str, ...], size: float) -> Array:
+    return _ABOUT * np.array([size if unit == "m" else 1.0 for unit in units])

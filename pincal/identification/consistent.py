@@ -1,0 +1,110 @@
+"""Derivatives where readings and poses agree: what measurements there tell, and what they do not.
+
+Where a search starts, readings and measured poses contradict each other in the nominal mechanism,
+and directions that nothing can tell look as if something did. At poses that its legs have, they are
+lost exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.experiment.configurations import legs_at, nearby
+from pincal.experiment.elimination import eliminate
+from pincal.identification.latent import LatentPoses
+from pincal.identification.unknowns import Unknowns
+from pincal.kinematics.closure import largest_size
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+_ROWS = 200  # generic configurations, at least
+_LOST = 1e-9  # of the largest singular value, columns of unit length
+
+
+@dataclass(frozen=True)
+class Consistent:
+    """Derivatives at poses that all legs have."""
+
+    matrices: Array
+    """``T_base_platform``, shape (N, 4, 4)."""
+    leg_pose: Array
+    """Of the legs, over the mechanism's size, shape (N, k, dof)."""
+    leg_parameter: Array
+    """Shape (N, k, n_params)."""
+    seen_pose: Array
+    """Of what is measured, shape (N, r, dof)."""
+    seen_parameter: Array
+    """By all parameters and external unknowns, shape (N, r, n)."""
+
+    def jacobian(self, unknowns: Unknowns) -> Array:
+        """Return what the free unknowns do to the measurements, poses eliminated: (m, n_free).
+
+        Rows of priors are below those of the measurements.
+        """
+        T = unknowns.map
+        more = T.shape[0] - self.leg_parameter.shape[2]
+        legs = np.pad(self.leg_parameter, ((0, 0), (0, 0), (0, more)))
+        parameter = np.concatenate((legs, self.seen_parameter), axis=1)
+        pose = np.concatenate((self.leg_pose, self.seen_pose), axis=1)
+        free = eliminate(np.zeros(pose.shape[:2]), parameter, pose)
+        _, prior = unknowns.prior_rows(unknowns.start)
+        return np.concatenate((free.parameter.reshape(-1, T.shape[0]) @ T, prior))
+
+
+def consistent(
+    mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns, *, generic: bool
+) -> Consistent:
+    """Return derivatives at the start's poses or readings, or at generic ones about them.
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem, at its start.
+        unknowns: Of the problem.
+        generic: Whether configurations are moved about, and everything is measured in every row
+            that is measured in some row.
+    """
+    platform = mechanism.platform
+    start = problem.start(unknowns.start[: problem.columns[-1].stop])
+    size = largest_size(problem.legs, platform)
+    chosen = np.arange(len(start.matrices))[: _ROWS if generic else None]
+    planned = Plan(
+        platform.from_matrices(start.matrices[chosen]),
+        readings=problem.readings[chosen] if mechanism.by_readings else None,
+    )
+    values = (start.parameters[columns] for columns in problem.columns)
+    at = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
+    legs = legs_at(at, nearby(at, planned, _ROWS, size) if generic else planned)
+    matrices = platform.transforms(legs.poses).as_matrix()
+    rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
+    observation = problem.observation.anywhere() if generic else problem.observation
+    seen = observation.rows(rows).evaluate(matrices, start.external)
+    outer = np.zeros((*seen.pose.shape[:2], len(unknowns.names)))
+    outer[:, :, legs.parameter.shape[2] :] = seen.external
+    ok = np.isfinite(seen.pose).all(axis=(1, 2)) & np.isfinite(outer).all(axis=(1, 2))
+    return Consistent(
+        matrices[ok],
+        legs.pose[ok] / size,
+        legs.parameter[ok] / size,
+        seen.pose[ok],
+        outer[ok],
+    )
+
+
+def lost_directions(J: Array) -> tuple[Array, Array]:
+    """Return what a Jacobian's rows do not tell, and the lengths of its columns.
+
+    Rows v of shape (n_lost, n), in columns of unit length: unknowns may move along v / lengths; and
+    v · lengths is what that leaves as it is in the changes nearest to none, each measured by what
+    it alone does.
+
+    Args:
+        J: Shape (m, n).
+    """
+    lengths = np.linalg.norm(J, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    _, s, axes = np.linalg.svd(J / lengths, full_matrices=len(J) < J.shape[1])
+    return axes[int((s > _LOST * s[0]).sum()) :], lengths

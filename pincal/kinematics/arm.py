@@ -1,0 +1,97 @@
+"""A serial arm is a mechanism of one leg: all its joints are read, and its tip is the platform.
+
+Each joint's placement on its parent link, and the tool's on the last one, has six small
+displacements as parameters; with base and tool unknown that is one set more than there are joints.
+What of it measurements cannot tell is found when they are planned or made.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pincal.errors import MechanismError
+from pincal.kinematics.closure import LegClosure
+from pincal.model.leg import Joint, Leg
+from pincal.model.mechanism import Mechanism
+from pincal.model.placement import Placement, along
+from pincal.model.platform import Platform
+from pincal.model.sensor import Sensor
+from pincal.model.urdf import read_path
+
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+TOOL = "tool"
+
+
+def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
+    """Return a serial arm from any URDF, as a mechanism to calibrate.
+
+    Args:
+        path: The URDF; links that do not lie between base and tip are left out.
+        tip: Link at the end, whose frame is the platform.
+        base: Link at the foot; the root of the URDF if not given.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: not well-formed, or no chain of joints from base to tip.
+    """
+    name = re.sub(r"\W", "_", Path(path).stem)
+    return arm(name, read_path(Path(path), tip, base), f"Serial arm to {tip} of {Path(path).name}.")
+
+
+def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:
+    """Return a serial arm of joints, six small displacements at each that moves and at the tool.
+
+    Args:
+        name: Of the mechanism.
+        joints: Base first, fixed ones included; parameters that they have are kept.
+        description: Of the mechanism.
+
+    Raises:
+        MechanismError: no joint moves; names that cannot be told apart.
+    """
+    moving = [joint for joint in joints if joint.kind != "fixed"]
+    if not moving:
+        raise MechanismError(f"{name}: no joint moves")
+    if joints[-1].kind != "fixed":
+        joints = (*joints, Joint("tip", "fixed"))
+    parameters: dict[str, float] = {}
+    placed = []
+    for joint in joints:
+        last = joint is joints[-1]
+        if joint.kind == "fixed" and not last:
+            placed.append(joint)
+            continue
+        stem = TOOL if last else re.sub(r"\W", "_", joint.name).removesuffix("_joint")
+        own = {f"{stem}_{axis}": 0.0 for axis in _AXES}
+        if set(own) & set(parameters):
+            raise MechanismError(f"{name}: joint names alike: {stem!r} stands for two of them")
+        parameters |= own
+        steps = tuple(along(axis, parameter) for axis, parameter in zip(_AXES, own, strict=True))
+        steps += tuple(
+            along(*one) for one in zip("xyz", joint.placement.xyz, strict=True) if one[1]
+        )
+        placement = Placement(steps, joint.placement.xyz, joint.placement.rpy)
+        placed.append(replace(joint, placement=placement, home=_home(joint)))
+    leg = Leg(
+        name="arm",
+        joints=tuple(placed),
+        sensors=tuple(Sensor(joint.name) for joint in moving),
+        parameters=tuple(parameters.items()),
+        point=Joint(TOOL, "fixed"),
+        tip="tip",
+        closes="frame",
+    )
+    free = Platform("spatial", (0.0,) * 6)
+    home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
+    return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
+
+
+def _home(joint: Joint) -> float:
+    """Return a joint's position at home: zero, or the middle of limits that bar it."""
+    if joint.kind == "fixed" or joint.lower <= 0.0 <= joint.upper:
+        return 0.0
+    return float(np.mean([joint.lower, joint.upper]))
