@@ -11,6 +11,7 @@ from pincal.cli import (
     calibration,
     demo,
     experiment,
+    formats,
     identifiability,
     kinematics,
     mechanisms,
@@ -34,6 +35,7 @@ _GROUPS = (
     experiment,
     identifiability,
     calibration,
+    formats,
     demo,
     study,
 )
