@@ -120,6 +120,13 @@ def calibrate(
         bool,
         typer.Option("--rough", help="The nominal mechanism is known roughly: fewer checks."),
     ] = False,
+    hold_undetermined: Annotated[
+        bool,
+        typer.Option(
+            "--hold-undetermined",
+            help="Hold what the measurements do not tell as near to nominal as can be.",
+        ),
+    ] = False,
     folds: Annotated[
         int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")
     ] = FOLDS,
@@ -148,6 +155,7 @@ def calibrate(
         "tied": tie or (),
         "priors": _priors(prior or ()),
         "rough": rough,
+        "hold_undetermined": hold_undetermined,
     }
     with working("identifying parameters") as tell:
         result = identify(mechanism, data, progress=tell, **options)

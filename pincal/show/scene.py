@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
+from pincal.experiment.configurations import joints_at
 from pincal.experiment.simulation import platform_errors
 from pincal.kinematics.forward import forward
-from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.bodies import Body, body
@@ -115,8 +115,8 @@ def scene(
     found = Scene(
         mechanism,
         plan,
-        body(mechanism, plan.poses),
-        inverse(mechanism, plan.poses).readings,
+        body(mechanism, plan),
+        joints_at(mechanism, plan).readings,
     )
     if identified is not None:
         found = replace(found, identified=_identified(found, identified, magnify))
@@ -176,11 +176,12 @@ def _identified(scene: Scene, identified: Mechanism, magnify: float) -> Identifi
     driven = np.flatnonzero(np.isfinite(scene.readings).all(axis=1))
     solution = forward(machine, scene.readings[driven], poses[driven])
     reached = driven[solution.converged]
-    at = body(machine, solution.poses[solution.converged])
+    there = Plan(solution.poses[solution.converged], readings=scene.readings[reached])
+    at = body(machine, there)
     placements = np.full((len(poses), *at.placements.shape[1:]), np.nan)
     placements[reached] = at.placements
     why = dict.fromkeys(range(len(poses)), "the nominal model does not reach this pose")
     why |= dict(zip(driven.tolist(), solution.reasons, strict=True))
     why |= dict(zip(reached.tolist(), at.problems, strict=True))
     everywhere = replace(at, placements=placements, problems=tuple(why.values()))
-    return Identified(everywhere, magnify, platform_errors(mechanism, identified, poses))
+    return Identified(everywhere, magnify, platform_errors(mechanism, identified, scene.plan))

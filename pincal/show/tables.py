@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from pincal.experiment.configuration_choice import ConfigurationChoice
 from pincal.experiment.forecast import Forecast
 from pincal.experiment.platform_error import PlatformError
 from pincal.experiment.selection import Selection
@@ -144,6 +145,26 @@ def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mec
         f"{names[0]} and {names[1]}{whose} are weakly told apart, correlation "
         f"{worst.correlation:+.3f}: if the other one were known, {' and '.join(parts)}"
     )
+
+
+def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Group:
+    """Return how good chosen configurations are, and what they tell."""
+    table = plain_table()
+    for name, justify in (("poses", "right"), ("of", "right"), ("efficiency", "right")):
+        table.add_column(name, justify=justify)  # type: ignore[arg-type]
+    table.add_column("rank", justify="right")
+    table.add_column("measured")
+    rank = chosen.rank
+    table.add_row(
+        str(len(chosen.plan.poses)),
+        f"{chosen.candidates:,}",
+        f"{chosen.efficiency:.3f}",
+        f"{rank.rank} of {rank.n_params}",
+        ", ".join(chosen.measured),
+    )
+    lost = rank.n_params - rank.rank
+    words = f"; {lost} directions are not told by any candidate" if lost else ""
+    return titled(f"{mechanism.name}: configurations for all parameters together{words}", table)
 
 
 def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import WorkspaceError
+from pincal.experiment.configurations import home_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import writing
@@ -103,12 +104,15 @@ def view(
     return View(scene(mechanism, plan, cloud, identified, magnify), source)
 
 
-def _some_poses(mechanism: Mechanism) -> Array:
-    """Return home and, where there is a workspace, some of its poses, shape (N, dof)."""
-    from pincal.workspace.sampling import sample_workspace
+def _some_poses(mechanism: Mechanism) -> Plan:
+    """Return home and, where there is a workspace, some of its configurations."""
+    from pincal.workspace.sampling import sample_configurations
 
-    home = np.array([mechanism.platform.home])
+    home = home_of(mechanism)
     try:
-        return np.concatenate((home, sample_workspace(mechanism, _SAMPLED)))
+        more = sample_configurations(mechanism, _SAMPLED)
     except WorkspaceError:  # none with the default margins
         return home
+    read = [plan.readings for plan in (home, more) if plan.readings is not None]
+    readings = np.concatenate(read) if read else None
+    return Plan(np.concatenate((home.poses, more.poses)), readings=readings)
