@@ -111,8 +111,8 @@ def picture(
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism.
-        MeasurementError: no poses or too many, no such row; a workspace of a wrong shape; a
-            factor that is not positive.
+        MeasurementError: no poses, too many or not whole, no such row; a workspace of a wrong
+            shape; a factor that is not positive.
     """
     plan = plan_of(mechanism, [mechanism.platform.home] if poses is None else poses)
     if not 0 <= row < max(len(plan.poses), 1):
