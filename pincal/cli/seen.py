@@ -113,7 +113,7 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
         return read_poses(estimates[0], mechanism) if estimates else None
     (table,) = tables
     plan = read_poses(table, mechanism, partial=True)
-    whole = np.isfinite(plan.poses).all(axis=1)
+    whole = np.isfinite(plan.poses).all(axis=1).astype(bool)
     if whole.all():
         return plan
     if estimates:
