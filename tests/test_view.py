@@ -223,6 +223,11 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done("simulate", "3RRR", folder / "plan.csv", *noise, "-o", folder / "measured.csv")
     done("calibrate", "3RRR", folder / "measured.csv", *noise, "-o", folder / "result")
     (folder / "empty").mkdir()
+    (folder / "failed").mkdir()
+    told = json.loads((folder / "result" / "result.json").read_text("utf-8"))
+    told |= {"converged": False, "calibrated_mechanism": None}
+    (folder / "failed" / "result.json").write_text(json.dumps(told), "utf-8")
+    (folder / "header.csv").write_text("x [m],y [m],phi [rad]\n", "utf-8")
     quoted = EVIL.replace('"', '""')
     (folder / "evil.csv").write_text(f'set,x [m],y [m],phi [rad]\n"{quoted}",0,0,0\n', "utf-8")
     return folder
@@ -248,6 +253,8 @@ def test_html_holds_plan_workspace_and_result(work: Path, tmp_path: Path) -> Non
         (["3RRR", "{}/plan.csv", "{}/measured.csv"], "at most"),
         (["3RRR", "{}/empty"], "no result.json"),
         (["5R", "{}/result"], "other legs"),
+        (["3RRR", "{}/failed"], "did not converge"),
+        (["3RRR", "{}/header.csv"], "no rows"),
         (["3RRR", "{}/evil.csv"], "is no leg"),
         (["3RRR", "{}/plan.csv", "--magnify", "3"], "RESULT"),
         (["3RRR", "{}/result", "--magnify", "-3"], "above 0"),
