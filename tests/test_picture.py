@@ -35,7 +35,7 @@ def turned(seed: int) -> np.ndarray:
 
 def painted(shapes: list[Shape], V: np.ndarray) -> tuple[Figure, PolyCollection]:
     """Return shapes painted one unit wide, and the polygons."""
-    figure = Figure(figsize=(2, 2))
+    figure = Figure(figsize=(2, 2), dpi=500)
     axes = figure.add_axes((0, 0, 1, 1))
     paint(axes, [(shape, np.eye(4)) for shape in shapes], V, 0.002)
     axes.set(xlim=(-1, 1), ylim=(-1, 1))
@@ -55,7 +55,6 @@ def colours(figure: Figure, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def covered(figure: Figure) -> float:
     """Return the area that is painted."""
     canvas = FigureCanvasAgg(figure)
-    figure.set_dpi(400)
     canvas.draw()
     image = np.asarray(canvas.buffer_rgba())[:, :, :3] / 255.0
     return float(4 * (1 - image[:, :, 1]).mean())  # of red and blue on white
@@ -99,12 +98,15 @@ def test_of_two_rods_that_cross_the_nearer_is_seen(swap: bool) -> None:
     assert np.allclose(seen, [to_rgb(RED), to_rgb(BLUE)], atol=0.02)
 
 
-def test_a_rod_has_no_seams() -> None:
-    """A rod that was cut into pieces is painted evenly along its middle."""
+@pytest.mark.parametrize("degrees", [90, 60, 40, 20])
+def test_a_rod_has_no_seams(degrees: float) -> None:
+    """A rod that was cut into pieces is painted evenly along its middle, also seen askew."""
+    sin, cos = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
+    V = np.array([[sin, 0, -cos], [0, 1, 0], [cos, 0, sin]])
     place = np.eye(4)
     place[:3, :3] = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-    figure, _ = painted([Shape("cylinder", (0.02, 1.6), place, RED)], np.eye(3))
-    along = np.linspace(-0.75, 0.75, 997)
+    figure, _ = painted([Shape("cylinder", (0.02, 1.6), place, RED)], V)
+    along = np.linspace(-0.75, 0.75, 997) * sin
     assert np.allclose(colours(figure, along, 0 * along), to_rgb(RED), atol=0.02)
 
 

@@ -86,6 +86,8 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float) -> list[_Piece]:
     cuts = np.linspace(-length / 2, length / 2, count + 1)
     thin = min(thin, length * stretch / 5)
     end = length / 2 - thin / stretch
+    along = float(T[:3, 2] @ V[2]) / stretch  # cosine between the rod and the view
+    over = 2 * thin / stretch / max(np.sqrt(1.0 - along**2), 0.1)  # hides where it was cut
     around = _CIRCLE @ T[:3, :2].T
 
     def tube(radius: float, low: float, high: float) -> Array:
@@ -94,7 +96,7 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float) -> list[_Piece]:
     return [
         (
             tube(radius, low, high),
-            tube(radius - thin, max(low - thin / stretch, -end), min(high + thin / stretch, end)),
+            tube(radius - thin, max(low - over, -end), min(high + over, end)),
             1.0,
         )
         for low, high in pairwise(cuts)
