@@ -25,7 +25,7 @@ from pincal.show.bodies import Body, body
 from pincal.show.scene import scene
 from pincal.symmetry.domain import in_domain
 
-MECHANISMS = ["5R", "3RRR", "6UPS"]
+MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
 EVIL = "<script>alert('Ω \"é\"')</script>"
 
 

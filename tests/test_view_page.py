@@ -25,8 +25,13 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 if CHROMIUM is None:
     pytest.skip("no chromium on this machine (apt-get install chromium)", allow_module_level=True)
 
-MECHANISMS = ["5R", "3RRR", "6UPS"]
-FAR = {"5R": [0.0, 3.0], "3RRR": [1.6, 0.9, 0.0], "6UPS": [0.0, 0.0, 1.2, 0.0, 0.0, 0.0]}
+MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
+FAR = {
+    "5R": [0.0, 3.0],
+    "3RRR": [1.6, 0.9, 0.0],
+    "6UPS": [0.0, 0.0, 1.2, 0.0, 0.0, 0.0],
+    "4cable": [9.0, 9.0, 9.0],
+}
 EVIL = "<script>document.title='Ω'</script><b>\"é\"'&amp;"
 _MATRICES = """(paths) => {
   const { viewer } = window.pincal;
