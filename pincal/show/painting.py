@@ -80,10 +80,14 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float) -> list[_Piece]:
         return [(whole, inner, 1.0)]
     radius, length = shape.size
     stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
+    if length * stretch < 1e-3 * edge:  # too short to be seen
+        return []
     count = int(np.clip(np.ceil(length * stretch / (_PIECE * radius)), 1, _MOST_PIECES))
     cuts = np.linspace(-length / 2, length / 2, count + 1)
     thin = min(thin, length * stretch / 5)
     end = length / 2 - thin / stretch
+    along = float(T[:3, 2] @ V[2]) / stretch  # cosine between the rod and the view
+    over = 2 * thin / stretch / max(np.sqrt(1.0 - along**2), 0.1)  # hides where it was cut
     around = _CIRCLE @ T[:3, :2].T
 
     def tube(radius: float, low: float, high: float) -> Array:
@@ -92,7 +96,7 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float) -> list[_Piece]:
     return [
         (
             tube(radius, low, high),
-            tube(radius - thin, max(low - thin / stretch, -end), min(high + thin / stretch, end)),
+            tube(radius - thin, max(low - over, -end), min(high + over, end)),
             1.0,
         )
         for low, high in pairwise(cuts)
