@@ -36,7 +36,7 @@ from pincal.model.measurement_files import read_measurements
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing
-from pincal.show.calibration import calibration_summary, calibration_tables
+from pincal.show.calibration import calibration_summary, calibration_tables, warnings_of
 from pincal.show.report import report
 
 
@@ -161,7 +161,7 @@ def calibrate(
         stdout.print(table)
     for line in (*calibration_summary(data, result, page.found.errors), *said):
         stdout.print(line, markup=False)
-    for text in result.warnings:
+    for text in warnings_of(result):
         warn(text)
     wrote(output)
     answer(as_json(result))

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from pincal.cli.app import stderr
+from pincal.cli.app import remark, stderr, warn
 from pincal.errors import FileError, MeasurementError
 from pincal.identification.result_files import read_result
 from pincal.model.files import is_folder, load_mechanism
@@ -71,11 +71,12 @@ def seen(
     if magnify is not None and not folders:
         raise typer.BadParameter("--magnify is for the errors of a RESULT, and none is given")
     mechanism = load_mechanism(mech)
+    identified = _identified(folders[0]) if folders else None
     return Seen(
         mechanism,
-        read_poses(tables[0], mechanism) if tables else None,
+        _plan(tables, folders, mechanism),
         None if workspace is None else _positions(workspace, mechanism),
-        _identified(folders[0]) if folders else None,
+        identified,
         MAGNIFY if magnify is None else magnify,
         ", ".join(path.name for path in (*tables, *folders)),
     )
@@ -99,6 +100,46 @@ def tell_unreached(scene: Scene) -> None:
                 f"the first: {problems[0]}",
                 markup=False,
             )
+
+
+def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan | None:
+    """Return the poses of a table; where it lacks some, those that the result estimated.
+
+    Raises:
+        MeasurementError: no row holds a whole pose, and there is no result with estimates of it.
+    """
+    estimates = [folder / "poses.csv" for folder in folders if (folder / "poses.csv").is_file()]
+    if not tables:
+        return read_poses(estimates[0], mechanism) if estimates else None
+    (table,) = tables
+    plan = read_poses(table, mechanism, partial=True)
+    whole = np.isfinite(plan.poses).all(axis=1).astype(bool)
+    if whole.all():
+        return plan
+    if estimates:
+        poses = read_poses(estimates[0], mechanism).poses
+        if len(poses) != len(whole):
+            raise MeasurementError(
+                f"{table} has {len(whole)} rows, {estimates[0]} has {len(poses)}; expected the "
+                "measurements of this calibration"
+            )
+        remark(f"poses as estimated by the calibration: {estimates[0]}")
+        return Plan(poses, plan.sets)
+    advice = (
+        "What was not measured, 'pincal calibrate --method latent -o RESULT' estimates for all "
+        "rows; RESULT beside the measurements, or RESULT/poses.csv, shows it"
+    )
+    if not whole.any():
+        try:
+            read_poses(table, mechanism)
+        except MeasurementError as error:
+            raise MeasurementError(f"{error}. {advice}") from error
+    warn(
+        f"{table}: {len(whole) - whole.sum()} of {len(whole)} rows hold no whole pose, the first "
+        f"is row {int(np.argmin(whole)) + 1}; only the others are drawn. {advice}"
+    )
+    sets = None if plan.sets is None else tuple(np.array(plan.sets)[whole].tolist())
+    return Plan(plan.poses[whole], sets)
 
 
 def _identified(folder: Path) -> Mechanism:

@@ -34,9 +34,9 @@ def view(
     """Look at a mechanism in the browser.
 
     The slider and the arrow keys go from pose to pose, the space bar plays. Without POSES.csv:
-    home and some of the workspace. With RESULT the calibrated machine is shown too, where it
-    goes when the nominal model drives it, its errors magnified. The page is served to this
-    machine alone, until Ctrl-C.
+    home and some of the workspace, or the poses that RESULT estimated. With RESULT the
+    calibrated machine is shown too, where it goes when the nominal model drives it, its errors
+    magnified. The page is served to this machine alone, until Ctrl-C.
     """
     if html is not None:
         refuse_existing(html, force=force)

@@ -12,6 +12,7 @@ from pincal.cli.app import (
     Force,
     Mech,
     Seed,
+    answer,
     command,
     counting,
     output_option,
@@ -20,6 +21,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
+from pincal.cli.workspace_answers import articular_answer, poses_answer, region_answer
 from pincal.errors import WorkspaceError
 from pincal.model.files import load_mechanism
 from pincal.model.measurement_files import write_poses
@@ -68,7 +70,7 @@ MarginType2 = Annotated[
 ]
 
 
-@command()
+@command(answers=True)
 def workspace(
     mech: Mech,
     output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
@@ -211,6 +213,7 @@ def _poses(
     box = zip(mechanism.platform.coordinates, poses.min(axis=0), poses.max(axis=0), strict=True)
     remark(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f}' for n, a, b in box)}")
     wrote(output)
+    answer(poses_answer(mechanism, poses))
 
 
 def _report(
@@ -229,6 +232,7 @@ def _report(
     wrote(output)
     if picture is not None:
         _draw(picture, workspace_figure(found, circle), force)
+    answer(region_answer(found, circle))
 
 
 def _draw(picture: Path, figure: Figure, force: bool) -> None:
@@ -282,6 +286,7 @@ def _articular(
     wrote(output)
     if picture is not None:
         _draw(picture, articular_figure(mechanism, readings), force)
+    answer(articular_answer(mechanism, readings, checks))
 
 
 def _named(mechanism: Mechanism, orientation: Orientations) -> str:

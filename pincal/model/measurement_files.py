@@ -20,15 +20,20 @@ Array = NDArray[np.float64]
 _ANGLES = ("yaw", "pitch", "roll")  # that may be measured one by one
 
 
-def read_poses(path: str | Path, mechanism: Mechanism) -> Plan:
+def read_poses(path: str | Path, mechanism: Mechanism, *, partial: bool = False) -> Plan:
     """Return the poses of a CSV file, with its ``set`` column if there is one.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        partial: Whether columns or cells may be missing; they are NaN.
 
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
     table = _read(path, mechanism)
-    return Plan(_poses(table, mechanism), _sets(table, mechanism))
+    return Plan(_poses(table, mechanism, partial=partial), _sets(table, mechanism))
 
 
 def read_readings(path: str | Path, mechanism: Mechanism) -> Array:

@@ -9,6 +9,10 @@ from pincal.model.measurements import Measurements
 from pincal.show.tables import SHOWN, plain_table, titled
 from pincal.show.workspace_errors import WorkspaceErrors
 
+_NO_FREEDOM = (
+    "as many unknowns as measured values: residuals vanish whatever the machine is, and tell "
+    "nothing; measure more poses"
+)
 _ROWS = 20  # outliers in the table; all are in result.json
 
 
@@ -168,6 +172,16 @@ def calibration_summary(
     return lines
 
 
+def warnings_of(result: CalibrationResult) -> list[str]:
+    """Return the warnings; one that several legs share is said once, with their names."""
+    legs: dict[str, list[str]] = {}
+    for text in result.warnings:
+        name, colon, rest = text.partition(": ")
+        own = bool(colon) and name in result.nominal.leg_names
+        legs.setdefault(rest if own else text, []).extend([name] if own else [])
+    return [f"{', '.join(names)}: {text}" if names else text for text, names in legs.items()]
+
+
 def noise_in_words(result: CalibrationResult) -> str:
     """Return what the noise is, or how the residuals compare with it."""
     turns = "rad" in result.nominal.platform.units
@@ -180,7 +194,10 @@ def noise_in_words(result: CalibrationResult) -> str:
             text += f", {1e3 * result.noise.reading:.3g} mm or mrad in readings"
         if result.noise_source == "estimated":
             return text
-        return f"{text}; reduced χ² {result.reduced_chi2:.3g}"
+        more = f"reduced χ² {result.reduced_chi2:.3g}"
+        return f"{text}; {more if result.degrees_of_freedom else _NO_FREEDOM}"
+    if not result.degrees_of_freedom:
+        return _NO_FREEDOM
     return (
         f"reduced χ² {result.reduced_chi2:.3g} on {result.degrees_of_freedom} degrees of "
         "freedom; near 1 the residuals are as large as the noise given makes them"

@@ -40,6 +40,7 @@ def mechanism_html(mechanism: Mechanism) -> str:
 
 def result_html(result: CalibrationResult) -> str:
     """Return a calibration: what to know first, parameters, residuals."""
+    from pincal.show.calibration import noise_in_words
     from pincal.show.markup import bullets, serialised, tag
     from pincal.show.markup_tables import outliers_table, parameters_table, residuals_table
     from pincal.show.report_answers import warnings_box
@@ -49,9 +50,7 @@ def result_html(result: CalibrationResult) -> str:
         whole.append(box)
     if not result.converged:
         return serialised(whole)
-    lines = [
-        f"reduced χ² {result.reduced_chi2:.3g}, {result.degrees_of_freedom} degrees of freedom"
-    ]
+    lines = [noise_in_words(result)]
     if (one := result.validation) is not None:
         lines.append(
             f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "

@@ -80,6 +80,8 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float) -> list[_Piece]:
         return [(whole, inner, 1.0)]
     radius, length = shape.size
     stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
+    if length * stretch < 1e-3 * edge:  # too short to be seen
+        return []
     count = int(np.clip(np.ceil(length * stretch / (_PIECE * radius)), 1, _MOST_PIECES))
     cuts = np.linspace(-length / 2, length / 2, count + 1)
     thin = min(thin, length * stretch / 5)

@@ -111,8 +111,8 @@ def picture(
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism.
-        MeasurementError: no poses or too many, no such row; a workspace of a wrong shape; a
-            factor that is not positive.
+        MeasurementError: no poses, too many or not whole, no such row; a workspace of a wrong
+            shape; a factor that is not positive.
     """
     plan = plan_of(mechanism, [mechanism.platform.home] if poses is None else poses)
     if not 0 <= row < max(len(plan.poses), 1):
@@ -192,8 +192,8 @@ def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
 
 
 def _short(name: str) -> str:
-    """Return a name as far as there is room for it."""
-    return clean(name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…")
+    """Return a name, its middle left out where there is no room for it."""
+    return clean(name if len(name) <= _LONGEST else f"{name[: _LONGEST - 9]}…{name[-8:]}")
 
 
 def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
@@ -212,7 +212,8 @@ def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
         )
         axes.plot(*at[own].T, marker, ms=3, color=colour, zorder=0.6)
         whose = f" for {_short(name)}" if name not in ("", EVERY_LEG) else ""
-        legend.append(_dot(colour, f"{own.sum()} poses{whose}", marker))
+        count = f"{own.sum()} pose{'s' if own.sum() > 1 else ''}"
+        legend.append(_dot(colour, f"{count}{whose}", marker))
     return legend
 
 

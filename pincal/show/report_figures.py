@@ -202,19 +202,24 @@ def _mark_outliers(axes: Axes, found: Findings, leg: LegResult, factor: float) -
             named += 1
 
 
-def histogram_figure(found: Findings) -> Element:
-    """Return the distribution of residuals in standard deviations, against the normal one."""
-    white = np.concatenate(
-        [leg.residuals / residual_sigma(found.result, leg) for leg in found.result.legs]
-    )
+def histogram_figure(found: Findings) -> Element | None:
+    """Return the distribution of residuals in standard deviations, against the normal one.
+
+    None where all that a leg says was taken as exact.
+    """
+    legs = [(leg.residuals, residual_sigma(found.result, leg)) for leg in found.result.legs]
+    residuals, sigma = (np.concatenate(both) for both in zip(*legs, strict=True))
+    white = residuals[sigma > 0.0] / sigma[sigma > 0.0]
     white = white[np.isfinite(white)]
+    if not len(white):
+        return None
     with drawing():
         drawn = Figure(figsize=(WIDTH, 2.4), layout="constrained")
         axes = drawn.subplots()
-        edge = max(4.0, float(np.ceil(np.abs(white).max(initial=0.0))))
+        edge = max(4.0, float(np.ceil(np.abs(white).max())))
         shown = min(edge, 8.0)
         bins = np.linspace(-shown, shown, int(4 * shown) + 1)
-        share = np.full(len(white), 1.0 / max(len(white), 1) / (bins[1] - bins[0]))
+        share = np.full(len(white), 1.0 / len(white) / (bins[1] - bins[0]))
         axes.hist(
             white.clip(-shown, shown),
             bins.tolist(),
@@ -228,7 +233,7 @@ def histogram_figure(found: Findings) -> Element:
         axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
         axes.set(xlabel="residual [standard deviations]", ylabel="density")
         axes.legend(frameon=False)
-        beyond = 100 * float((np.abs(white) > 1.96).mean()) if len(white) else 0.0
+        beyond = 100 * float((np.abs(white) > 1.96).mean())
         caption = (
             "Distribution of the residuals after the calibration, each over its standard "
             f"deviation; {beyond:.0f} % lie beyond 1.96, 5 % or, since they were fitted, less are "

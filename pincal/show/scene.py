@@ -104,13 +104,19 @@ def scene(
 
     Raises:
         MechanismError: poses of a wrong shape; an identified mechanism with other parameters.
-        MeasurementError: no poses or too many; a workspace of a wrong shape; a factor that is
-            not positive.
+        MeasurementError: no poses, too many or not whole; a workspace of a wrong
+            shape; a factor that is not positive.
     """
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
             f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
             "are better seen as a workspace cloud (--workspace)"
+        )
+    if not np.isfinite(plan.poses).all():
+        raise MeasurementError(
+            f"{int((~np.isfinite(plan.poses).all(axis=1)).sum())} of {len(plan.poses)} poses are "
+            "not whole; those that a calibration with latent poses estimated can be drawn: "
+            "result.estimated_poses, or poses.csv in the folder of the result"
         )
     found = Scene(
         mechanism,

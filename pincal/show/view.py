@@ -95,8 +95,8 @@ def view(
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism.
-        MeasurementError: no poses or too many; a workspace of a wrong shape; a factor that is
-            not positive.
+        MeasurementError: no poses, too many or not whole; a workspace of a wrong
+            shape; a factor that is not positive.
     """
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
     cloud = None if workspace is None else np.asarray(workspace, np.float64)
