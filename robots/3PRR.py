@@ -22,11 +22,11 @@ from pincal import (
 )
 
 PARAMETERS = {
-    "OA": 0.6,  # where the carriage reads zero: radius [m] and azimuth [rad]
+    "OA": 1.2,  # where the carriage reads zero: radius [m] and azimuth [rad]
     "beta": -pi / 2,
     "delta": 0.0,  # direction of the rail [rad]
-    "L": 0.6,  # rod [m]
-    "ob": 0.2,  # platform point: radius [m] and azimuth [rad]
+    "L": 1.2,  # rod [m]
+    "ob": 0.4,  # platform point: radius [m] and azimuth [rad]
     "beta_b": -pi / 2,
     "k": 1.0,  # sensor gain; an offset would move the zero along the rail
 }
@@ -44,9 +44,9 @@ def mechanism() -> Mechanism:
                 "prismatic",
                 placed(PARAMETERS, along("rz", "delta")),
                 axis=(1.0, 0.0, 0.0),
-                lower=-0.8,
-                upper=0.8,
-                home=-0.4,
+                lower=-1.6,
+                upper=1.6,
+                home=-0.9,
             ),
             Joint("rod", "revolute", home=0.6),
             Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),

@@ -47,9 +47,9 @@ def mechanism() -> Mechanism:
         name="leg_1",
         joints=(
             Joint("rail", "fixed", base),
-            Joint("drive", "prismatic", rail, (1.0, 0.0, 0.0), lower=0.0, upper=0.28, home=0.14),
-            Joint("rod_y", "revolute", Placement(), (0.0, 1.0, 0.0), lower=-0.9, upper=0.9),
-            Joint("rod_z", "revolute", Placement(), (0.0, 0.0, 1.0), lower=-0.9, upper=0.9),
+            Joint("drive", "prismatic", rail, (1.0, 0.0, 0.0), lower=0.04, upper=0.24, home=0.14),
+            Joint("rod_y", "revolute", Placement(), (0.0, 1.0, 0.0), lower=-0.5, upper=0.5),
+            Joint("rod_z", "revolute", Placement(), (0.0, 0.0, 1.0), lower=-0.5, upper=0.5),
             Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
         ),
         point=Joint("b_1", "fixed", placed(PARAMETERS, spherical(0.05, DIAGONAL, 0.0))),

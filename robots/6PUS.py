@@ -11,13 +11,13 @@ import pincal
 from pincal import Joint, Placement, along, placed, spherical
 
 PARAMETERS = {
-    "OA": 0.35,  # where the carriage reads zero: radius [m], angle from z and azimuth [rad]
+    "OA": 0.7,  # where the carriage reads zero: radius [m], angle from z and azimuth [rad]
     "alpha": pi / 2,
     "beta": radians(20),
     "pitch": 0.0,  # of the drive about y and x of the base, as seen by leg 1 [rad]
     "roll": 0.0,
-    "L": 0.4,  # rod [m]
-    "ob": 0.2,  # platform point: radius [m], angle from z and azimuth [rad]
+    "L": 0.8,  # rod [m]
+    "ob": 0.4,  # platform point: radius [m], angle from z and azimuth [rad]
     "alpha_b": pi / 2,
     "beta_b": radians(50),
     "k": 1.0,  # sensor gain
@@ -36,16 +36,16 @@ def mechanism() -> pincal.Mechanism:
         name="leg_1",
         joints=(
             Joint("rail", "fixed", placed(PARAMETERS, spherical("OA", "alpha", "beta"))),
-            Joint("drive", "prismatic", drive, lower=0.0, upper=0.3, home=0.15),
-            Joint("universal_x", "revolute", Placement(), (1.0, 0.0, 0.0), -1.2, 1.2),
-            Joint("universal_y", "revolute", Placement(), (0.0, 1.0, 0.0), -1.2, 1.2),
+            Joint("drive", "prismatic", drive, lower=0.0, upper=0.6, home=0.3),
+            Joint("universal_x", "revolute", Placement(), (1.0, 0.0, 0.0), -0.75, 0.75),
+            Joint("universal_y", "revolute", Placement(), (0.0, 1.0, 0.0), -0.75, 0.75),
             Joint("tip", "fixed", placed(PARAMETERS, along("z", "L"))),
         ),
         point=Joint("b_1", "fixed", placed(PARAMETERS, spherical("ob", "alpha_b", "beta_b"))),
         sensors=(pincal.Sensor("drive", form="joint", gain="k"),),
         parameters=tuple(PARAMETERS.items()),
     )
-    platform = pincal.Platform("spatial", home=(0.0, 0.0, 0.5, 0.0, 0.0, 0.0))
+    platform = pincal.Platform("spatial", home=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     return pincal.generate("6PUS", leg, GROUP, platform, "Active wrist (Merlet, Gosselin, 1991).")
 
 

@@ -47,7 +47,7 @@ def mechanism() -> Mechanism:
         name="leg_1",
         joints=(
             Joint("base", "fixed", base),
-            Joint("drive", "revolute", axis, (0.0, 1.0, 0.0), lower=-0.9, upper=1.6, home=0.3),
+            Joint("drive", "revolute", axis, (0.0, 1.0, 0.0), lower=-0.6, upper=1.4, home=0.3),
             Joint("elbow_y", "revolute", elbow, (0.0, 1.0, 0.0), home=1.5),
             Joint("elbow_z", "revolute", Placement(), (0.0, 0.0, 1.0), lower=-0.8, upper=0.8),
             Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),

@@ -224,3 +224,12 @@ def test_reach_bars_nothing_that_a_leg_reaches(name: str) -> None:
         assert within.any()
         assert not inside.all()
         assert not (within & ~inside).any()
+
+
+def test_the_page_of_mechanisms_says_what_they_are() -> None:
+    """``python docs/mechanisms.py`` makes the table that is there; each has section and picture."""
+    docs = ROBOTS.parent / "docs"
+    page = (docs / "mechanisms.md").read_text()
+    assert runpy.run_path(str(docs / "mechanisms.py"))["written"](page) == page
+    for name in pincal.bundled():
+        assert f"\n## {name}\n\n![{name}](images/{name}.svg)\n" in page

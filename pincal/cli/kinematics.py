@@ -54,8 +54,8 @@ def inverse(
     _refuse_lost(poses, [(row, solution.reason(row)) for row in lost], "pose")
     write_readings(output, mechanism, solution.readings, force=force)
     wrote(output)
-    units = [leg.reading_unit for leg in mechanism.legs]
-    readings = _columns(mechanism.leg_names, units, solution.readings)
+    read = mechanism.reading_names, mechanism.reading_units
+    readings = _columns(*read, solution.readings)
     answer({"mechanism": mechanism.name, "readings": readings})
 
 

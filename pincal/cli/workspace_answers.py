@@ -57,14 +57,14 @@ def articular_answer(
     mechanism: Mechanism, spaces: Mapping[str, Array], checks: Sequence[ArticularSymmetry]
 ) -> dict[str, Any]:
     """Return the extent of spaces of readings, and whether permuted readings are reached."""
-    units = [leg.reading_unit for leg in mechanism.legs]
+    units = mechanism.reading_units
     return {
         "mechanism": mechanism.name,
         "kind": "articular",
         "spaces": {
             name: {
                 "count": len(readings),
-                "ranges": _ranges(mechanism.leg_names, units, readings),
+                "ranges": _ranges(mechanism.reading_names, units, readings),
             }
             for name, readings in spaces.items()
         },
