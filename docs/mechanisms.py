@@ -17,6 +17,8 @@ _BLOCK = re.compile(r"(<!-- made by mechanisms\.py -->\n).*?(<!-- end -->)", re.
 
 def counted(mechanism: pincal.Mechanism) -> np.ndarray:
     """Return poses around home that count, shape (N, dof)."""
+    if mechanism.by_readings:
+        return pincal.sample_configurations(mechanism, _POSES).poses
     platform, rng = mechanism.platform, np.random.default_rng(0)
     size = 0.1 * min(np.linalg.norm(leg.joints[0].placement.xyz) for leg in mechanism.legs)
     spread = [max(size, 0.05) if unit == "m" else 0.25 for unit in platform.units]

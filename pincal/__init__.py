@@ -12,6 +12,7 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
+from pincal.experiment.configuration_choice import ConfigurationChoice, select_configurations
 from pincal.experiment.forecast import Forecast, forecast
 from pincal.experiment.observability import (
     Identifiability,
@@ -30,6 +31,7 @@ from pincal.identification.result_files import read_result
 from pincal.identification.runs import compare_runs
 from pincal.identification.trust import RunConsistency, Validation
 from pincal.identification.validation import validate
+from pincal.kinematics.arm import load_arm
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse
@@ -70,7 +72,7 @@ from pincal.workspace.inscribed import Inscribed, largest_inscribed
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import Grid, Samples
 from pincal.workspace.region import Workspace, compute_workspace
-from pincal.workspace.sampling import sample_workspace
+from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 register()  # mechanisms and results show themselves in notebooks
 
@@ -79,6 +81,7 @@ __all__ = [
     "ArticularSymmetry",
     "Axis",
     "CalibrationResult",
+    "ConfigurationChoice",
     "Distance",
     "Element",
     "FileError",
@@ -142,6 +145,7 @@ __all__ = [
     "indices",
     "inverse",
     "largest_inscribed",
+    "load_arm",
     "load_mechanism",
     "margins",
     "mirror",
@@ -156,7 +160,9 @@ __all__ = [
     "read_setup",
     "report",
     "rotations",
+    "sample_configurations",
     "sample_workspace",
+    "select_configurations",
     "select_poses",
     "simulate",
     "spherical",
