@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -241,3 +243,10 @@ def test_wrong_input_leaves_nothing(
     assert outcome.code == 2
     assert said in outcome.err
     assert not contents(tmp_path)
+
+
+def test_matplotlib_is_imported_where_it_is_needed() -> None:
+    """``import pincal`` stays quick: neither plots nor the browser's viewer come with it."""
+    code = "import sys, pincal; print(sorted({'matplotlib', 'meshcat'} & set(sys.modules)))"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"
