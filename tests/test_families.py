@@ -207,7 +207,8 @@ def test_reach_bars_nothing_that_a_leg_reaches(name: str) -> None:
     """What the shell of a driven rod or a strut excludes, the closed form does not reach."""
     mechanism = nominal(name)
     rng = np.random.default_rng(2)
-    poses = poses_around_home(mechanism, rng, 4000, 1.0)
+    size = 1.5 * LegClosure(mechanism.legs[0], mechanism.platform).size
+    poses = poses_around_home(mechanism, rng, 4000, size)
     matrices = mechanism.platform.transforms(poses).as_matrix()
     solution = pincal.inverse(mechanism, poses)
     for index, leg in enumerate(mechanism.legs):

@@ -85,7 +85,7 @@ def warnings_of(
         if not one.holds
     ]
     found += [
-        f"{leg.name}: {leg.n_residuals} poses for {len(leg.parameters)} parameters; two or three "
+        f"{leg.name}: {leg.n_poses} poses for {len(leg.parameters)} parameters; two or three "
         "times as many poses as parameters are advised"
         for leg in legs
         if leg.n_residuals < 1.5 * len(leg.parameters)

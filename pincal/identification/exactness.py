@@ -18,6 +18,7 @@ def least_sigmas(
     used: Mask,
     sigma: Array,
     seen: Mask,
+    noisy: Mask,
     lengths: Mask,
     *,
     eased: bool,
@@ -31,7 +32,8 @@ def least_sigmas(
         legs: Standard deviations of the rows by their readings' noise, shape (N, K), [m].
         used: Which of the rows are told, shape (N, K).
         sigma: Standard deviations of the observed quantities, shape (N, r), [m] and [rad].
-        seen: Which of them were measured, shape (N, r).
+        seen: Which of them take part, shape (N, r).
+        noisy: Which of them were measured with noise, whether they take part or not, shape (N, r).
         lengths: Which of them are lengths, shape (r,).
         eased: Whether what is exact is as uncertain as the rest.
 
@@ -39,7 +41,6 @@ def least_sigmas(
         MeasurementError: nothing has noise.
     """
     size = float(np.median(np.abs(by_reading)))
-    noisy = seen & (sigma > 0.0)
     own = [sigma[:, lengths][noisy[:, lengths]], size * sigma[:, ~lengths][noisy[:, ~lengths]]]
     noisy_legs = legs[used & (legs > 0.0)]
     known = next((v for v in (own[0], noisy_legs, own[1]) if len(v)), np.zeros(0))

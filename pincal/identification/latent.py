@@ -118,6 +118,7 @@ class LatentPoses:
         read = np.repeat(used, [len(leg.sensors) for leg in self.legs], axis=1)
         self.sigma_readings = np.where(read, sigma_readings, 1.0)
         self.sigma_observed = sigma_observed
+        self._noisy = observation.measured & (sigma_observed > 0.0)
         self._check_counts()
         noisy = np.stack([(self.sigma_readings[:, own] > 0.0).any(1) for own in self._readings], 1)
         if ((used & ~noisy) @ self._widths > self._platform.dof).any():
@@ -177,6 +178,7 @@ class LatentPoses:
         found.used, found.observation = self.used[rows], self.observation.rows(rows)
         found.sigma_readings = self.sigma_readings[rows]
         found.sigma_observed = self.sigma_observed[rows]
+        found._noisy = self._noisy[rows]
         return found
 
     def without_observation(self) -> LatentPoses:
@@ -318,6 +320,7 @@ class LatentPoses:
             np.repeat(self.used, self._widths, axis=1),
             self.sigma_observed,
             self.observation.measured,
+            self._noisy,
             np.array([unit == "m" for unit in self.observation.units], dtype=bool),
             eased=self._eased,
         )

@@ -73,7 +73,7 @@ def legs_table(result: CalibrationResult) -> Group:
             f"{factor * leg.rms_before:.4f}",
             f"{factor * leg.rms_after:.4f}",
             unit,
-            str(leg.n_residuals),
+            str(leg.n_poses),
             f"{leg.rank} of {len(leg.parameters)}",
             f"{leg.condition:.3g}",
         )
@@ -165,7 +165,7 @@ def calibration_summary(
             f"with the {len(result.outliers)} rows that do not fit, parameters would move by up to "
             f"{result.shift:.1f} standard errors"
         )
-    unused = len(data) - min(leg.n_residuals for leg in result.legs)
+    unused = len(data) - min(leg.n_poses for leg in result.legs)
     if unused and result.poses == "own" and data.sets is not None:
         lines.append(
             f"{unused} of {len(data)} measured poses serve other legs only; --poses all lets every "
