@@ -32,7 +32,7 @@ from pincal.model.table import write_table
 from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.axes import Axis
 from pincal.workspace.box import closer_grid, default_grid, default_samples
-from pincal.workspace.criteria import Margins
+from pincal.workspace.criteria import Margins, refuse_readings
 from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import POSITION_AXES, Positions
@@ -148,6 +148,8 @@ def workspace(
     if no_margins and (margin_type1 is not None or margin_type2 is not None):
         raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
     mechanism = load_mechanism(mech)
+    if kind != "poses":
+        refuse_readings(mechanism)
     for path in (output, picture):
         if path is not None:
             refuse_existing(path, force=force)

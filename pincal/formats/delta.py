@@ -182,7 +182,7 @@ def _tower(closure: LegClosure) -> Array:
             "are"
         )
     rod = rod_geometry(closure)
-    up = rod.speed
+    up = rod.frame[:, 1]
     tilt = hypot(up[0], up[1])
     if tilt > _VERTICAL:
         raise MechanismError(
