@@ -314,7 +314,7 @@ class LatentPoses:
         """
         sigmas = [self.sigma_readings[:, own] for own in self._readings]
         own = [by_readings(demand, s) for demand, s in zip(demands, sigmas, strict=True)]
-        by_reading = np.concatenate([np.linalg.norm(d.reading, axis=2) for d in demands], axis=1)
+        by_reading = np.concatenate([np.linalg.norm(d.reading, axis=1) for d in demands], axis=1)
         legs = np.concatenate([np.sqrt(np.einsum("nkk->nk", one)) for one in own], axis=1)
         floors, sigma_seen = self._floors(by_reading, legs)
         whiteners: list[Array] = []
@@ -332,7 +332,7 @@ class LatentPoses:
         What is given as exact counts as a thousand times better than what is typical.
 
         Args:
-            by_reading: How the legs' rows follow their readings, shape (N, K).
+            by_reading: How far the legs' rows follow each reading, shape (N, n_readings).
             legs: Standard deviations of the rows by their readings' noise, shape (N, K).
 
         Raises:
