@@ -179,17 +179,17 @@ def _check_counts(task: Task) -> None:
     Raises:
         ObservabilityError: there are.
     """
-    unknowns, platform = task.unknowns(), task.mechanism.platform
+    unknowns = task.unknowns()
     for leg, count in zip(task.mechanism.legs, task.used.sum(axis=0), strict=True):
         own = unknowns.part([leg.name])
         n = own.map.shape[1] - int(np.isfinite(own.priors).sum())
-        width = len(platform.closing(leg.closes)) - len(leg.passive)  # equations of a pose
-        least = -(-(n if task.noise.known else n + 1) // width)
+        equations = len(task.mechanism.platform.closing(leg.closes)) - len(leg.passive)
+        least = -(-(n if task.noise.known else n + 1) // equations)
         if count < least:
             why = "" if task.noise.known else " and the scale of the noise"
             raise ObservabilityError(
                 f"{leg.name}: {count} measured poses for {n} parameters{why}; at least {least} are "
-                f"needed, {-(-2 * n // width)} or more advised"
+                f"needed, {2 * least} or more advised"
                 + ("" if task.every_pose else ". --poses all uses every pose for every leg")
             )
 
