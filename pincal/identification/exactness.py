@@ -28,7 +28,8 @@ def least_sigmas(
     Shapes (N, K) and (N, r).
 
     Args:
-        by_reading: How the legs' rows follow their readings, shape (N, K), [m/rad] or [1].
+        by_reading: How far the legs' rows follow each reading, shape (N, n_readings), [m/rad] or
+            [1].
         legs: Standard deviations of the rows by their readings' noise, shape (N, K), [m].
         used: Which of the rows are told, shape (N, K).
         sigma: Standard deviations of the observed quantities, shape (N, r), [m] and [rad].

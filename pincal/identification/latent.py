@@ -312,7 +312,7 @@ class LatentPoses:
         """
         sigmas = [self.sigma_readings[:, own] for own in self._readings]
         own = [by_readings(demand, s) for demand, s in zip(demands, sigmas, strict=True)]
-        by_reading = np.concatenate([np.linalg.norm(d.reading, axis=2) for d in demands], axis=1)
+        by_reading = np.concatenate([np.linalg.norm(d.reading, axis=1) for d in demands], axis=1)
         legs = np.concatenate([np.sqrt(np.einsum("nkk->nk", one)) for one in own], axis=1)
         floors, sigma_seen = least_sigmas(
             by_reading,
