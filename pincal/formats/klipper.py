@@ -164,15 +164,11 @@ class _Config:
             FileError: the file is missing or cannot be read.
             MechanismError: files that include each other, or too many of them.
         """
-        if path.resolve() in above:
-            raise MechanismError(
-                f"{self.path}: {path.name} and what it includes include each other"
-            )
-        if self._left < 0:
-            raise MechanismError(
-                f"{self.path}: it includes too much to be a printer's configuration"
-            )
         text = read_text(path, _LARGEST, MechanismError, pipe=not above)
+        if path.resolve() in above:
+            raise MechanismError(f"{self.path}: files include each other, {path.name} among them")
+        if self._left < 0:
+            raise MechanismError(f"{self.path}: more is included than a configuration can be")
         self._left -= max(len(text), _ONE_MORE)
         for line in lines_of(text):
             bare = line.split("#")[0].strip()
@@ -197,7 +193,8 @@ class _Config:
             return []
         top = self.path.resolve().parent
         try:
-            found = [path.parent / one for one in sorted(glob.glob(name, root_dir=path.parent))]
+            names = sorted(glob.glob(name, root_dir=path.parent))  # noqa: PTH207
+            found = [path.parent / one for one in names]
             return [one for one in found if one.is_file() and one.resolve().is_relative_to(top)]
         except (OSError, ValueError):  # a name that no file can have
             return []
