@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.model.input import plain_number, read_text
+from pincal.model.input import LARGEST, plain_number, read_text
 from pincal.model.output import writing
 
 Array = NDArray[np.float64]
@@ -89,15 +89,17 @@ class Table:
         """Return the numbers of a column as they stand, shape (N,).
 
         Raises:
-            MeasurementError: a cell is not a finite number.
+            MeasurementError: a cell is not a finite number, or beyond ``LARGEST``.
         """
         values = np.array([plain_number(cell) for cell in self.text[column]])
         empty = np.array([blank and not cell.strip() for cell in self.text[column]])
-        if not (np.isfinite(values) | empty).all():
-            row = int(np.argmin(np.isfinite(values) | empty))
+        sound = np.abs(values) <= LARGEST
+        if not (sound | empty).all():
+            row = int(np.argmin(sound | empty))
             raise MeasurementError(
-                f"{self.path}, line {self.lines[row]}: {self.text[column][row]!r} in column "
-                f"{column!r} is not a finite number; correct it or remove the row"
+                f"{self.path}, line {self.lines[row]}: {self.text[column][row][:100]!r} in column "
+                f"{column!r} is not a finite number, at most {LARGEST:g} in size; correct it or "
+                "remove the row"
             )
         return values
 
