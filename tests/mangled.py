@@ -19,8 +19,23 @@ PIECES = [
     *("\u2028".encode(), "\x85".encode(), "é".encode(), "é".encode("latin-1"), b"\xed\xa0\x80"),
     *(b"[", b"]", b"{", b"}", b"<", b">", b"&", b"'", b'"', b":", b": ", b"- ", b"#", b",", b";"),
     *(b"*a", b"&a ", b"!!python/name:os.system ", b"!!set {a}", b"? ", b"<<: ", b"%YAML 9\n", b"|"),
-    *(b"---\n", b"...\n", b"<!-- ", b"-->", b"<?xml version='1.0' encoding='utf-16'?>", b"<![CDATA["),
-    *(b"&lt;", b"&#0;", b"&x;", b"[DEFAULT]\n", b"[include *]\n", b"[include /dev/zero]\n", b"#*# "),
+    *(
+        b"---\n",
+        b"...\n",
+        b"<!-- ",
+        b"-->",
+        b"<?xml version='1.0' encoding='utf-16'?>",
+        b"<![CDATA[",
+    ),
+    *(
+        b"&lt;",
+        b"&#0;",
+        b"&x;",
+        b"[DEFAULT]\n",
+        b"[include *]\n",
+        b"[include /dev/zero]\n",
+        b"#*# ",
+    ),
     *(b"M665 L1 R1 H1\n", b"M666 A0", b"(", b")", b"N1 ", b"=", b"\\", b'"\\ud800"', b"\x0c"),
 ]
 NESTS = [b"[", b"{a: ", b"- ", b"? ", b'{"a":', b"<a>", b"<joint><a>", b"(", b'"', b"\n ", b"&#"]
