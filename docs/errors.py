@@ -22,11 +22,12 @@ _HEAD = """\
 
 <!-- made by errors.py -->
 
-pincal raises these on purpose, and says what was wrong, where, what it expected and what to do. On the
-command line they are one message and exit code 2, and nothing is written. In Python each is a `PincalError` and the
-built-in error beside it. A calibration that does not converge raises nothing: its result says so, and the exit code
-is 1. A `numpy.linalg.LinAlgError` comes of numbers far too large or too small. Anything else that is raised is a
-defect of pincal's, or a wrong type in a call.
+pincal raises these on purpose, and says what was wrong, where, what it expected and what to do.
+On the command line they are one message and exit code 2, and nothing is written. In Python each is
+a `PincalError` and the built-in error beside it. A calibration that does not converge raises
+nothing: its result says so, and the exit code is 1. A `numpy.linalg.LinAlgError` comes of numbers
+far too large or too small. Anything else that is raised is a defect of pincal's, or a wrong type in
+a call.
 
 """
 _ENTRY = re.compile(r"^    (\w+Error): (.*?)(?=^    \S|\Z)", re.MULTILINE | re.DOTALL)

@@ -86,8 +86,8 @@ def _words(code: str, text: str, where: str) -> dict[str, list[float]]:
         if match is None or letter not in _KNOWN[code]:
             raise MechanismError(
                 f"{where}: {text[place : place + 20]!r} is nothing that M{code} of RepRapFirmware "
-                f"takes; expected {', '.join(_KNOWN[code])} with numbers (other firmwares mean other things "
-                "by it)"
+                f"takes; expected {', '.join(_KNOWN[code])} with numbers (other firmwares mean "
+                "other things by it)"
             )
         word = match[0].strip()[:100]
         found[letter] = [plain_number(part) for part in match[2].split(":")]
