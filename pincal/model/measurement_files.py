@@ -239,6 +239,12 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
     if column not in table:
         return None
     names = tuple(cell.strip() for cell in table.text[column])
+    for name, line in zip(names, table.lines, strict=True):
+        if not name.isprintable():
+            raise MeasurementError(
+                f"{table.path}, line {line}: {column} {name[:40]!r} has characters that cannot be "
+                "printed; name it otherwise"
+            )
     if column == "run" and "" in names:
         raise MeasurementError(
             f"{table.path}, line {table.lines[names.index('')]}: no run; name it in every row"

@@ -8,7 +8,8 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import MechanismError
+from pincal.model.input import LARGEST, plain_number, read_bytes
 from pincal.model.leg import Joint, JointKind, Leg
 from pincal.model.placement import Placement
 
@@ -119,24 +120,26 @@ def read_points(path: Path) -> dict[str, Joint]:
     children = {_link(element, "child", path) for element in elements}
     for element in elements:
         joint = _joint(element, path)
-        if joint.kind == "fixed":
-            if _link(element, "parent", path) in children:
+        if joint.kind != "fixed":
+            continue
+        if _link(element, "parent", path) in children:
+            raise MechanismError(
+                f"{path}, line {element.sourceline}: joint {joint.name!r} sits on another "
+                "frame; fix each platform point to the platform's root link"
+            )
+        for name in {joint.name, _link(element, "child", path)}:
+            if name in points:
                 raise MechanismError(
-                    f"{path}, line {element.sourceline}: joint {joint.name!r} sits on another "
-                    "frame; fix each platform point to the platform's root link"
+                    f"{path}, line {element.sourceline}: {name!r} names two points; give each "
+                    "joint and link a name of its own"
                 )
-            points[joint.name] = points[_link(element, "child", path)] = joint
+            points[name] = joint
     return points
 
 
 def _read_xml(path: Path) -> etree._Element:
     """Return the <robot> element; entities are not resolved and nothing is fetched."""
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise MechanismError(f"{path}: larger than {_LARGEST // 2**20} MiB; not a leg's URDF")
-        text = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    text = read_bytes(path, _LARGEST, MechanismError)
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
     try:
         root = etree.fromstring(text, parser)
@@ -209,12 +212,11 @@ def _triple(element: etree._Element | None, key: str, where: str, default: Tripl
 
 
 def _number(text: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise MechanismError(f"{where}: {text!r} is not a number") from error
-    if not np.isfinite(value):
-        raise MechanismError(f"{where}: {text!r} is not a finite number")
+    value = plain_number(text)
+    if not abs(value) <= LARGEST:
+        raise MechanismError(
+            f"{where}: {text[:100]!r} is not a finite number, at most {LARGEST:g} in size"
+        )
     return value
 
 
