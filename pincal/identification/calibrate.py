@@ -142,7 +142,7 @@ def calibration_task(
         raise MeasurementError("latent poses take the closure residual; leave out the other")
     if residual == "joint" and mechanism.by_readings:
         raise MeasurementError(
-            f"the readings of {mechanism.name!r} do not follow from its poses, so there is no joint "
+            f"readings of {mechanism.name!r} do not follow from its poses, so there is no joint "
             "residual; take the closure residual (--residual closure)"
         )
     if noise is not None:
