@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from pincal.identification.alignment import settle
 from pincal.identification.cautions import warnings_of
 from pincal.identification.covariance import covariances
 from pincal.identification.estimate import Estimate
@@ -188,8 +189,8 @@ def _observed(latent: LatentPoses, found: Fit, known: bool) -> tuple[Observed, .
     scale = 1.0 if known else float(np.sqrt(found.chi2 / max(found.degrees_of_freedom, 1)))
     seen = latent.observation
     before, values = (
-        seen.evaluate(one.state.matrices, one.state.external).value
-        for one in (found.first, found.last)
+        seen.evaluate(state.matrices, state.external).value
+        for state in (settle(latent, found.first.state), found.last.state)
     )
     results = []
     for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):

@@ -14,7 +14,7 @@ from pincal.experiment.observation import Observation
 from pincal.identification.calibrate import calibration_task
 from pincal.identification.measured import given_poses
 from pincal.identification.result import CalibrationResult
-from pincal.kinematics.derivatives import identification_jacobian
+from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.setup import Setup
 from pincal.show.workspace_errors import WorkspaceErrors, errors_at, workspace_errors
@@ -59,11 +59,19 @@ class Findings:
 
     @cached_property
     def observability(self) -> dict[str, dict[str, float]]:
-        """|R_ii| of each identified parameter at the poses used, by leg, [rad/unit] or [m/unit]."""
-        found = {}
-        for leg in self.result.legs:
+        """|R_ii| of each identified parameter at the poses used, by leg.
+
+        Of what it moves the readings by, [rad/unit] or [m/unit]; where poses do not tell readings,
+        of what it moves the leg's end by, [m/unit].
+        """
+        found, machine = {}, self.result.identified
+        for leg, own in zip(self.result.legs, machine.reading_columns, strict=True):
             free = [i for i, p in enumerate(leg.parameters) if p.std > 0.0]
-            C = identification_jacobian(self.result.identified, leg.name, self.poses[leg.rows])
+            rows = np.unique(leg.rows)
+            readings = self.data.readings[rows][:, own] if machine.by_readings else None
+            told = leg_demand(machine, leg.name, self.poses[rows], readings=readings)
+            told = told if machine.by_readings else told.as_joint()
+            C = told.parameter.reshape(-1, len(leg.parameters))
             C = C[np.isfinite(C).all(axis=1)][:, free]
             names = [leg.parameters[i].name for i in free]
             found[leg.name] = dict(zip(names, r_diagonal(C).tolist(), strict=True))
@@ -72,7 +80,7 @@ class Findings:
     @cached_property
     def maps(self) -> ErrorMaps | None:
         """Errors over the workspace; None where none was found."""
-        if self.errors is None or not self.errors.sampled:
+        if self.errors is None or not self.errors.sampled or self.result.nominal.by_readings:
             return None
         platform, samples = self.result.nominal.platform, self.errors.poses
         n = _ACROSS[platform.space]

@@ -6,7 +6,7 @@ marker or hatch, so that plots read in black and white and in colour-blindness.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
+_MANY_NAMES = 14  # that do not fit side by side
 
 
 def draw_mechanism(axes: Axes, mechanism: Mechanism, pose: Array | None = None) -> Axes:
@@ -111,9 +112,19 @@ def draw_bars(axes: Axes, values: Mapping[str, Mapping[str, float]]) -> Axes:
             hatch=HATCHES[index % len(HATCHES)],
             edgecolor="white",
         )
-    axes.set_xticks(range(len(names)), names)
+    name_places(axes, names)
     axes.legend(fontsize=8)
     return axes
+
+
+def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> None:
+    """Write names below places 0, 1, … of an axis, upright where they are many."""
+    many = len(names) > _MANY_NAMES
+    between = " " if many else "\n"
+    labels = [f"{name}{between}[{unit}]" for name, unit in zip(names, units, strict=False)]
+    axes.set_xticks(range(len(names)), labels or list(names))
+    if many:
+        axes.tick_params(axis="x", labelrotation=90, labelsize=6)
 
 
 def shown_label(name: str) -> str:
@@ -143,7 +154,7 @@ def draw_changes(axes: Axes, result: CalibrationResult) -> Axes:
         )
     unit = {"m": "mm", "rad": "mrad", "1": "1e-3"}
     axes.axhline(0.0, color="0.5", lw=0.8)
-    axes.set_xticks(range(len(names)), [f"{name}\n[{unit[units[name]]}]" for name in names])
+    name_places(axes, names, [unit[units[name]] for name in names])
     axes.set_ylabel("identified − nominal, ± 95 %")
     axes.legend(fontsize=8)
     return axes

@@ -143,15 +143,17 @@ def _both(found: Findings, column: int) -> tuple[float, float]:
 
 def observability_figure(found: Findings) -> Element:
     """Return |R_ii| of each parameter and leg at the poses used (3-RRR paper, Fig. 9)."""
-    units = set(found.result.nominal.reading_units)
+    mechanism = found.result.nominal
+    units = {"m"} if mechanism.by_readings else set(mechanism.reading_units)
     unit = units.pop() if len(units) == 1 else "reading"
+    what = "the leg's end" if mechanism.by_readings else "the readings"
     with drawing():
         drawn = Figure(figsize=(WIDTH, 2.8), layout="constrained")
         axes = drawn.subplots()
         draw_bars(axes, found.observability).set_ylabel(f"|R_ii| [{unit}/unit]")
         _legend_outside(axes)
         caption = (
-            "Observability of each parameter at the poses used: what it moves the readings by, all "
+            f"Observability of each parameter at the poses used: what it moves {what} by, all "
             "poses together, beyond what the parameters to its left can explain. Compare legs "
             "with it; parameters differ in their units."
         )

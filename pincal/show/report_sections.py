@@ -188,7 +188,7 @@ def platform(found: Findings) -> Element:
         platform_figure(found),
         maps_figure(maps, found.turns)
         if maps is not None
-        else tag("p", "No maps: no workspace was found with the default margins."),
+        else tag("p", f"No maps: {_why_no_maps(found.result.nominal)}."),
     )
 
 
@@ -267,6 +267,12 @@ def reproduction(
         tag("p", f"Made on {date} with {', '.join(versions)}. No random choice is involved."),
         table("Files read, and their SHA-256", ("file", "SHA-256"), rows) if rows else None,
     )
+
+
+def _why_no_maps(mechanism: Mechanism) -> str:
+    if mechanism.by_readings:
+        return "its poses are made from readings, and do not fill a plane"
+    return "no workspace was found with the default margins"
 
 
 def _readings(mechanism: Mechanism) -> list[str]:
