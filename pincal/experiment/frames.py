@@ -71,7 +71,7 @@ def still(gain: Array, directions: Array) -> int:
     """
     far = reach(gain, directions)
     moved = (gain @ directions).reshape(-1, directions.shape[1]) / np.where(far > 0.0, far, 1.0)
-    s = np.linalg.svd(moved, compute_uv=False) if moved.size else np.zeros(0)
+    s = np.linalg.svd(np.linalg.qr(moved, mode="r"), compute_uv=False) if moved.size else moved[:0, 0]
     return directions.shape[1] - int((s > _STILL).sum())
 
 
@@ -92,6 +92,7 @@ def split_frames(
     scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * reach(gain, directions))
     scale[scale == 0.0] = 1.0
     flat = (left / scale).reshape(-1, left.shape[2]) if left.size else np.zeros((1, left.shape[2]))
+    flat = np.linalg.qr(flat, mode="r")  # the same singular values and axes, quicker
     _, s, axes = np.linalg.svd(flat, full_matrices=True)
     only = np.ones(directions.shape[1], dtype=bool)
     only[: len(s)] = s <= _RIGID
