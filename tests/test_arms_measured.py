@@ -280,12 +280,15 @@ def test_files_say_the_same(tmp_path: Path) -> None:
     np.testing.assert_array_equal(twists(back, result.identified, readings), 0.0)
 
 
+@pytest.mark.slow
 def test_on_the_command_line(tmp_path: Path) -> None:
     """Plan without collisions, measure, calibrate, use: an arm's folder goes where others go."""
     arm, plan, data = tmp_path / "arm", tmp_path / "plan.csv", tmp_path / "data.csv"
     loaded("ur10").save(arm)
-    collision = ("--collision", urdf("ur10_robot.urdf"))
-    said = done("select", arm, "--count", 20, "--starts", 2, *collision, "-o", plan).out
+    some = pincal.sample_configurations(loaded("ur10"), 150, 0)
+    pincal.write_poses(tmp_path / "some.csv", loaded("ur10"), some)
+    given = ("--candidates", tmp_path / "some.csv", "--collision", urdf("ur10_robot.urdf"))
+    said = done("select", arm, "--count", 20, "--starts", 2, *given, "-o", plan).out
     assert "30 of 42" in said
     done("simulate", arm, plan, "-o", data)
     noise = ("--noise-position", 1e-4, "--noise-orientation", 1e-4)

@@ -75,6 +75,18 @@ def still(gain: Array, directions: Array) -> int:
     return directions.shape[1] - int((s > _STILL).sum())
 
 
+def motions_along(gain: Array, directions: Array) -> Array:
+    """Return how directions move the platform, shape (N, dof, k); zero where only by rounding.
+
+    Args:
+        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
+        directions: Columns, shape (n, k).
+    """
+    moved = gain @ directions
+    far = np.linalg.norm(moved, axis=(0, 1))
+    return np.where(far > _STILL * reach(gain, directions), moved, 0.0)
+
+
 def split_frames(
     platform: Platform, matrices: Array, gain: Array, directions: Array, size: float
 ) -> tuple[Array, Array]:
