@@ -292,9 +292,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     assert "30 of 42" in said
     done("simulate", arm, plan, "-o", data)
     noise = ("--noise-position", 1e-4, "--noise-orientation", 1e-4)
-    said = done(
-        "calibrate", arm, data, "--method", "latent", *noise, "-o", tmp_path / "result"
-    ).out
+    said = done("calibrate", arm, data, "--method", "latent", *noise, "-o", tmp_path / "result").out
     assert "12 parameters are redundant" in " ".join(said.split())
     done("forward", tmp_path / "result", data, "-o", tmp_path / "poses.csv")
     assert "identity" in done("symmetry", arm).out

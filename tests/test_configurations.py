@@ -17,9 +17,7 @@ from pincal.experiment.forecast import information_rows
 from pincal.kinematics.collision import free_of_collision
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
-POINT = pincal.Setup(
-    unknown_frame=True, targets={"platform": pincal.Target((0.05, 0.1, 0.02))}
-)
+POINT = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target((0.05, 0.1, 0.02))})
 
 
 def information(
@@ -155,8 +153,6 @@ def test_what_cannot_be_checked(tmp_path: Path) -> None:
         free_of_collision(tmp_path / "none.urdf", ["a"], np.zeros((1, 1)))
     lost = tmp_path / "lost.urdf"
     mesh = '<collision><geometry><mesh filename="package://lost/a.stl"/></geometry></collision>'
-    lost.write_text(
-        bare.read_text().replace('<link name="l1"/>', f'<link name="l1">{mesh}</link>')
-    )
+    lost.write_text(bare.read_text().replace('<link name="l1"/>', f'<link name="l1">{mesh}</link>'))
     with pytest.raises(pincal.FileError, match="collision geometry cannot be read"):
         free_of_collision(lost, ["a"], np.zeros((1, 1)))

@@ -71,7 +71,11 @@ def still(gain: Array, directions: Array) -> int:
     """
     far = reach(gain, directions)
     moved = (gain @ directions).reshape(-1, directions.shape[1]) / np.where(far > 0.0, far, 1.0)
-    s = np.linalg.svd(np.linalg.qr(moved, mode="r"), compute_uv=False) if moved.size else moved[:0, 0]
+    s = (
+        np.linalg.svd(np.linalg.qr(moved, mode="r"), compute_uv=False)
+        if moved.size
+        else moved[:0, 0]
+    )
     return directions.shape[1] - int((s > _STILL).sum())
 
 
