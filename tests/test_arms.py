@@ -12,6 +12,7 @@ import pincal
 from pincal.kinematics.closure import LegClosure
 
 Array = np.ndarray
+NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -61,3 +62,194 @@ def test_derivatives_are_pinocchios(name: str) -> None:
     )
     tips = arm.poses(phi, joints)
     check_derivative(lambda v: gap(tips, shifted(v)), found.pose, np.zeros(6))
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_rank_from_full_poses(name: str) -> None:
+    """Full poses tell 4 parameters a revolute joint, 2 a prismatic one, 6 of the frames."""
+    mechanism = loaded(name)
+    moving = mechanism.legs[0].moving
+    turns = sum(joint.kind == "revolute" for joint in moving)
+    told = 4 * turns + 2 * (len(moving) - turns) + 6
+    found = pincal.forecast(mechanism, pincal.sample_configurations(mechanism, 30, 0), NOISE)
+    assert (found.rank.rank, found.rank.n_params) == (told, 6 * len(moving) + 6)
+    assert found.gauge.shape[1] == found.rank.n_params - told
+    assert not found.lost.shape[1]
+
+
+XYZ = ("x", "y", "z")
+THREE = {"platform": (0.02, -0.07, 0.15), "a": (0.1, 0.02, 0.03), "b": (-0.05, 0.1, 0.08)}
+
+
+@pytest.mark.parametrize(
+    ("targets", "unknown", "frame", "told", "of"),
+    [
+        (THREE, False, False, 30, 42),
+        (THREE, False, True, 30, 48),  # the frame's six are those of the base
+        (THREE, True, True, 33, 57),  # nine coordinates of targets for the tool's six
+        ({"platform": (0.05, 0.1, 0.02)}, False, True, 27, 48),  # nothing of the tool's turns
+        ({"platform": (0.2, 0.0, 0.0)}, False, False, 26, 42),  # on the last axis: nor of its zero
+        ({"platform": (0.0, 0.0, 0.0)}, False, True, 26, 48),
+    ],
+)
+def test_rank_from_positions(
+    targets: dict[str, tuple[float, float, float]], unknown: bool, frame: bool, told: int, of: int
+) -> None:
+    """Positions of three targets tell a UR10 as much as full poses do; one target tells less.
+
+    Base and tool are unknown in any case: six parameters of the frame of the measurements add
+    columns, but no rank. One target tells of the tool where it is, no turn: three less. If it lies
+    on the last axis, that joint's zero moves nothing either.
+    """
+    mechanism = loaded("ur10")
+    setup = pincal.Setup(
+        unknown_frame=frame,
+        targets={name: pincal.Target(offset, unknown) for name, offset in targets.items()},
+    )
+    measured = [*XYZ, *(f"{name}_{axis}" for name in list(targets)[1:] for axis in XYZ)]
+    plan = pincal.sample_configurations(mechanism, 50, 0)
+    found = pincal.forecast(mechanism, plan, NOISE, measured, setup=setup)
+    assert (found.rank.rank, found.rank.n_params) == (told, of)
+
+
+def jacobian(name: str, joints: Array, at: Array | None = None) -> Array:
+    """Return ∂(pose)/∂(parameters) by central differences through Pinocchio, shape (6 N, n)."""
+    arm, n = reference(name), len(loaded(name).legs[0].parameters)
+    at, step = np.zeros(n) if at is None else at, 1e-5
+    columns = []
+    for one in np.eye(n):
+        a, b = (arm.poses(at + sign * step * one, joints) for sign in (1.0, -1.0))
+        turns = a[:, :3, :3] @ b[:, :3, :3].transpose(0, 2, 1)
+        turned = np.array([pin.log3(turn) for turn in turns])
+        columns.append(np.concatenate((a[:, :3, 3] - b[:, :3, 3], turned), axis=1) / (2 * step))
+    return np.stack(columns, axis=2).reshape(-1, n)
+
+
+def groups(words: str) -> list[list[str]]:
+    """Return the parameters of each sentence 'a of arm, b of arm and c of arm move together'."""
+    sentences = words.split(": ", 1)[1].split("; ")
+    return [
+        [one.removesuffix(" of arm") for one in s.removesuffix(" move together").replace(
+            " and ", ", ").split(", ")]
+        for s in sentences
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "redundant"), [("ur10", 12), ("panda", 14), ("tiago", 18)])
+def test_what_moves_together_is_named(name: str, redundant: int) -> None:
+    """Each group named is dependent, and none of it without the others; groups make up the loss.
+
+    Judged by Jacobians of Pinocchio alone, at configurations that were not measured.
+    """
+    mechanism = loaded(name)
+    plan = pincal.sample_configurations(mechanism, 60, 0)
+    data = pincal.simulate(mechanism, mechanism, plan, NOISE, 1).measurements
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    (words,) = result.gauge
+    assert words.startswith(f"{redundant} parameters are redundant, whatever is measured: ")
+    J = jacobian(name, pincal.sample_configurations(mechanism, 30, 7).readings)
+    names = list(mechanism.legs[0].parameter_names)
+    null = []
+    for group in groups(words):
+        own = [names.index(one) for one in group]
+        _, s, axes = np.linalg.svd(J[:, own], full_matrices=False)
+        assert s[-1] < 1e-8 * s[0] < 1e-3 * s[-2]
+        assert np.abs(axes[-1]).min() > 1e-6
+        null.append(np.zeros(len(names)))
+        null[-1][own] = axes[-1]
+    assert np.linalg.matrix_rank(np.array(null)) == redundant
+    assert (
+        "shoulder_pan_z of arm and shoulder_lift_z of arm move together" in words or name != "ur10"
+    )
+
+
+def measured_by(name: str, phi: Array, count: int, seed: int) -> pincal.Measurements:
+    """Return exact poses of a displaced arm, by Pinocchio alone."""
+    mechanism = loaded(name)
+    readings = pincal.sample_configurations(mechanism, count, seed).readings
+    poses = mechanism.platform.from_matrices(reference(name).poses(phi, readings))
+    return pincal.Measurements(poses=poses, readings=readings)
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda", "tiago", "kinova"])
+def test_clean_poses_identify_the_arm(name: str) -> None:
+    """Without noise, poses at unseen configurations are the truth's to 1e-9 m and rad.
+
+    Of all parameters that fit, those found are nearest to nominal, each weighed by what it alone
+    does to the pose: no step along a redundant direction brings them nearer.
+    """
+    mechanism, rng = loaded(name), np.random.default_rng(3)
+    phi = 2e-3 * rng.standard_normal(len(mechanism.legs[0].parameters))
+    data = measured_by(name, phi, 40, 0)
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    assert result.converged
+    unseen = measured_by(name, phi, 100, 9)
+    found = pincal.forward(result.identified, unseen.readings).poses
+    assert np.abs(mechanism.platform.twists_between(found, unseen.poses)).max() < 1e-9
+
+    change = result.legs[0].identified
+    J = jacobian(name, pincal.sample_configurations(mechanism, 200, 11).readings)
+    J[np.arange(len(J)) % 6 > 2] *= LegClosure(mechanism.legs[0], mechanism.platform).size
+    weights = np.linalg.norm(J, axis=0)
+    _, s, axes = np.linalg.svd(J / weights)
+    free = axes[int((s > 1e-7 * s[0]).sum()) :]
+    left = weights * change
+    assert np.linalg.norm(left) <= 1.02 * np.linalg.norm(left - free.T @ (free @ left))
+    assert np.linalg.norm(left) < np.linalg.norm(weights * phi)
+
+
+def test_order_of_rows_does_not_matter() -> None:
+    """Rows in another order give the same parameters, of which redundant ones are a choice."""
+    mechanism = loaded("ur10")
+    phi = 2e-3 * np.random.default_rng(3).standard_normal(42)
+    data = measured_by("ur10", phi, 40, 0)
+    other = data.rows(np.random.default_rng(0).permutation(40))
+    one, two = (
+        pincal.calibrate(mechanism, d, method="latent", noise=NOISE).legs[0].identified
+        for d in (data, other)
+    )
+    np.testing.assert_allclose(one, two, atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", [False, True])
+def test_clean_positions_identify_the_arm(frame: bool) -> None:
+    """From one target's positions, in the base frame or a tracker's: its positions to 1e-9 m."""
+    mechanism, platform = loaded("ur10"), loaded("ur10").platform
+    phi = 2e-3 * np.random.default_rng(4).standard_normal(42)
+    offset = (0.05, 0.1, 0.02)
+    setup = pincal.Setup(unknown_frame=frame, targets={"platform": pincal.Target(offset)})
+    tracker = np.eye(4)
+    if frame:
+        tracker[:3, :3], tracker[:3, 3] = pin.exp3(np.array([0.3, -0.5, 1.0])), [1.0, 2.0, 3.0]
+
+    def seen(matrices: Array, place: Array) -> Array:
+        points = matrices[:, :3, 3] + matrices[:, :3, :3] @ np.array(offset)
+        return points @ place[:3, :3].T + place[:3, 3]
+
+    data, unseen = (measured_by("ur10", phi, count, seed) for count, seed in ((40, 0), (100, 9)))
+    data.poses[:, :3] = seen(platform.transforms(data.poses).as_matrix(), tracker)
+    data.poses[:, 3:] = np.nan
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)
+    assert result.converged
+    place = np.eye(4)
+    if frame:
+        values = np.array([one.identified for one in result.external])
+        place[:3, :3], place[:3, 3] = pin.exp3(values[3:]), values[:3]
+    found = pincal.forward(result.identified, unseen.readings).poses
+    wanted = seen(platform.transforms(unseen.poses).as_matrix(), tracker)
+    points = seen(platform.transforms(found).as_matrix(), place)
+    np.testing.assert_allclose(points, wanted, atol=1e-9)
+    assert "redundant" in result.gauge[-1]
+    assert any("platform's frame: 3 freedoms" in text for text in result.gauge)
+
+
+def test_a_target_on_the_last_axis() -> None:
+    """It tells nothing of the last joint's zero: refused, by name."""
+    mechanism = loaded("ur10")
+    setup = pincal.Setup(targets={"platform": pincal.Target((0.2, 0.0, 0.0))})
+    data = measured_by("ur10", 1e-3 * np.random.default_rng(5).standard_normal(42), 40, 0)
+    matrices = mechanism.platform.transforms(data.poses).as_matrix()
+    data.poses[:, :3] += matrices[:, :3, 0] * 0.2
+    data.poses[:, 3:] = np.nan
+    with pytest.raises(pincal.ObservabilityError, match="wrist_3"):
+        pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)

@@ -108,6 +108,8 @@ def select(
             raise typer.BadParameter(
                 "poses for single legs are of whole poses in the base frame; leave out the protocol"
             )
+        if collision is not None:
+            _check_arm(mechanism)
         noise = Noise(noise_position, noise_orientation, noise_reading)
         with working("choosing configurations") as tell:
             tell("sampling configurations")
@@ -180,16 +182,25 @@ def select(
     )
 
 
+def _check_arm(mechanism: Mechanism) -> None:
+    """Raise if a mechanism is no serial arm.
+
+    Raises:
+        MechanismError: it has several legs, or joints that are not read.
+    """
+    if len(mechanism.legs) > 1 or mechanism.legs[0].passive:
+        raise MechanismError(f"{mechanism.name!r} is no serial arm; --collision is for such")
+
+
 def _free(mechanism: Mechanism, offered: Plan, collision: Path) -> Plan:
     """Return the configurations of a plan at which a serial arm is free of itself.
 
     Raises:
-        MechanismError: not a serial arm.
         ObservabilityError: none is.
     """
-    (leg, *more), readings = mechanism.legs, offered.readings
-    if more or leg.passive or readings is None:
-        raise MechanismError(f"{mechanism.name!r} is no serial arm; --collision is for such")
+    (leg,), readings = mechanism.legs, offered.readings
+    if readings is None:
+        raise MechanismError(f"{mechanism.name!r} is planned by poses; --collision needs readings")
     law = sensor_law(LegClosure(leg, mechanism.platform))
     names = [leg.moving[index].name for index in leg.active]
     free = free_of_collision(collision, names, law.position(readings))

@@ -22,29 +22,34 @@ class Eliminated:
     """Rows free of the poses, and the way back to these."""
 
     triangle: Array
-    """Rows of [B, A, r] turned, the first dof columns triangular, shape (N, k, dof + n + 1)."""
-    dof: int
+    """Triangular factor of B, shape (N, dof, dof)."""
+    turned: Array
+    """Rows of [A, r] turned by the orthogonal factor of B, shape (N, k, n + 1)."""
+
+    @property
+    def dof(self) -> int:
+        """Number of freedoms of a pose."""
+        return self.triangle.shape[2]
 
     @property
     def value(self) -> Array:
         """Residuals free of the poses, shape (N, k - dof)."""
-        return self.triangle[:, self.dof :, -1]
+        return self.turned[:, self.dof :, -1]
 
     @property
     def parameter(self) -> Array:
         """Their derivatives by the parameters, shape (N, k - dof, n)."""
-        return self.triangle[:, self.dof :, self.dof : -1]
+        return self.turned[:, self.dof :, :-1]
 
     def poses(self, step: Array) -> Array:
         """Return the poses' steps for a step of the parameters, shape (n,) to (N, dof)."""
-        top = self.triangle[:, : self.dof]
-        wanted = top[:, :, -1] + top[:, :, self.dof : -1] @ step
-        return -solve(top[:, :, : self.dof], wanted[:, :, None])[:, :, 0]
+        top = self.turned[:, : self.dof]
+        wanted = top[:, :, -1] + top[:, :, :-1] @ step
+        return -solve(self.triangle, wanted[:, :, None])[:, :, 0]
 
     def poses_by_parameter(self) -> Array:
         """Return by how much poses follow the parameters, ∂x/∂φ, shape (N, dof, n)."""
-        top = self.triangle[:, : self.dof]
-        return -solve(top[:, :, : self.dof], top[:, :, self.dof : -1])
+        return -solve(self.triangle, self.turned[:, : self.dof, :-1])
 
 
 def eliminate(value: Array, parameter: Array, pose: Array, damping: float = 0.0) -> Eliminated:
@@ -58,9 +63,11 @@ def eliminate(value: Array, parameter: Array, pose: Array, damping: float = 0.0)
             (Levenberg-Marquardt).
     """
     (count, k, dof), n = pose.shape, parameter.shape[2]
-    rows = np.zeros((count, k + (dof if damping > 0.0 else 0), dof + n + 1))
-    rows[:, :k, :dof], rows[:, :k, dof:-1], rows[:, :k, -1] = pose, parameter, value
-    if damping > 0.0:
+    more = dof if damping > 0.0 else 0
+    rows, own = np.zeros((count, k + more, n + 1)), np.zeros((count, k + more, dof))
+    rows[:, :k, :-1], rows[:, :k, -1], own[:, :k] = parameter, value, pose
+    if more:
         lengths = np.sqrt(damping) * np.linalg.norm(pose, axis=1)
-        rows[:, k:, :dof] = lengths[:, :, None] * np.eye(dof)
-    return Eliminated(np.asarray(np.linalg.qr(rows, mode="r")), dof)
+        own[:, k:] = lengths[:, :, None] * np.eye(dof)
+    Q, R = np.linalg.qr(own, mode="complete")
+    return Eliminated(R[:, :dof], Q.transpose(0, 2, 1) @ rows)

@@ -71,8 +71,24 @@ def still(gain: Array, directions: Array) -> int:
     """
     far = reach(gain, directions)
     moved = (gain @ directions).reshape(-1, directions.shape[1]) / np.where(far > 0.0, far, 1.0)
-    s = np.linalg.svd(moved, compute_uv=False) if moved.size else np.zeros(0)
+    s = (
+        np.linalg.svd(np.linalg.qr(moved, mode="r"), compute_uv=False)
+        if moved.size
+        else moved[:0, 0]
+    )
     return directions.shape[1] - int((s > _STILL).sum())
+
+
+def motions_along(gain: Array, directions: Array) -> Array:
+    """Return how directions move the platform, shape (N, dof, k); zero where only by rounding.
+
+    Args:
+        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
+        directions: Columns, shape (n, k).
+    """
+    moved = gain @ directions
+    far = np.linalg.norm(moved, axis=(0, 1))
+    return np.where(far > _STILL * reach(gain, directions), moved, 0.0)
 
 
 def split_frames(
@@ -92,6 +108,7 @@ def split_frames(
     scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * reach(gain, directions))
     scale[scale == 0.0] = 1.0
     flat = (left / scale).reshape(-1, left.shape[2]) if left.size else np.zeros((1, left.shape[2]))
+    flat = np.linalg.qr(flat, mode="r")  # the same singular values and axes, quicker
     _, s, axes = np.linalg.svd(flat, full_matrices=True)
     only = np.ones(directions.shape[1], dtype=bool)
     only[: len(s)] = s <= _RIGID

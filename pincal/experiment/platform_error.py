@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.experiment.configurations import legs_at
-from pincal.experiment.frames import beyond
+from pincal.experiment.frames import beyond, motions_along
 from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
@@ -56,7 +56,7 @@ def platform_error(
     gain = legs.gain
     if gauge is not None:
         size = largest_size(mechanism.legs, mechanism.platform)
-        gain = beyond(mechanism.platform, gain, gain @ gauge, size)
+        gain = beyond(mechanism.platform, gain, motions_along(gain, gauge), size)
     variance = np.einsum("nip,pq,niq->ni", gain, covariance, gain).mean(axis=0)
     if lost is not None and lost.shape[1]:
         slides = np.abs(gain @ lost).max(axis=(0, 2)) > _SLIDES * np.abs(gain).max(axis=(0, 2))

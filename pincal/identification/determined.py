@@ -78,7 +78,8 @@ def check_information(
     own = np.concatenate(((here @ T).reshape(-1, T.shape[1]), prior))
     difference = ((shaken - here) @ T).reshape(-1, T.shape[1])
     lengths = np.linalg.norm(own, axis=0)
-    _, information, directions = np.linalg.svd(own / lengths, full_matrices=False)
+    triangle = np.linalg.qr(own / lengths, mode="r")
+    _, information, directions = np.linalg.svd(triangle, full_matrices=False)
     made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
     hollow = directions[information < _CLEARLY * made]
     if len(hollow):

@@ -187,6 +187,11 @@ class CalibrationResult:
         """Return the result of one leg by name."""
         return self.legs[self.nominal.leg_names.index(self.nominal.leg(name).name)]
 
+    @property
+    def moves_frames(self) -> bool:
+        """Whether a choice named in ``gauge`` moves the base or the platform frame."""
+        return any("frame: " in text for text in self.gauge)
+
     def __str__(self) -> str:
         """Return a table of all parameters, with what to make of it."""
         lines = [

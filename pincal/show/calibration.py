@@ -209,7 +209,7 @@ def noise_in_words(result: CalibrationResult) -> str:
 def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     """Return by how much the platform was off, and within what it should be now."""
     turns = "rad" in result.nominal.platform.units
-    frames = ", but for where the base and platform frames lie" if result.gauge else ""
+    frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
     return (
         f"platform, root mean square {errors.where}: the nominal model was off by "
         + size_in_words(*errors.mean_before(), turns)

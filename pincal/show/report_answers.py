@@ -147,7 +147,7 @@ def _how_much(found: Findings, errors: WorkspaceErrors) -> Element:
     more = excess(found.result)
     if more > 1.0:
         verdict += " or more"
-    frames = ", but for where the base and platform frames lie" if found.result.gauge else ""
+    frames = ", but for where the base and platform frames lie" if found.result.moves_frames else ""
     return _answer(
         "By how much?",
         verdict,

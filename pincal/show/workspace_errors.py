@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.experiment.configurations import as_plan, legs_at
-from pincal.experiment.frames import beyond
+from pincal.experiment.frames import beyond, motions_along
 from pincal.experiment.simulation import platform_errors
 from pincal.identification.result import CalibrationResult
 from pincal.kinematics.closure import largest_size
@@ -75,7 +75,7 @@ def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErro
     both = np.asarray(reached & np.isfinite(moved).all(axis=1))
     if result.gauge_directions is not None and both.any():
         size = largest_size(result.nominal.legs, platform)
-        motions = gain @ result.gauge_directions
+        motions = motions_along(gain, result.gauge_directions)
         own = motions[both[reached]]
         moved[both] = beyond(platform, moved[both, :, None], own, size)[:, :, 0]
         gain = beyond(platform, gain, motions, size)

@@ -88,10 +88,14 @@ class SymmetryGroup:
     def equivariance(self, poses: Poses) -> float:
         """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5).
 
+        The identity carries nothing; nor need poses tell readings there.
+
         Args:
             poses: N poses that the mechanism reaches.
         """
         platform = self.mechanism.platform
+        if len(self.elements) == 1:
+            return 0.0
         before = inverse(self.mechanism, poses).readings
         worst = 0.0
         for element, permutation in zip(self.elements, self.permutations, strict=True):

@@ -1,0 +1,298 @@
+"""Serial arms measured as machines are: noise, outliers, mistakes; other joints; files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import Reference, loaded, robot, urdf
+from command_line import done
+
+import pincal
+
+NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
+EXACT = pincal.Noise(0.0, 0.0, 0.0)
+OFFSET = (0.05, 0.1, 0.02)
+POINT = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(OFFSET)})
+
+
+def simulated(
+    name: str = "ur10", count: int = 60, noise: pincal.Noise = NOISE, seed: int = 2
+) -> tuple[pincal.Mechanism, pincal.Mechanism, pincal.Measurements]:
+    """Return a nominal arm, a true one and its measurements."""
+    mechanism = loaded(name)
+    truth = pincal.disturb(mechanism, 2e-3, 1)
+    plan = pincal.sample_configurations(mechanism, count, 0)
+    return mechanism, truth, pincal.simulate(mechanism, truth, plan, noise, seed).measurements
+
+
+def as_points(mechanism: pincal.Mechanism, data: pincal.Measurements) -> pincal.Measurements:
+    """Return positions of the target alone."""
+    matrices = mechanism.platform.transforms(data.poses).as_matrix()
+    poses = np.full(data.poses.shape, np.nan)
+    poses[:, :3] = matrices[:, :3, 3] + matrices[:, :3, :3] @ np.array(OFFSET)
+    return replace(data, poses=poses)
+
+
+def twists(a: pincal.Mechanism, b: pincal.Mechanism, readings: np.ndarray) -> np.ndarray:
+    """Return how far two arms are apart at readings, shape (N, dof)."""
+    one, two = (pincal.forward(m, readings).poses for m in (a, b))
+    return a.platform.twists_between(one, two)
+
+
+@pytest.mark.parametrize("noise", [NOISE, pincal.Noise(1e-4, 1e-4, 1e-4), pincal.Noise(0, 0, 1e-4)])
+def test_noise_of_poses_and_encoders(noise: pincal.Noise) -> None:
+    """Reduced χ² is one within its spread, and the arm is within the noise of the truth."""
+    mechanism, truth, data = simulated(noise=noise)
+    result = pincal.calibrate(mechanism, data, method="latent", noise=noise)
+    assert result.converged
+    assert abs(result.reduced_chi2 - 1.0) < 4 * np.sqrt(2 / (6 * 60 - 30))
+    unseen = pincal.sample_configurations(mechanism, 100, 9).readings
+    assert np.sqrt((twists(result.identified, truth, unseen) ** 2).mean()) < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("points", [False, True])
+def test_errors_are_those_of_many_calibrations(points: bool) -> None:
+    """Over 200 fits, spreads equal the standard errors; the tool's error the forecast's.
+
+    Of parameters 8 % is four standard errors of the mean ratio over thirty spreads; of the tool,
+    root mean squares over unseen configurations.
+    """
+    mechanism, truth, _ = simulated()
+    plan = pincal.sample_configurations(mechanism, 60, 0)
+    unseen = pincal.sample_configurations(mechanism, 50, 9)
+    setup = pincal.Setup(targets=POINT.targets) if points else pincal.Setup()
+    found, std, off = [], [], []
+    for seed in range(200):
+        data = pincal.simulate(mechanism, truth, plan, NOISE, seed).measurements
+        if points:
+            data = as_points(mechanism, data)
+        result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)
+        found.append(result.legs[0].identified)
+        std.append(result.legs[0].std)
+        one, two = (pincal.forward(m, unseen.readings).poses for m in (result.identified, truth))
+        if points:
+            off.append(
+                as_points(mechanism, replace(data, poses=one)).poses[:, :3]
+                - as_points(mechanism, replace(data, poses=two)).poses[:, :3]
+            )
+        else:
+            off.append(mechanism.platform.twists_between(one, two)[:, :3])
+    ratio = np.std(found, axis=0) / np.mean(std, axis=0)
+    assert abs(ratio.mean() - 1.0) < 0.08
+    assert np.abs(ratio - 1.0).max() < 0.25
+    if not points:
+        wanted = pincal.forecast(mechanism, plan, NOISE).platform_error(unseen).position
+        spread = np.sqrt((np.array(off) ** 2).sum(axis=2).mean())
+        assert abs(spread / wanted - 1.0) < 0.05
+
+
+def test_outliers_are_listed_and_left_out() -> None:
+    """Three poses 5 mm off: rejected, they and no other; the arm is as without them."""
+    mechanism, truth, data = simulated()
+    spoiled = data.poses.copy()
+    spoiled[[7, 20, 41], 1] += 5e-3
+    bad = replace(data, poses=spoiled)
+    result = pincal.calibrate(mechanism, bad, method="latent", noise=NOISE, loss="reject")
+    assert result.converged
+    assert {7, 20, 41} <= {one.row for one in result.outliers}
+    assert len(result.outliers) <= 5
+    unseen = pincal.sample_configurations(mechanism, 100, 9).readings
+    off = twists(result.identified, truth, unseen)
+    assert np.sqrt((off**2).mean()) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ("degrees", "readings are in degrees under a radian header"),
+        ("radians", "readings are in radians under a degree header"),
+        ("sign", "elbow_joint has the other sign"),
+        ("order", "shoulder_pan_joint and shoulder_lift_joint are exchanged"),
+        ("mm", "positions are in mm under a metre header"),
+        ("rows", "no single fault"),
+    ],
+)
+def test_mistakes_are_refused(wrong: str, words: str) -> None:
+    """Wrong units, signs and orders are refused and named with full poses, refused with points."""
+    mechanism, _, data = simulated()
+    for one, setup in ((data, pincal.Setup()), (as_points(mechanism, data), POINT)):
+        q, x = one.readings.copy(), one.poses.copy()
+        match wrong:
+            case "degrees":
+                q = np.degrees(q)
+            case "radians":
+                q = np.radians(q)
+            case "sign":
+                q[:, 2] *= -1
+            case "order":
+                q = q[:, [1, 0, 2, 3, 4, 5]]
+            case "mm":
+                x[:, :3] *= 1000.0
+            case "rows":
+                x = x[::-1].copy()
+        bad = replace(one, readings=q, poses=x)
+        with pytest.raises(pincal.MeasurementError, match=words if setup.plain else "miss|contra"):
+            pincal.calibrate(mechanism, bad, method="latent", noise=NOISE, setup=setup)
+
+
+def test_a_missing_reading() -> None:
+    """A pose without all readings tells nothing; a position does not even fix it: its row named."""
+    mechanism, _, data = simulated()
+    q = data.readings.copy()
+    q[4, 2] = np.nan
+    kept = np.delete(np.arange(60), 4)
+    one, other = (
+        pincal.calibrate(mechanism, d, method="latent", noise=NOISE)
+        for d in (replace(data, readings=q), data.rows(kept))
+    )
+    far = pincal.sample_configurations(mechanism, 20, 9).readings
+    np.testing.assert_allclose(twists(one.identified, other.identified, far), 0.0, atol=1e-9)
+    points = replace(as_points(mechanism, data), readings=q)
+    with pytest.raises(pincal.MeasurementError, match="data row 5 has 3 measured quantities"):
+        pincal.calibrate(mechanism, points, method="latent", noise=NOISE, setup=POINT)
+
+
+def test_other_methods_say_what_to_do() -> None:
+    """Redundant parameters are for latent poses; an arm's readings do not follow from poses."""
+    mechanism, _, data = simulated()
+    for method in ("per-leg", "together"):
+        with pytest.raises(pincal.ObservabilityError, match="--method latent"):
+            pincal.calibrate(mechanism, data, method=method, noise=NOISE)
+    with pytest.raises(pincal.MeasurementError, match="do not follow from its poses"):
+        pincal.calibrate(mechanism, data, residual="joint", noise=NOISE)
+    with pytest.raises(pincal.ObservabilityError, match="at least 7 are needed"):
+        pincal.calibrate(mechanism, data.rows(np.arange(6)), noise=NOISE)
+
+
+GANTRY = "jx|prismatic|1 0 0|0 0 1\njy|prismatic|0 1 0|0.1 0 0\njz|prismatic|0 0 -1|0 0.1 -0.2"
+SCARA = (
+    "a|revolute|0 0 1|0 0 .4\nb|revolute|0 0 1|.35 0 0\nc|revolute|0 0 1|.3 0 0\n"
+    "d|prismatic|0 0 -1|0 0 -.1"
+)
+
+
+@pytest.mark.parametrize(
+    ("chain", "told"),
+    [
+        (GANTRY, 12),
+        (SCARA, 20),
+        ("a|revolute|0 1 0|0 0 0\nb|revolute|.6 0 .8|.35 0 .1", 14),
+        ("a|revolute|0 0 1|0 0 0", 10),
+        ("a|prismatic|0 0 1|0 0 0", 8),
+    ],
+    ids=["gantry", "scara", "2R", "1R", "1P"],
+)
+def test_any_joints(chain: str, told: int, tmp_path: Path) -> None:
+    """Prismatic, mixed and single joints: kinematics, rank, clean recovery and files."""
+    file = tmp_path / "made.urdf"
+    file.write_text(robot(chain))
+    n = len(chain.splitlines())
+    mechanism = pincal.load_arm(file, f"l{n}")
+    plan = pincal.sample_configurations(mechanism, 60, 0)
+    joints = tuple(sensor.joint for sensor in mechanism.legs[0].sensors)
+    alone = Reference(file, f"l{n}", "", joints)
+    there = mechanism.platform.transforms(plan.poses).as_matrix()
+    np.testing.assert_allclose(there, alone.poses(np.zeros(6 * n + 6), plan.readings), atol=1e-12)
+    found = pincal.forecast(mechanism, plan, NOISE)
+    assert (found.rank.rank, found.rank.n_params) == (told, 6 * n + 6)
+    truth = pincal.disturb(mechanism, 1e-3, 3)
+    data = pincal.simulate(mechanism, truth, plan, EXACT).measurements
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    far = pincal.sample_configurations(mechanism, 60, 5).readings
+    assert np.abs(twists(result.identified, truth, far)).max() < 1e-9
+    assert f"{6 * n + 6 - told} parameters are redundant" in result.gauge[0]
+    mechanism.save(tmp_path / "saved")
+    assert pincal.load_mechanism(str(tmp_path / "saved")) == mechanism
+
+
+def test_a_planar_arm() -> None:
+    """A planar leg that closes a frame: closed form, all five parameters from clean poses."""
+    parameters = (("x0", 0.0), ("y0", 0.0), ("l1", 0.4), ("zero2", 0.0), ("l2", 0.3))
+    along, Joint, Placement = pincal.along, pincal.Joint, pincal.Placement
+    joints = (
+        Joint("q1", "revolute", Placement((along("x", "x0"), along("y", "y0")))),
+        Joint(
+            "q2", "revolute", Placement((along("x", "l1"), along("rz", "zero2")), (0.4, 0.0, 0.0))
+        ),
+        Joint("tip", "fixed", Placement((along("x", "l2"),), (0.3, 0.0, 0.0))),
+    )
+    sensors = (pincal.Sensor("q1"), pincal.Sensor("q2"))
+    leg = pincal.Leg(
+        "arm", joints, sensors, parameters, Joint("tool", "fixed"), "tip", closes="frame"
+    )
+    mechanism = pincal.Mechanism("2R", pincal.Platform("planar", (0.7, 0.0, 0.0)), (leg,))
+    truth = pincal.disturb(mechanism, 2e-3, 3)
+    plan = pincal.sample_configurations(mechanism, 40, 0)
+    x0, y0, l1, zero2, l2 = truth.legs[0].nominal
+    q1, q2 = plan.readings.T
+    turn = q1 + q2 + zero2
+    poses = np.column_stack(
+        (
+            x0 + l1 * np.cos(q1) + l2 * np.cos(turn),
+            y0 + l1 * np.sin(q1) + l2 * np.sin(turn),
+            turn,
+        )
+    )
+    apart = mechanism.platform.twists_between(pincal.forward(truth, plan.readings).poses, poses)
+    np.testing.assert_allclose(apart, 0.0, atol=1e-12)
+    data = pincal.Measurements(poses=poses, readings=plan.readings)
+    for method in ("per-leg", "latent"):
+        result = pincal.calibrate(mechanism, data, method=method, noise=NOISE)
+        np.testing.assert_allclose(result.legs[0].identified, truth.legs[0].nominal, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("tip", "base", "words"),
+    [
+        ("nothing", None, "no link named 'nothing'"),
+        ("ee_link", "nothing", "no link named 'nothing'"),
+        ("base_link", "ee_link", "no chain of joints leads from ee_link"),
+        ("base_link", None, "no joint moves"),
+        ("ee_link", "ee_link", "no joint"),
+    ],
+)
+def test_links_that_make_no_arm(tip: str, base: str | None, words: str) -> None:
+    """Links that do not exist or have no moving joint between them are refused by name."""
+    with pytest.raises(pincal.MechanismError, match=words):
+        pincal.load_arm(urdf("ur10_robot.urdf"), tip, base)
+
+
+def test_files_say_the_same(tmp_path: Path) -> None:
+    """A saved arm is equal; Pinocchio reads its URDF alike; an identified one predicts alike."""
+    mechanism, _, data = simulated("panda")
+    mechanism.save(tmp_path / "arm")
+    assert pincal.load_mechanism(str(tmp_path / "arm")) == mechanism
+    readings = pincal.sample_configurations(mechanism, 20, 4).readings
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    result.save(tmp_path / "result")
+    back = pincal.load_mechanism(str(tmp_path / "result"))
+    for one, folder in ((mechanism, "arm"), (result.identified, "result/mechanism")):
+        file = tmp_path / folder / "arm.urdf"
+        alone = Reference(file, "tip", "", mechanism.reading_names)
+        poses = pincal.forward(one, readings).poses
+        matrices = one.platform.transforms(poses).as_matrix()
+        wanted = alone.poses(np.zeros(len(one.legs[0].parameters)), readings)
+        np.testing.assert_allclose(matrices, wanted, atol=1e-12)
+    np.testing.assert_array_equal(twists(back, result.identified, readings), 0.0)
+
+
+@pytest.mark.slow
+def test_on_the_command_line(tmp_path: Path) -> None:
+    """Plan without collisions, measure, calibrate, use: an arm's folder goes where others go."""
+    arm, plan, data = tmp_path / "arm", tmp_path / "plan.csv", tmp_path / "data.csv"
+    loaded("ur10").save(arm)
+    some = pincal.sample_configurations(loaded("ur10"), 150, 0)
+    pincal.write_poses(tmp_path / "some.csv", loaded("ur10"), some)
+    given = ("--candidates", tmp_path / "some.csv", "--collision", urdf("ur10_robot.urdf"))
+    said = done("select", arm, "--count", 20, "--starts", 2, *given, "-o", plan).out
+    assert "30 of 42" in said
+    done("simulate", arm, plan, "-o", data)
+    noise = ("--noise-position", 1e-4, "--noise-orientation", 1e-4)
+    said = done("calibrate", arm, data, "--method", "latent", *noise, "-o", tmp_path / "result").out
+    assert "12 parameters are redundant" in " ".join(said.split())
+    done("forward", tmp_path / "result", data, "-o", tmp_path / "poses.csv")
+    assert "identity" in done("symmetry", arm).out

@@ -1,0 +1,158 @@
+"""Configurations chosen for all parameters together, and free of collisions."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arms import loaded, robot, urdf
+from command_line import run
+
+import pincal
+from pincal.experiment.configurations import legs_at
+from pincal.experiment.forecast import information_rows
+from pincal.kinematics.collision import free_of_collision
+
+NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
+POINT = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target((0.05, 0.1, 0.02))})
+
+
+def information(
+    mechanism: pincal.Mechanism, plan: pincal.Plan, measured: tuple[str, ...], setup: pincal.Setup
+) -> np.ndarray:
+    """Return the information of each configuration, in what all of them tell, (N, r, r)."""
+    rows, _, _ = information_rows(mechanism, legs_at(mechanism, plan), NOISE, measured, setup)
+    flat = rows.reshape(-1, rows.shape[2])
+    lengths = np.linalg.norm(flat, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    _, s, axes = np.linalg.svd(flat / lengths, full_matrices=False)
+    told = (rows / lengths) @ axes[s > 1e-9 * s[0]].T
+    return told.transpose(0, 2, 1) @ told
+
+
+def log_det(every: np.ndarray, chosen: list[int]) -> float:
+    """Return the logarithm of the determinant of chosen information."""
+    sign, value = np.linalg.slogdet(every[chosen].sum(axis=0))
+    return float(value) if sign > 0 else -np.inf
+
+
+def rows_of(plan: pincal.Plan, chosen: pincal.Plan) -> list[int]:
+    """Return which configurations were chosen, by their readings."""
+    assert plan.readings is not None
+    assert chosen.readings is not None
+    off = np.abs(plan.readings[:, None] - chosen.readings[None]).max(axis=2)
+    assert (off.min(axis=0) == 0.0).all()
+    return [int(row) for row in off.argmin(axis=0)]
+
+
+def test_small_choices_are_the_best(tmp_path: Path) -> None:
+    """Of twelve configurations of a two-joint arm, five: as good as the best of all 792.
+
+    The efficiency bounds what could be better: no choice of five reaches more than it allows.
+    """
+    file = tmp_path / "two.urdf"
+    file.write_text(robot("a|revolute|0 1 0|0 0 0\nb|revolute|.6 0 .8|.35 0 .1"))
+    mechanism = pincal.load_arm(file, "l2")
+    plan = pincal.sample_configurations(mechanism, 12, 3)
+    found = pincal.select_configurations(mechanism, plan, 5, noise=NOISE)
+    measured, setup = ("x", "y", "z", "rx", "ry", "rz"), pincal.Setup()
+    every = information(mechanism, plan, measured, setup)
+    best = max(log_det(every, list(one)) for one in combinations(range(12), 5))
+    chosen = rows_of(plan, found.plan)
+    assert len(set(chosen)) == 5
+    assert log_det(every, chosen) == pytest.approx(best, abs=1e-9)
+    assert found.rank.rank == 14 == every.shape[1]
+    assert 0.0 < found.efficiency <= 1.0
+
+
+@pytest.mark.parametrize("points", [False, True])
+def test_choices_beat_chance(points: bool) -> None:
+    """Thirty of 400 configurations tell more than any of 200 random plans; none is taken twice."""
+    mechanism = loaded("ur10")
+    plan = pincal.sample_configurations(mechanism, 400, 0)
+    measured = ("x", "y", "z", *(() if points else ("rx", "ry", "rz")))
+    setup = POINT if points else pincal.Setup()
+    found = pincal.select_configurations(
+        mechanism, plan, 30, noise=NOISE, measured=measured, setup=setup, starts=3
+    )
+    every = information(mechanism, plan, measured, setup)
+    chosen = rows_of(plan, found.plan)
+    assert len(set(chosen)) == 30
+    rng = np.random.default_rng(1)
+    chance = [log_det(every, list(rng.choice(400, 30, replace=False))) for _ in range(200)]
+    rank = every.shape[1]
+    assert found.rank.rank == rank == (27 if points else 30)
+    assert log_det(every, chosen) > max(chance)
+    assert found.efficiency > 0.95
+    # the certificate: a random plan's own efficiency follows from its determinant
+    relative = np.exp((max(chance) - log_det(every, chosen)) / rank) * found.efficiency
+    assert relative < found.efficiency <= 1.0
+
+
+def test_too_few_are_refused() -> None:
+    """Fewer equations than unknowns that can be told: the least number is named."""
+    mechanism = loaded("ur10")
+    plan = pincal.sample_configurations(mechanism, 60, 0)
+    with pytest.raises(pincal.ObservabilityError, match="at least 5"):
+        pincal.select_configurations(mechanism, plan, 4, noise=NOISE)
+
+
+@pytest.mark.parametrize("neutral", [True, False])
+def test_collisions_are_pinocchios(neutral: bool) -> None:
+    """At 50 configurations the answer is that of Pinocchio asked pair by pair.
+
+    Pairs of one body or of neighbouring joints are left out, and such as touch at zero.
+    """
+    file, mechanism = urdf("ur10_robot.urdf"), loaded("ur10")
+    readings = pincal.sample_configurations(mechanism, 50, 0).readings
+    names = mechanism.reading_names
+    assert readings is not None
+    free = free_of_collision(file, names, readings, neutral)
+    model = pin.buildModelFromUrdf(str(file))
+    shapes = pin.buildGeomFromUrdf(
+        model, str(file), pin.GeometryType.COLLISION, package_dirs=[str(file.parents[4])]
+    )
+    bodies = shapes.geometryObjects
+    pairs = [
+        (i, j)
+        for i, j in combinations(range(shapes.ngeoms), 2)
+        if abs(bodies[i].parentJoint - bodies[j].parentJoint) > 1  # one chain: joints in a row
+    ]
+    for i, j in pairs:
+        shapes.addCollisionPair(pin.CollisionPair(i, j))
+    data, found = model.createData(), shapes.createData()
+
+    def touching(q: np.ndarray) -> np.ndarray:
+        pin.updateGeometryPlacements(model, data, shapes, found, q)
+        return np.array([pin.computeCollision(shapes, found, k) for k in range(len(pairs))])
+
+    design = touching(pin.neutral(model)) & neutral
+    wanted = [not (touching(q) & ~design).any() for q in readings]
+    np.testing.assert_array_equal(free, wanted)
+    assert 0 < free.sum() < 50
+
+
+def test_what_cannot_be_checked(tmp_path: Path) -> None:
+    """Passive joints, unknown joints, no geometry, no file: one message, nothing written."""
+    file = urdf("ur10_robot.urdf")
+    out = tmp_path / "plan.csv"
+    said = run("select", "6UPS", "--count", 12, "--collision", file, "-o", out)
+    assert said.code == 2
+    assert "no serial arm" in said.trouble
+    assert not out.exists()
+    with pytest.raises(pincal.MechanismError, match="no joint named 'nothing'"):
+        free_of_collision(file, ["nothing"], np.zeros((1, 1)))
+    bare = tmp_path / "bare.urdf"
+    bare.write_text(robot("a|revolute|0 0 1|0 0 0"))
+    with pytest.raises(pincal.MechanismError, match="no <collision>"):
+        free_of_collision(bare, ["a"], np.zeros((1, 1)))
+    with pytest.raises(pincal.FileError, match="no such file"):
+        free_of_collision(tmp_path / "none.urdf", ["a"], np.zeros((1, 1)))
+    lost = tmp_path / "lost.urdf"
+    mesh = '<collision><geometry><mesh filename="package://lost/a.stl"/></geometry></collision>'
+    lost.write_text(bare.read_text().replace('<link name="l1"/>', f'<link name="l1">{mesh}</link>'))
+    with pytest.raises(pincal.FileError, match="collision geometry cannot be read"):
+        free_of_collision(lost, ["a"], np.zeros((1, 1)))
