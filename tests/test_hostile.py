@@ -240,6 +240,14 @@ def test_names_of_runs_can_be_printed(tmp_path: Path) -> None:
             pincal.read_measurements(tmp_path / "t.csv", THREE)
 
 
+def test_rows_that_tell_nothing_are_refused(tmp_path: Path) -> None:
+    """A row with a note alone is refused by its line: it would be lost when written again."""
+    text = "x [m],y [m],phi [rad],leg_1 [rad],leg_2 [rad],leg_3 [rad],note\n0,0,0,1,1,1,\n"
+    (tmp_path / "t.csv").write_text(f"{text}, ,,,,,lost\n")
+    with pytest.raises(MeasurementError, match="line 3: nothing was measured"):
+        pincal.read_measurements(tmp_path / "t.csv", THREE, partial=True)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
