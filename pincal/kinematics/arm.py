@@ -38,8 +38,12 @@ def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
         FileError: the file is missing or cannot be read.
         MechanismError: not well-formed, or no chain of joints from base to tip.
     """
-    name = re.sub(r"\W", "_", Path(path).stem)
-    return arm(name, read_path(Path(path), tip, base), f"Serial arm to {tip} of {Path(path).name}.")
+    path = Path(path)
+    joints = read_path(path, tip, base)
+    try:
+        return arm(re.sub(r"\W", "_", path.stem), joints, f"Serial arm to {tip} of {path.name}.")
+    except MechanismError as error:
+        raise MechanismError(f"{path}: {error}") from error
 
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:

@@ -98,6 +98,12 @@ def read_measurements(
         places=_names(table, "pose"),
     )
     told = [data.poses, *(values[:, None] for values in extra.values())]
+    blank = np.isnan(np.column_stack([*told, data.readings])).all(axis=1)
+    if blank.any():
+        raise MeasurementError(
+            f"{table.path}, line {table.lines[int(np.argmax(blank))]}: nothing was measured and "
+            "nothing read; remove the row"
+        )
     if not any(np.isfinite(values).any() for values in told) and not partial:
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return data

@@ -225,14 +225,14 @@ def leg_urdf(leg: Leg) -> str:
     robot = etree.Element("robot", name=leg.name)
     size = _size(leg)
     read = {sensor.joint for sensor in leg.sensors}
-    link = _link_element(robot, f"{leg.name}_base")
+    links = _link_names(leg)
+    link = _link_element(robot, links[0])
     foot = _triple_text(leg.joints[0].placement.xyz)
     _visual(link, "box", size=(3 * size, 3 * size, size), xyz=foot, rgba=_GREY)
     for index, joint in enumerate(leg.joints):
-        last = index == len(leg.joints) - 1
         if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
             _rod(link, joint.placement.xyz, size)
-        link = _link_element(robot, leg.tip if last else f"{leg.name}_{joint.name}_link")
+        link = _link_element(robot, links[index + 1])
         if joint.kind == "revolute":
             colour = _ORANGE if joint.name in read else _BLUE
             roll = _axis_rpy(joint.axis)
@@ -243,18 +243,24 @@ def leg_urdf(leg: Leg) -> str:
             _visual(link, "box", size=(2 * size, 2 * size, 4 * size), rpy=along, rgba=colour)
         else:
             _visual(link, "sphere", radius=size, rgba=_BLUE)
-        parent = (
-            f"{leg.name}_base" if index == 0 else f"{leg.name}_{leg.joints[index - 1].name}_link"
-        )
-        _joint_element(robot, joint, parent, str(link.get("name")))
+        _joint_element(robot, joint, links[index], links[index + 1])
     return _text(robot)
+
+
+def _link_names(leg: Leg) -> list[str]:
+    """Return the names of a leg's links, base first, no two alike whatever its tip is called."""
+    names = [f"{leg.name}_base", *(f"{leg.name}_{joint.name}_link" for joint in leg.joints[:-1])]
+    return [*(f"{name}_" if name == leg.tip else name for name in names), leg.tip]
 
 
 def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
     """Return a platform's URDF: one fixed frame for each platform point."""
     robot = etree.Element("robot", name=f"{name}_platform")
     size = max(_size(leg) for leg in legs)
-    platform = _link_element(robot, "platform")
+    root = "platform"
+    while any(leg.point.name == root for leg in legs):
+        root += "_"
+    platform = _link_element(robot, root)
     _visual(platform, "cylinder", radius=1.5 * size, length=size, rgba=_GREY)
     points = {leg.point.name: leg.point for leg in legs}
     for point in points.values():
@@ -263,7 +269,7 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
     for point in points.values():
         link = _link_element(robot, point.name)
         _visual(link, "sphere", radius=1.2 * size, rgba=_GREY)
-        _joint_element(robot, point, "platform", point.name)
+        _joint_element(robot, point, root, point.name)
     return _text(robot)
 
 

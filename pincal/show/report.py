@@ -122,7 +122,8 @@ def report(
         FileError: a file that cannot be read.
     """
     now = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
-    hashes = tuple((Path(path).name, _sha256(Path(path))) for path in files)
+    kept = [path for path in map(Path, files) if not path.is_fifo()]  # a pipe is read once
+    hashes = tuple((path.name, _sha256(path)) for path in kept)
     origin = Origin(command, hashes, tuple(notes), now if date is None else date)
     return Report(findings(result, measurements, setup), origin)
 

@@ -1,0 +1,120 @@
+"""What runs talks to nobody and warns of nothing; what is shipped is whole."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+#: Runs commands after one another where to connect, bind or resolve a name is an error.
+_ALONE = """
+import socket
+import sys
+
+def watch(event, arguments):
+    if event in {"socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostbyname",
+                 "socket.sendto", "socket.sendmsg", "urllib.Request"}:
+        print("NETWORK", event, arguments, file=sys.__stderr__, flush=True)
+        raise PermissionError(event)
+
+sys.addaudithook(watch)
+try:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+    sys.exit("not even loopback is watched")
+except PermissionError:
+    print("WATCHED", file=sys.stderr)
+
+from pincal.cli import main
+for command in sys.argv[1].split(";"):
+    try:
+        main(command.split())
+    except SystemExit as left:
+        if left.code:
+            raise
+"""
+
+
+def test_the_whole_demo_needs_no_network_and_warns_of_nothing(tmp_path: Path) -> None:
+    """Workspace, selection, simulation, calibration, report and view: no socket, no warning."""
+    commands = f"demo 5R -o {tmp_path}/demo;view 5R --html {tmp_path}/view.html"
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", _ALONE, commands], capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    watched, _, rest = run.stderr.partition("WATCHED")
+    assert watched.count("NETWORK") == 1  # the test's own
+    assert "NETWORK" not in rest
+    assert (tmp_path / "demo" / "result" / "report.html").is_file()
+    assert (tmp_path / "view.html").is_file()
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with sdist and wheel, the wheel built from the sdist; needs the package index."""
+    folder = tmp_path_factory.mktemp("built")
+    venv.create(folder / "venv", with_pip=True)
+    python = folder / "venv" / "bin" / "python"
+    subprocess.run([python, "-m", "pip", "install", "-q", "build"], check=True)
+    names = ("pincal", "robots", "tests", "docs", "examples", "benchmarks")
+    for name in names:
+        ignored = shutil.ignore_patterns("__pycache__", ".*")
+        shutil.copytree(ROOT / name, folder / "source" / name, ignore=ignored)
+    for name in ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE"):
+        shutil.copy(ROOT / name, folder / "source")
+    command = [python, "-m", "build", "-o", folder / "dist", folder / "source"]
+    subprocess.run(command, check=True, capture_output=True)
+    return folder / "dist"
+
+
+@pytest.mark.slow
+def test_wheel_and_sdist_hold_what_they_should(built: Path) -> None:
+    """The wheel has every module, page asset and robot and no tests; the sdist has these too."""
+    (wheel,), (sdist,) = built.glob("*.whl"), built.glob("*.tar.gz")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    source = {
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "pincal").rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    robots = {
+        f"pincal/{path.relative_to(ROOT)}"
+        for path in (ROOT / "robots").rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    assert source <= names
+    assert {name for name in robots if name.endswith((".yaml", ".urdf"))} <= names
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"pincal"}
+    with tarfile.open(sdist) as file:
+        held = {name.partition("/")[2] for name in file.getnames()}
+    assert {"tests/test_supply.py", "docs/dependencies.md", "LICENSE", "pyproject.toml"} <= held
+    assert source <= held
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13"])
+def test_wheel_installs_and_runs_elsewhere(built: Path, version: str, tmp_path: Path) -> None:
+    """In a clean environment of each Python there is, the wheel runs without warnings."""
+    python = shutil.which(f"python{version}")
+    if python is None or subprocess.run([python, "-V"], capture_output=True).returncode:
+        pytest.skip(f"no python{version}")
+    subprocess.run([python, "-m", "venv", tmp_path / "venv"], check=True)
+    own = tmp_path / "venv" / "bin" / "python"
+    (wheel,) = built.glob("*.whl")
+    subprocess.run([own, "-m", "pip", "install", "-q", wheel], check=True)
+    for arguments in (
+        ["-c", "import pincal; assert len(pincal.bundled()) > 9"],
+        ["-m", "pincal", "check", "3RRR"],
+        [tmp_path / "venv" / "bin" / "pincal", "demo", "5R", "-o", tmp_path / "demo"],
+    ):
+        run = subprocess.run(
+            [own, "-W", "error", *arguments], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert run.returncode == 0, run.stderr
