@@ -16,7 +16,6 @@ from pincal import (
     Sensor,
     along,
     generate,
-    mirror,
     placed,
     rotations,
     spherical,

@@ -19,7 +19,7 @@ from pincal.cli.app import app
 KINDS = ["3RRR", "5R", "4cable"]
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
 DISTURB = ["--disturb", "0.001"]
-COMMANDS = [str(c.callback.__name__) for c in app.registered_commands if c.callback]
+COMMANDS = {c.name or c.callback.__name__: c for c in app.registered_commands if c.callback}
 
 
 def unnamed(words: list[str], text: str) -> list[str]:
@@ -201,10 +201,9 @@ def test_tables_on_stdout_name_what_was_found(
 def test_help_of_each_command(command: str) -> None:
     """--help of a command exits 0, with its usage and the first line of its docstring."""
     outcome = run(command, "--help")
-    [found] = [c for c in app.registered_commands if c.callback and c.callback.__name__ == command]
     assert outcome.code == 0
     assert outcome.out.startswith(f"Usage: pincal {command} ")
-    assert str(found.callback.__doc__).splitlines()[0] in outcome.out
+    assert str(COMMANDS[command].callback.__doc__).splitlines()[0] in outcome.out
     assert outcome.err == ""
 
 

@@ -67,10 +67,13 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings a
 Json = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
-def command(*, answers: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def command(
+    name: str | None = None, *, answers: bool = False
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that registers a command with ``--quiet``.
 
     Args:
+        name: What is typed, if not the function's name.
         answers: Whether the command calls ``answer``, so that it can have ``--json`` too.
     """
 
@@ -90,7 +93,7 @@ def command(*, answers: bool = False) -> Callable[[Callable[..., None]], Callabl
         parameters = [*own.parameters.values(), *options]
         run.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
         run.__annotations__ = {one.name: one.annotation for one in parameters}
-        app.command()(run)
+        app.command(name)(run)
         return function
 
     return register

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -85,6 +86,7 @@ def identifiability(
             "unknowns": found.rank.n_params,
             "condition": found.rank.condition,
             "not_told_apart": found.rank.groups,
+            "weakly_told_apart": [asdict(pair) for pair in found.weak],
             "freedoms_of_frames": found.gauge.shape[1],
             "parameters": [
                 {"leg": leg, "name": name, "std": std}

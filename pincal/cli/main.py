@@ -11,6 +11,7 @@ from pincal.cli import (
     calibration,
     demo,
     experiment,
+    formats,
     identifiability,
     kinematics,
     mechanisms,
@@ -32,6 +33,7 @@ _GROUPS = (
     experiment,
     identifiability,
     calibration,
+    formats,
     demo,
     study,
 )

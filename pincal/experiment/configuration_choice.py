@@ -2,7 +2,7 @@
 
 Rows are those of the best estimator (see ``forecast``), whatever part of the platform is
 measured and wherever the tracker stands. Directions that no candidate tells are left out: the
-choice is D-optimal in what can be identified, and its efficiency is against the bound that no choice
+choice is D-optimal in what can be identified, its efficiency against the bound that no choice
 exceeds.
 """
 

@@ -22,6 +22,7 @@ from pincal.experiment.frames import split_frames
 from pincal.experiment.observability import Identifiability, identifiability
 from pincal.experiment.observation import Observation, Rows
 from pincal.experiment.platform_error import PlatformError, platform_error
+from pincal.experiment.weak import WeakPair, weakly_told
 from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -59,6 +60,14 @@ class Forecast:
         """Standard error of each parameter, shape (n,); infinite where it is not determined."""
         blurred = np.abs(self.lost).max(axis=1, initial=0.0) > _TAKES_PART
         return np.where(blurred, np.inf, np.sqrt(np.diagonal(self.covariance)))
+
+    @cached_property
+    def weak(self) -> tuple[WeakPair, ...]:
+        """Parameters that are determined, but weakly told apart, the weakest first."""
+        names = [(leg.name, name) for leg in self.mechanism.legs for name in leg.parameter_names]
+        determined = np.isfinite(self.std)
+        clear = np.outer(determined, determined)
+        return weakly_told(names, np.where(clear, self.covariance, 0.0), self.gauge)
 
     def platform_error(self, poses: Plan | Array) -> PlatformError:
         """Return the error to expect of the calibrated platform over poses, shape (N, dof).

@@ -30,6 +30,7 @@ from pincal.model.measurements import Noise
 Array = NDArray[np.float64]
 _CONFIDENCE = 0.95
 _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
+_MOVED = 1e-9  # by which a unit motion of frames moves a difference of tied parameters
 _FAR = 0.05  # of a leg's size, [rad] and [1]: changes of parameters that are doubted
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
 
@@ -203,14 +204,29 @@ def _covariances(task: Task, estimate: Estimate) -> tuple[Array, Array | None]:
 def _observed(latent: LatentPoses, found: Fit, known: bool) -> tuple[Observed, ...]:
     """Return how the measured quantities of the platform fit."""
     scale = 1.0 if known else float(np.sqrt(found.chi2 / max(found.degrees_of_freedom, 1)))
-    state, seen = found.last.state, latent.observation
-    values = seen.evaluate(state.matrices, state.external).value
+    seen = latent.observation
+    before, values = (
+        seen.evaluate(one.state.matrices, one.state.external).value
+        for one in (found.first, found.last)
+    )
     results = []
     for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):
         own = seen.measured[:, column] & (found.weights > 0.0)
         if own.any():
-            sigma = scale * _rms(latent.sigma_observed[own, column])
-            results.append(Observed(name, unit, int(own.sum()), _rms(values[own, column]), sigma))
+            sigmas, after = scale * latent.sigma_observed[own, column], values[own, column]
+            results.append(
+                Observed(
+                    name=name,
+                    unit=unit,
+                    count=int(own.sum()),
+                    rms=_rms(after),
+                    sigma=_rms(sigmas),
+                    rows=np.flatnonzero(own),
+                    sigmas=sigmas,
+                    residuals_before=before[own, column],
+                    residuals=after,
+                )
+            )
     return tuple(results)
 
 
@@ -241,6 +257,7 @@ def _shift(fits: Sequence[Robust]) -> float | None:
 def _tie_tests(task: Task, free: Estimate) -> tuple[TieTest, ...]:
     """Return, for all ties together, the test whether they hold, by the fit without them.
 
+    Differences that a motion of the frames makes or undoes say nothing: they are left out.
     Differences of tied parameters between legs over their covariance (Wald): χ² where the noise is
     known, an F test where its scale is estimated.
     """
@@ -253,6 +270,13 @@ def _tie_tests(task: Task, free: Estimate) -> tuple[TieTest, ...]:
         places = [i for i, (_, name) in enumerate(names) if name == tie]
         rows += [np.eye(len(names))[i] - np.eye(len(names))[places[0]] for i in places[1:]]
     R = np.array(rows)
+    if free.gauge is not None and free.gauge.of_legs is not None:
+        directions = free.gauge.of_legs
+        moved = R @ directions / np.linalg.norm(directions, axis=0)
+        axes, size, _ = np.linalg.svd(moved)
+        R = axes[:, int((size > _MOVED).sum()) :].T @ R
+    if not len(R):
+        return ()
     off = R @ values
     statistic = float(off @ np.linalg.solve(R @ covariance @ R.T, off)) / len(R)
     dof = sum(one.fit.degrees_of_freedom for one in free.fits)

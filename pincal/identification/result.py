@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.experiment.weak import WeakPair, weakly_told
 from pincal.identification.robust import Outlier
 from pincal.identification.trust import RunConsistency, Validation
 from pincal.model.measurements import Noise
@@ -89,6 +91,14 @@ class Observed:
     """Root mean square of predicted less measured."""
     sigma: float
     """Root mean square standard deviation of the measurements."""
+    rows: NDArray[np.intp]
+    """Rows of the measurements, shape (count,)."""
+    sigmas: Array
+    """Standard deviations of the measurements, shape (count,)."""
+    residuals_before: Array
+    """Predicted less measured where the search started, shape (count,)."""
+    residuals: Array
+    """Predicted less measured, shape (count,)."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +171,12 @@ class CalibrationResult:
     """Errors at rows that a fit has not seen, if that was asked for."""
     runs: RunConsistency | None = None
     """How well runs of the experiment agree, if that was asked for."""
+
+    @cached_property
+    def weak(self) -> tuple[WeakPair, ...]:
+        """Parameters that are weakly told apart, the weakest first."""
+        names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
+        return weakly_told(names, self.covariance, self.gauge_directions)
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""

@@ -87,7 +87,12 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "external": [_parameter(p) for p in result.external],
         "gauge": list(result.gauge),
         "ties": [asdict(one) | {"holds": one.holds} for one in result.ties],
-        "observed": [asdict(one) for one in result.observed],
+        "observed": [
+            {"name": one.name, "unit": one.unit, "count": one.count}
+            | {"rms": one.rms, "sigma": one.sigma}
+            for one in result.observed
+        ],
+        "weakly_told_apart": [asdict(one) for one in result.weak],
         "validation": None if result.validation is None else asdict(result.validation),
         "runs": None if result.runs is None else _runs(result.runs),
         "legs": [_leg(leg) for leg in result.legs],

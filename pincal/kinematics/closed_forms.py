@@ -1,14 +1,18 @@
-"""Closed-form inverse kinematics of legs that have one: planar dyads and universal-prismatic legs.
+"""Closed-form inverse kinematics of legs that point at the platform: rods and lines.
 
-They give the start from which Newton's method on the closure needs one step, and say at
-once what is out of reach. Axes and points are read off the calibration chain at zero
-joint positions, so that the forms hold for any parameter values and URDF frames.
+A pointing joint, a revolute in the plane or a universal in space, carries either a rod, and
+is moved along a circle or a line by a drive (planar dyads, deltas, rotary hexapods, carriages),
+or a slide through its own centre (struts, cables). They give the start from which Newton's
+method on the closure needs one step, and say at once what is out of reach. Axes and points
+are read off the calibration chain at zero joint positions, so that the forms hold for any
+parameter values and URDF frames.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +27,17 @@ ClosedForm = Callable[[LegClosure, Array], tuple[Array, Mask]]
 _EXACT = 1e-12  # of the leg's size
 
 
+@lru_cache(maxsize=256)
 def closed_form(closure: LegClosure) -> ClosedForm | None:
     """Return the closed form of a leg, or None if it has none."""
     if closure.leg.closes == "frame":
         return None
     kinds = [joint.kind for joint in closure.leg.moving]
-    spatial = closure.platform.space == 3
-    if not spatial and kinds == ["revolute", "revolute"]:
-        return planar_dyad
-    if spatial and kinds == ["revolute", "revolute", "prismatic"] and _is_universal(closure):
-        return universal_prismatic
+    pointing = ["revolute"] * (closure.platform.space - 1)
+    if kinds[1:] == pointing and _points(closure, rod=True):
+        return driven_rod
+    if kinds == [*pointing, "prismatic"] and _points(closure, rod=False):
+        return pointing_slide
     return None
 
 
@@ -41,121 +46,195 @@ def is_line(closure: LegClosure) -> bool:
 
     The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
     """
-    return closure.leg.active == [2] and closed_form(closure) is universal_prismatic
-
-
-def planar_dyad(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
-    """Return the two angles of a planar dyad by the cosine law, bent to the side of home.
-
-    A target out of reach gets the angles of the leg stretched or folded towards it.
-    """
-    leg, dyad = closure.leg, dyad_geometry(closure)
-    a, b = dyad.a, dyad.b
-    reach = targets[:, 0] + 1j * targets[:, 1] - dyad.shoulder
-    with np.errstate(all="ignore"):
-        cos = (np.abs(reach) ** 2 - a**2 - b**2) / (2 * a * b)
-    sin = dyad.mode * np.sqrt(np.clip((1 - cos) * (1 + cos), 0.0, None))
-    bend = np.arctan2(sin, np.clip(cos, -1.0, 1.0))
-    angle = np.angle(reach) - np.angle(a + b * np.exp(1j * bend)) - dyad.angle_zero
-    angles = np.stack((angle, bend - dyad.bend_zero), axis=1) * dyad.signs
-    return leg.home + wrapped(angles - leg.home), np.abs(cos) <= 1.0
+    return closure.leg.active == [2] and closed_form(closure) is pointing_slide
 
 
 @dataclass(frozen=True)
-class DyadGeometry:
-    """A planar dyad at zero joint positions, read off its chain."""
+class Pointing:
+    """A pointing joint at zero joint positions, read off its chain; base frame.
 
-    shoulder: complex
-    a: float
-    """Length of the upper arm, [m]."""
-    b: float
-    """Length of the forearm, [m]."""
-    angle_zero: float
-    """Direction of the upper arm, [rad]."""
-    bend_zero: float
-    """Angle from upper arm to forearm, [rad]."""
-    signs: tuple[float, float]
-    """Of the two axes along the base's z."""
-    mode: float
-    """Sign of the elbow's sine at home."""
-
-
-def dyad_geometry(closure: LegClosure) -> DyadGeometry:
-    """Return the geometry of a planar dyad."""
-    probes = np.array([[0.0, 0.0], [np.pi, 0.0], [0.0, np.pi / 2]])
-    points, columns = closure.joint_columns(probes)
-    tips = points[:, :2] @ np.array([1.0, 1j])
-    sign, sign_elbow = np.sign(columns[5, 0]).tolist()
-    shoulder = complex(tips[0] + tips[1]) / 2
-    elbow = (tips[2] - 1j * sign_elbow * tips[0]) / (1 - 1j * sign_elbow)
-    upper, fore = elbow - shoulder, tips[0] - elbow
-    bend_zero = float(np.angle(fore) - np.angle(upper))
-    mode = float(np.sign(np.sin(sign_elbow * closure.leg.home[1] + bend_zero)))
-    angle_zero = float(np.angle(upper))
-    signs = (sign, sign_elbow)
-    return DyadGeometry(
-        shoulder, float(abs(upper)), float(abs(fore)), angle_zero, bend_zero, signs, mode
-    )
-
-
-def universal_prismatic(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
-    """Return the angles of a universal joint and the length of the slide through its centre.
-
-    With axes e₁ ⟂ e₂ and e₃ = e₁ × e₂ at zero, the slide's direction is
-    u = e₁ sin(q₂ + δ) + (e₃ cos q₁ − e₂ sin q₁) cos(q₂ + δ). Of the two solutions the one
-    on the side of home is taken. Every target but the centre is in reach.
+    With axes e₁ ⟂ e₂ and e₃ = e₁ × e₂, it points along
+    u = e₁ sin(q₂ + δ) + (e₃ cos q₁ − e₂ sin q₁) cos(q₂ + δ). A revolute joint in the plane is
+    the same with q₂ + δ = 0.
     """
-    leg, form = closure.leg, universal_geometry(closure)
-    arm = targets - form.centre
+
+    arm: Array
+    """From the joint's centre to the tip, shape (3,), [m]."""
+    e1: Array
+    e2: Array
+    e3: Array
+    """Unit axes of a universal joint and their product, shape (3,)."""
+    delta: float
+    """Angle from e₃ to the pointing direction towards e₁, [rad]."""
+    side: float
+    """Sign of cos(q₂ + δ) at home: of the two ways of pointing somewhere, which is meant."""
+
+    def angles(self, u: Array) -> Array:
+        """Return the joint's angles when it points along unit vectors (N, 3), shape (N, 1 or 2)."""
+        along, across, up = u @ self.e1, u @ self.e2, u @ self.e3
+        q1 = np.arctan2(-self.side * across, self.side * up)
+        q2 = np.arctan2(along, self.side * np.hypot(across, up)) - self.delta
+        return np.stack((q1, q2), axis=1)
+
+
+def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
+    """Return the angles of a pointing joint and the length of the slide through its centre.
+
+    Every target but the centre is in reach.
+    """
+    leg, form = closure.leg, slide_geometry(closure)
+    arm = _in_space(closure, targets - form.centre)
     length = np.linalg.norm(arm, axis=1)
     with np.errstate(all="ignore"):
-        u = form.forth * arm / length[:, None]
-    along, across, up = u @ form.e1, u @ form.e2, u @ form.e3
-    q2 = np.arctan2(along, form.side * np.hypot(across, up)) - form.delta
-    q1 = np.arctan2(-form.side * across, form.side * up)
-    turns = leg.home[:2] + wrapped(np.stack((q1, q2), axis=1) - leg.home[:2])
+        angles = form.pointing.angles(form.forth * arm / length[:, None])
+    turns = angles[:, : len(leg.moving) - 1]
+    turns = leg.home[:-1] + wrapped(turns - leg.home[:-1])
     return np.column_stack((turns, form.forth * length)), length > 0.0
 
 
 @dataclass(frozen=True)
-class UniversalGeometry:
-    """A universal-prismatic leg at zero joint positions, read off its chain."""
+class SlideGeometry:
+    """A slide on a pointing joint at zero joint positions, read off its chain."""
 
     centre: Array
-    """Of the universal joint, base frame, shape (3,), [m]."""
-    e1: Array
-    e2: Array
-    e3: Array
-    """Unit axes of the universal joint and their product, base frame, shape (3,)."""
-    slide: Array
-    """Direction of the slide, shape (3,)."""
-    delta: float
-    """Angle from e₃ to the slide towards e₁, [rad]."""
-    side: float
-    """Sign of cos(q₂ + δ) at home."""
+    """Of the pointing joint, base frame, shape (3,), [m]."""
+    pointing: Pointing
     forth: float
     """Sign of the slide's position at home."""
 
 
-def universal_geometry(closure: LegClosure) -> UniversalGeometry:
-    """Return the geometry of a universal-prismatic leg."""
+@lru_cache(maxsize=256)
+def slide_geometry(closure: LegClosure) -> SlideGeometry:
+    """Return the geometry of a slide on a pointing joint."""
+    tips, columns = closure.joint_columns(np.zeros((1, len(closure.leg.moving))))
+    forth = float(np.sign(closure.leg.home[-1])) or 1.0
+    pointing = _pointing(closure, columns[:, 0, :-1], columns[:3, 0, -1], first=0)
+    return SlideGeometry(tips[0], pointing, forth)
+
+
+def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
+    """Return the drive's position and the angles of the pointing joint that it moves.
+
+    The joint's centre C(q) lies on a circle or a line, and as far from the target as the rod
+    is long: |t − C(q)| = L has two solutions, on either side of where the drive loses its grip,
+    (t − C) · ∂C/∂q = 0. The one on the side of home is taken. A target out of reach gets the
+    leg stretched or folded towards it.
+    """
+    leg, rod = closure.leg, rod_geometry(closure)
+    arm = _in_space(closure, targets - rod.centre)
+    with np.errstate(all="ignore"):
+        if rod.axis is None:
+            along = arm @ rod.speed
+            square = along**2 - np.einsum("ni,ni->n", arm, arm) + rod.length**2
+            possible = square >= 0.0
+            drive = along - rod.mode * np.sqrt(np.clip(square, 0.0, None))
+            to_tip = arm - drive[:, None] * rod.speed
+        else:
+            out, on = arm @ rod.out, arm @ rod.speed
+            square = np.einsum("ni,ni->n", arm, arm) + rod.radius**2 - rod.length**2
+            cos = np.nan_to_num(square / (2 * np.hypot(out, on)))  # at the centre, any angle
+            possible = np.abs(cos) <= 1.0
+            cos = np.clip(cos, -1.0, 1.0)
+            drive = np.arctan2(on, out) - rod.mode * np.arctan2(np.sqrt((1 - cos) * (1 + cos)), cos)
+            drive = leg.home[0] + wrapped(drive - leg.home[0])
+            c, s = np.cos(drive)[:, None], np.sin(drive)[:, None]
+            to_tip = arm - c * rod.out - s * rod.speed
+            to_tip = _turned_back(rod.axis, c, s, to_tip)
+        angles = rod.pointing.angles(to_tip / np.linalg.norm(to_tip, axis=1)[:, None])
+    turns = angles[:, : len(leg.moving) - 1]
+    turns = leg.home[1:] + wrapped(turns - leg.home[1:])
+    return np.column_stack((drive, turns)), possible
+
+
+@dataclass(frozen=True)
+class RodGeometry:
+    """A driven rod at zero joint positions, read off its chain; base frame.
+
+    The pointing joint is at C(q) = centre + out cos q + speed sin q, out ⟂ speed, or at
+    C(q) = centre + speed q on a line.
+    """
+
+    centre: Array
+    """Of the circle, or where the line begins, shape (3,), [m]."""
+    axis: Array | None
+    """Unit axis of the circle, shape (3,); None for a line."""
+    out: Array
+    """From the circle's centre to the pointing joint, shape (3,), [m]; zero for a line."""
+    speed: Array
+    """Velocity of the pointing joint for a unit rate of the drive, shape (3,), [m] or [1]."""
+    pointing: Pointing
+    mode: float
+    """Sign of (t − C) · ∂C/∂q at home."""
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle, [m]; zero for a line."""
+        return float(np.linalg.norm(self.out))
+
+    @property
+    def length(self) -> float:
+        """Length of the rod, [m]."""
+        return float(np.linalg.norm(self.pointing.arm))
+
+
+@lru_cache(maxsize=256)
+def rod_geometry(closure: LegClosure) -> RodGeometry:
+    """Return the geometry of a driven rod."""
     leg = closure.leg
-    tips, columns = closure.joint_columns(np.zeros((1, 3)))
-    e1, e2, slide = columns[3:, 0, 0], columns[3:, 0, 1], columns[:3, 0, 2]
-    e3 = cross(e1[None], e2[None])[0]
-    delta = float(np.arctan2(slide @ e1, slide @ e3))
-    side = float(np.sign(np.cos(leg.home[1] + delta))) or 1.0
-    forth = float(np.sign(leg.home[2])) or 1.0
-    return UniversalGeometry(tips[0], e1, e2, e3, slide, delta, side, forth)
+    tips, columns = closure.joint_columns(np.stack((np.zeros(len(leg.moving)), leg.home)))
+    pointing = _pointing(closure, columns[:, 0, 1:], _arm(columns[:, 0]), first=1)
+    point, speed = tips[0] - pointing.arm, columns[:3, 0, 0]
+    axis, out = None, np.zeros(3)
+    if leg.moving[0].kind == "revolute":
+        axis = columns[3:, 0, 0]
+        speed = speed - np.cross(axis, pointing.arm)
+        out = np.cross(speed, axis)
+    at_home = _arm(columns[:, 1])  # drive and rod as they are there
+    grip = at_home @ (columns[:3, 1, 0] - np.cross(columns[3:, 1, 0], at_home))
+    return RodGeometry(point - out, axis, out, speed, pointing, float(np.sign(grip)) or 1.0)
 
 
-def _is_universal(closure: LegClosure) -> bool:
-    """Return whether two crossing perpendicular axes carry a slide that starts at the crossing."""
-    _, columns = closure.joint_columns(np.zeros((1, 3)))
-    speed = np.abs(columns[:3, 0, :2]).max()  # of the tip about the axes: none at the crossing
-    form = universal_geometry(closure)
-    skew = max(abs(form.e1 @ form.e2), abs(form.e2 @ form.slide))
-    return bool(speed <= _EXACT * closure.size and skew <= _EXACT)
+def _pointing(closure: LegClosure, axes: Array, arm: Array, first: int) -> Pointing:
+    """Return a pointing joint from its twists at the tip, shape (6, 1 or 2), and its arm, [m]."""
+    u = arm / np.linalg.norm(arm)
+    e1 = axes[3:, 0]
+    if axes.shape[1] == 1:
+        return Pointing(arm, e1, np.cross(u, e1), u, 0.0, 1.0)
+    e2 = axes[3:, 1]
+    e3 = np.cross(e1, e2)
+    delta = float(np.arctan2(u @ e1, u @ e3))
+    side = float(np.sign(np.cos(closure.leg.home[first + 1] + delta))) or 1.0
+    return Pointing(arm, e1, e2, e3, delta, side)
+
+
+def _arm(columns: Array) -> Array:
+    """Return the arm from the last axis, which it crosses at a right angle, to the tip, (3,)."""
+    return np.cross(columns[:3, -1], columns[3:, -1])
+
+
+def _points(closure: LegClosure, rod: bool) -> bool:
+    """Return whether revolute axes cross at right angles, and the arm starts where they do."""
+    columns = closure.joint_columns(np.zeros((1, len(closure.leg.moving))))[1][:, 0]
+    axes, arm = (columns[:, 1:], _arm(columns)) if rod else (columns[:, :-1], columns[:3, -1])
+    start = arm if rod else np.zeros(3)  # from the crossing to the tip; a slide is at zero
+    missed = np.abs(axes[:3].T - np.cross(axes[3:].T, start)).max()
+    skew = [] if closure.platform.space == 2 else [axes[3:, 0] @ axes[3:, 1]]
+    skew += [] if rod else [axes[3:, -1] @ arm]
+    small = _EXACT * closure.size
+    degenerate = rod and np.linalg.norm(arm) <= small
+    return bool(missed <= small and np.abs(skew).max(initial=0.0) <= _EXACT and not degenerate)
+
+
+def _in_space(closure: LegClosure, vectors: Array) -> Array:
+    """Return vectors, shape (N, 3), in the plane without their heights."""
+    return vectors if closure.platform.space == 3 else vectors * (1.0, 1.0, 0.0)
+
+
+def _turned_back(axis: Array, c: Array, s: Array, vectors: Array) -> Array:
+    """Return vectors, shape (N, 3), turned about an axis by −q, with c, s = cos q, sin q (N, 1)."""
+    across = cross(np.broadcast_to(axis, vectors.shape), vectors)
+    along = (vectors @ axis)[:, None] * axis
+    return along + c * (vectors - along) - s * across
 
 
 def wrapped(angles: Array) -> Array:

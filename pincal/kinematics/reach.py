@@ -1,9 +1,9 @@
 """Where a leg can have its tip, in closed form: a shell around a centre, cut by half-spaces.
 
-Planar dyads and universal-prismatic legs reach a platform point if its distance from the
+Planar dyads, struts and cables reach a platform point if its distance from the
 leg's centre lies between two bounds, and on the right side of planes. Stroke, elbow
 margin and the turn of a universal joint all take this form, which for many positions and
-orientations at once is a product of matrices.
+orientations at once is a product of matrices. What bars other driven rods is a shell too, and more.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from pincal.kinematics.closed_forms import (
     closed_form,
-    dyad_geometry,
-    planar_dyad,
-    universal_geometry,
+    driven_rod,
+    rod_geometry,
+    slide_geometry,
 )
 from pincal.kinematics.closure import LegClosure
 
@@ -110,55 +110,64 @@ def reach_of(closure: LegClosure, least_type1: float = 0.0) -> Reach | None:
     form = closed_form(closure)
     if form is None:
         return None
-    return (_dyad if form is planar_dyad else _universal)(closure, least_type1)
+    return (_rod if form is driven_rod else _slide)(closure, least_type1)
 
 
-def _dyad(closure: LegClosure, least_type1: float) -> Reach:
-    """Return the ring of a dyad: |cos of the elbow| ≤ √(1 − margin²)."""
-    dyad = dyad_geometry(closure)
-    exact = not any(joint.limited for joint in closure.leg.moving)
-    if closure.leg.active != [0]:  # the grip of a driven elbow is another quantity
+def _rod(closure: LegClosure, least_type1: float) -> Reach:
+    """Return the ring of a dyad: |cos of the elbow| ≤ √(1 − margin²); else a shell around it all.
+
+    In space a drive turns its rod's joint in one plane only, and a line has two ends: what is
+    beyond the shell is out of reach, what is within need not be in reach.
+    """
+    rod, leg = rod_geometry(closure), closure.leg
+    dyad = rod.axis is not None and closure.platform.space == 2
+    exact = dyad and not any(joint.limited for joint in leg.moving)
+    if leg.active != [0]:  # the grip of a driven elbow is another quantity
         exact &= least_type1 == 0.0
-        least_type1 = 0.0
-    largest = np.sqrt(1.0 - least_type1**2)
-    middle, swing = dyad.a**2 + dyad.b**2, 2 * dyad.a * dyad.b * largest
-    low, high = np.sqrt(max(middle - swing, 0.0)), np.sqrt(middle + swing)
-    point = closure.targets(np.eye(4)[None])[0]
-    centre = np.array([dyad.shoulder.real, dyad.shoulder.imag, point[2]])  # heights do not count
-    return _reach(closure, point, centre, (low, high), [], exact)
+    grip = least_type1 if dyad and leg.active == [0] else 0.0
+    if rod.axis is None:
+        first = leg.moving[0]
+        middle = rod.centre + rod.speed * (first.lower + first.upper) / 2
+        high = (first.upper - first.lower) / 2 + rod.length
+        return _reach(closure, middle, (0.0, high), [], exact)
+    squares, swing = rod.radius**2 + rod.length**2, 2 * rod.radius * rod.length
+    swing *= np.sqrt(1.0 - grip**2)
+    low, high = np.sqrt(max(squares - swing, 0.0)), np.sqrt(squares + swing)
+    return _reach(closure, rod.centre, (low, high), [], exact)
 
 
-def _universal(closure: LegClosure, least_type1: float) -> Reach:
-    """Return the shell of a universal-prismatic leg, cut by the first axis' limits."""
-    leg = closure.leg
-    form = universal_geometry(closure)
-    first, second, slide = leg.moving
+def _slide(closure: LegClosure, least_type1: float) -> Reach:
+    """Return the shell of a slide on a pointing joint, cut by the first axis' limits."""
+    form = slide_geometry(closure)
+    pointing, (first, *second, slide) = form.pointing, closure.leg.moving
     low, high = sorted((form.forth * slide.lower, form.forth * slide.upper))
     planes: list[Array] = []
     exact = least_type1 <= 1.0 - SLACK  # a slide along the leg always has full grip
+    if closure.leg.active != [len(second) + 1]:  # not so where another joint is driven
+        exact &= least_type1 == 0.0
     if first.limited:
         # with C, S = r cos q₁, r sin q₁: sin(q₁ − lower) ≥ 0 and sin(upper − q₁) ≥ 0
         exact &= first.upper - first.lower <= np.pi + SLACK
-        C, S = form.side * form.forth * form.e3, -form.side * form.forth * form.e2
+        C = pointing.side * form.forth * pointing.e3
+        S = -pointing.side * form.forth * pointing.e2
         planes = [
             S * np.cos(first.lower) - C * np.sin(first.lower),
             C * np.sin(first.upper) - S * np.cos(first.upper),
         ]
         if np.allclose(planes[0], planes[1], rtol=0.0, atol=SLACK):
             planes = planes[:1]
-    if second.limited:  # q₂ + δ lies within ± π/2 of the side's middle, give or take full turns
-        middle = 0.0 if form.side > 0 else np.pi
-        centre = (second.lower + second.upper) / 2 + form.delta
-        middle += 2 * np.pi * np.round((centre - middle) / (2 * np.pi))
-        exact &= second.lower + form.delta <= middle - np.pi / 2 + SLACK
-        exact &= second.upper + form.delta >= middle + np.pi / 2 - SLACK
-    point = closure.targets(np.eye(4)[None])[0]
-    return _reach(closure, point, form.centre, (low, high), planes if exact else [], exact)
+    for joint in second:
+        if joint.limited:  # q₂ + δ lies within ± π/2 of the side's middle, modulo full turns
+            middle = 0.0 if pointing.side > 0 else np.pi
+            centre = (joint.lower + joint.upper) / 2 + pointing.delta
+            middle += 2 * np.pi * np.round((centre - middle) / (2 * np.pi))
+            exact &= joint.lower + pointing.delta <= middle - np.pi / 2 + SLACK
+            exact &= joint.upper + pointing.delta >= middle + np.pi / 2 - SLACK
+    return _reach(closure, form.centre, (low, high), planes if exact else [], exact)
 
 
 def _reach(
     closure: LegClosure,
-    point: Array,
     centre: Array,
     distances: tuple[float, float],
     planes: list[Array],
@@ -166,6 +175,9 @@ def _reach(
 ) -> Reach:
     """Return a reach with slack for rounding errors."""
     slack = SLACK * closure.size
+    point = closure.targets(np.eye(4)[None])[0]
+    if closure.platform.space == 2:
+        centre = np.array([centre[0], centre[1], point[2]])  # heights do not count
     low, high = distances
     bounds = ((low - slack) ** 2 if low > slack else -np.inf, (high + slack) ** 2)
     normals = np.array(planes).reshape(-1, 3)

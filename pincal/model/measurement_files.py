@@ -198,6 +198,13 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     """
     platform = mechanism.platform
     way = _way(table)
+    places = platform.coordinates[: platform.units.count("m")]
+    told = [name for name in places if name in table]
+    if not partial and told and len(told) < len(places):
+        raise MeasurementError(
+            f"{table.path}: of {', '.join(places)} only {', '.join(told)}; add the others. (Poses "
+            "that were measured in part are calibrated with by --method latent)"
+        )
 
     def numbers(name: str, unit: str) -> Array:
         if partial and name not in table:
@@ -210,14 +217,14 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     names, unit = WAYS[way]
     position = np.column_stack([numbers(name, "m") for name in "xyz"])
     values = np.column_stack([numbers(name, unit) for name in names])
-    told = np.isfinite(values).all(axis=1)
+    given = np.isfinite(values).all(axis=1)
     turns = np.full((len(values), 3), np.nan)
     try:
-        rotation = rotation_of(way, values[told])
+        rotation = rotation_of(way, values[given])
     except MeasurementError as error:
         raise MeasurementError(f"{table.path}: {error}") from error
-    at = RigidTransform.from_components(np.zeros((int(told.sum()), 3)), rotation)
-    turns[told] = platform.coordinates_of(at)[:, 3:]
+    at = RigidTransform.from_components(np.zeros((int(given.sum()), 3)), rotation)
+    turns[given] = platform.coordinates_of(at)[:, 3:]
     return np.concatenate((position, turns), axis=1)
 
 

@@ -82,6 +82,14 @@ class Table:
             raise MeasurementError(
                 f"{self.path}: column {column!r} has unit [{unit}]; expected {some}"
             )
+        return self.plain(column, blank=blank) * UNITS[unit][1]
+
+    def plain(self, column: str, *, blank: bool = False) -> Array:
+        """Return the numbers of a column as they stand, shape (N,).
+
+        Raises:
+            MeasurementError: a cell is not a finite number.
+        """
         values = np.array([_number_or_nan(cell) for cell in self.text[column]])
         empty = np.array([blank and not cell.strip() for cell in self.text[column]])
         if not (np.isfinite(values) | empty).all():
@@ -90,7 +98,7 @@ class Table:
                 f"{self.path}, line {self.lines[row]}: {self.text[column][row]!r} in column "
                 f"{column!r} is not a finite number; correct it or remove the row"
             )
-        return values * UNITS[unit][1]
+        return values
 
 
 def _number_or_nan(cell: str) -> float:

@@ -6,7 +6,7 @@ from rich.console import Group, RenderableType
 
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import Measurements
-from pincal.show.tables import SHOWN, plain_table, titled
+from pincal.show.tables import SHOWN, plain_table, titled, weak_in_words
 from pincal.show.workspace_errors import WorkspaceErrors
 
 _ROWS = 20  # outliers in the table; all are in result.json
@@ -151,6 +151,8 @@ def calibration_summary(
         f"(p = {one.p_value:.2g}, {one.restrictions} parameters fewer)"
         for one in result.ties
     ]
+    if result.converged:
+        lines += weak_in_words(result.weak, result.nominal)
     if errors is not None:
         lines.append(_platform(result, errors))
     lines += trust_in_words(result)

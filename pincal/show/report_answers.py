@@ -11,6 +11,7 @@ from pincal.identification.result import CalibrationResult
 from pincal.show.calibration import noise_in_words, size_in_words
 from pincal.show.findings import Findings
 from pincal.show.markup import Element, bullets, tag
+from pincal.show.report_residuals import series_of
 from pincal.show.tables import SHOWN
 from pincal.show.workspace_errors import WorkspaceErrors
 
@@ -97,15 +98,17 @@ def _better(found: Findings, errors: WorkspaceErrors) -> Element:
     else:
         verdict = "No sign of it"
         said = "The correction is smaller than its own uncertainty."
-    legs = found.result.legs
-    unit, factor = SHOWN[legs[0].unit]
+    series = series_of(found.result)
+    alike = [one for one in series if one.unit == series[0].unit]
+    unit, factor = SHOWN[alike[0].unit]
     fell = [
-        float(np.sqrt(np.mean([getattr(leg, name) ** 2 for leg in legs])))
-        for name in ("rms_before", "rms_after")
+        np.sqrt(np.mean([(residuals**2).mean() for residuals in of]))
+        for of in ([one.before for one in alike], [one.after for one in alike])
     ]
+    whose = "all legs" if alike[0].of_leg else ", ".join(one.name for one in alike)
     rest = (
         f"At the measured poses, residuals went from {factor * fell[0]:.3g} to "
-        f"{factor * fell[1]:.3g} {unit} (root mean square, all legs)."
+        f"{factor * fell[1]:.3g} {unit} (root mean square, {whose})."
     )
     return _answer("Is it better?", verdict, said, rest)
 

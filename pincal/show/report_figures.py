@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.identification.result import LegResult
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
@@ -16,7 +14,6 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.colours import COLOURS
 from pincal.show.findings import Findings
 from pincal.show.markup import Element
-from pincal.show.markup_tables import residual_sigma
 from pincal.show.plots import (
     MARKERS,
     draw_bars,
@@ -31,8 +28,6 @@ from pincal.show.tables import SHOWN
 Array = NDArray[np.float64]
 WIDTH = 7.4  # [inch], that of A4 between its margins
 _MANY = 1500  # points from which they are drawn as pixels
-_BAD = COLOURS[1]
-_NAMED = 6  # outliers with their row written beside them
 
 
 def poses_figure(found: Findings) -> Element:
@@ -144,97 +139,6 @@ def _both(found: Findings, column: int) -> tuple[float, float]:
     if found.errors is None:
         return np.nan, np.nan
     return 1e3 * found.errors.mean_before()[column], 1e3 * found.errors.mean_after()[column]
-
-
-def residuals_figure(found: Findings) -> Element:
-    """Return residuals before and after against the row, one line of panels for each leg."""
-    legs = found.result.legs
-    with drawing():
-        drawn = Figure(figsize=(WIDTH, 0.5 + 1.25 * len(legs)), layout="constrained")
-        panels = drawn.subplots(len(legs), 2, sharex=True, sharey="col", squeeze=False)
-        for index, (leg, (left, right)) in enumerate(zip(legs, panels, strict=True)):
-            unit, factor = SHOWN[leg.unit]
-            style = {"color": COLOURS[index % len(COLOURS)], "rasterized": len(leg.rows) > _MANY}
-            marker, rows = MARKERS[index % len(MARKERS)], leg.rows + 1
-            left.plot(rows, factor * leg.residuals_before, marker, ms=3, mfc="none", **style)
-            right.plot(rows, factor * leg.residuals, marker, ms=3, **style)
-            bound = 1.96 * factor * residual_sigma(found.result, leg)
-            ends = np.stack((np.stack((rows, -bound), 1), np.stack((rows, bound), 1)), 1)
-            bars = LineCollection(list(ends), colors="0.8", lw=3, zorder=0)
-            bars.set_rasterized(len(rows) > _MANY)
-            right.add_collection(bars)
-            _mark_outliers(right, found, leg, factor)
-            left.set_ylabel(f"{leg.name} [{unit}]")
-            for axes in (left, right):
-                axes.axhline(0.0, color="0.5", lw=0.6, zorder=0)
-                axes.tick_params(labelleft=True)
-        panels[0][0].set_title("nominal parameters (before)")
-        panels[0][1].set_title("identified parameters (after)")
-        for axes in panels[-1]:
-            axes.set_xlabel("data row")
-        caption = (
-            "Residuals of each leg against the row of the measurements, before and after; the "
-            "scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: rows that "
-            "do not fit the others; crosses at the upper edge: rows that were rejected."
-        )
-        return figure(drawn, "figure-residuals", caption, caption)
-
-
-def _mark_outliers(axes: Axes, found: Findings, leg: LegResult, factor: float) -> None:
-    """Ring rows that do not fit, and name the worst."""
-    place = {int(row): i for i, row in enumerate(leg.rows)}
-    named = 0
-    for one in found.result.outliers:
-        if leg.name not in one.legs:
-            continue
-        row = one.row + 1
-        if one.row in place:
-            value = factor * float(leg.residuals[place[one.row]])
-            axes.plot(row, value, "o", ms=8, mfc="none", mec=_BAD, mew=1.2)
-            where, system = (row, value), axes.transData
-        else:
-            where, system = (row, 0.93), axes.get_xaxis_transform()
-            axes.plot(*where, "X", ms=6, color=_BAD, transform=system, clip_on=False)
-        if named < _NAMED:
-            axes.annotate(
-                str(row), where, xycoords=system, xytext=(6, 2), textcoords="offset points", size=7
-            )
-            named += 1
-
-
-def histogram_figure(found: Findings) -> Element:
-    """Return the distribution of residuals in standard deviations, against the normal one."""
-    white = np.concatenate(
-        [leg.residuals / residual_sigma(found.result, leg) for leg in found.result.legs]
-    )
-    white = white[np.isfinite(white)]
-    with drawing():
-        drawn = Figure(figsize=(WIDTH, 2.4), layout="constrained")
-        axes = drawn.subplots()
-        edge = max(4.0, float(np.ceil(np.abs(white).max(initial=0.0))))
-        shown = min(edge, 8.0)
-        bins = np.linspace(-shown, shown, int(4 * shown) + 1)
-        share = np.full(len(white), 1.0 / max(len(white), 1) / (bins[1] - bins[0]))
-        axes.hist(
-            white.clip(-shown, shown),
-            bins.tolist(),
-            weights=share,
-            color=COLOURS[5],
-            edgecolor="white",
-            label=f"{len(white)} residuals",
-        )
-        z = np.linspace(-shown, shown, 200)
-        normal = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-        axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
-        axes.set(xlabel="residual [standard deviations]", ylabel="density")
-        axes.legend(frameon=False)
-        beyond = 100 * float((np.abs(white) > 1.96).mean()) if len(white) else 0.0
-        caption = (
-            "Distribution of the residuals after the calibration, each over its standard "
-            f"deviation; {beyond:.0f} % lie beyond 1.96, 5 % or, since they were fitted, less are "
-            "expected."
-        )
-        return figure(drawn, "figure-histogram", caption, caption)
 
 
 def observability_figure(found: Findings) -> Element:

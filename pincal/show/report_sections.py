@@ -23,14 +23,13 @@ from pincal.show.markup_tables import (
 )
 from pincal.show.report_figures import (
     changes_figure,
-    histogram_figure,
     observability_figure,
     platform_figure,
     poses_figure,
-    residuals_figure,
 )
 from pincal.show.report_maps import maps_figure
-from pincal.show.tables import SHOWN
+from pincal.show.report_residuals import histogram_figure, residuals_figure
+from pincal.show.tables import SHOWN, weak_in_words
 
 _METHODS = {
     "per-leg": "each leg alone",
@@ -196,11 +195,13 @@ def observability(found: Findings) -> Element:
         for leg in found.result.legs
     ]
     caption = "Rank and condition of each leg's identification Jacobian, whitened, columns scaled"
+    weak = weak_in_words(found.result.weak, found.result.nominal)
     return section(
         "observability",
         "Observability",
         table(caption, ("leg", "rank", "condition"), rows, groups=1),
         observability_figure(found),
+        bullets(f"{line[0].upper()}{line[1:]}." for line in weak) if weak else None,
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from rich import box
 from rich.console import Group
@@ -13,12 +15,14 @@ from pincal.experiment.forecast import Forecast
 from pincal.experiment.platform_error import PlatformError
 from pincal.experiment.selection import Selection
 from pincal.experiment.simulation import Accuracy
+from pincal.experiment.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import SymmetryGroup
 
 #: Unit in which people read a quantity, and its factor from SI.
 #: How units are shown: as what, and how many of it.
 SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
+_WEAK_LINES = 3  # pairs of parameters in words
 
 
 def plain_table() -> Table:
@@ -105,6 +109,40 @@ def symmetry_table(group: SymmetryGroup, equivariance: float) -> Group:
     return titled(title, table, "\n".join(lines))
 
 
+def weak_in_words(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
+    """Return which parameters are weakly told apart, and by how much; legs alike in one line."""
+    alike: dict[tuple[str, ...], list[WeakPair]] = {}
+    for pair in pairs:
+        (leg, name), (other_leg, other) = pair.first, pair.second
+        names = (
+            (name, other) if leg == other_leg else (f"{name} of {leg}", f"{other} of {other_leg}")
+        )
+        alike.setdefault((*names, "" if leg == other_leg else leg), []).append(pair)
+    lines = [_weak_line(key[:2], own, mechanism) for key, own in alike.items()]
+    if len(lines) > _WEAK_LINES:
+        lines[_WEAK_LINES:] = [f"and {len(lines) - _WEAK_LINES} pairs more are weakly told apart"]
+    return lines
+
+
+def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
+    """Return a line on a pair of parameters, of one leg or of several; the weakest counts."""
+    worst = pairs[0]
+    legs = list(dict.fromkeys(pair.first[0] for pair in pairs))
+    every = "every leg" if len(legs) == len(mechanism.legs) > 1 else ", ".join(legs)
+    whose = f" of {every}" if worst.first[0] == worst.second[0] else ""
+    parts = []
+    for place, (leg, name) in enumerate((worst.first, worst.second)):
+        unit, factor = SHOWN[mechanism.leg(leg).units[name]]
+        parts.append(
+            f"± {factor * worst.known[place]:.3g} {unit} instead of "
+            f"{factor * worst.std[place]:.3g} for {names[place]}"
+        )
+    return (
+        f"{names[0]} and {names[1]}{whose} are weakly told apart, correlation "
+        f"{worst.correlation:+.3f}: if the other one were known, {' and '.join(parts)}"
+    )
+
+
 def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group:
     """Return what a plan will tell: standard errors by parameter and leg, and what they mean."""
     mechanism = found.mechanism
@@ -143,6 +181,7 @@ def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group
         )
     if found.lost.shape[1]:
         lines.append("— : not determined")
+    lines += weak_in_words(found.weak, mechanism)
     lines.append(
         f"platform over the workspace: {_amount(error.position, 'mm')}"
         + (f", {_amount(error.orientation, 'mrad')}" if "rad" in mechanism.platform.units else "")

@@ -1,0 +1,197 @@
+"""``pincal import`` and ``export``: files of printer firmwares and other calibration tools."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from pincal.cli.app import Force, Mech, command, output_option, remark, stdout, warn, wrote
+from pincal.errors import MeasurementError, MechanismError
+from pincal.formats.delta import DeltaPrinter, delta_printer
+from pincal.formats.figaroh import read_figaroh
+from pincal.formats.klipper import read_klipper, write_klipper
+from pincal.formats.reprap import read_reprap, write_reprap
+from pincal.kinematics.inverse import inverse
+from pincal.model.files import load_mechanism, write_mechanism
+from pincal.model.measurement_files import read_poses, write_measurements
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.model.output import refuse_existing, writing
+
+PROBING = "probing.csv"
+_SUFFIXES = {".cfg": "klipper", ".conf": "klipper", ".g": "reprap", ".gcode": "reprap"}
+
+
+class Firmware(StrEnum):
+    """Whose configuration a file is."""
+
+    klipper = "klipper"
+    reprap = "reprap"
+
+
+class Neighbour(StrEnum):
+    """Whose file it is."""
+
+    klipper = "klipper"
+    reprap = "reprap"
+    figaroh = "figaroh"
+
+
+@command("import")
+def import_(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="printer.cfg, config.g, or a table of FIGAROH's.")
+    ],
+    output: Annotated[
+        Path, output_option("OUT", "Mechanism folder; of a table: measurements, CSV.")
+    ],
+    form: Annotated[
+        Neighbour | None,
+        typer.Option("--format", help="Whose file it is, if its ending (.cfg, .g, .csv) is other."),
+    ] = None,
+    probed: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="POINTS.csv",
+            help="x, y, z of the nozzle, as the printer's firmware believed, where it touched "
+            "the bed.",
+        ),
+    ] = None,
+    mech: Annotated[
+        str | None, typer.Option(metavar="MECH", help="Mechanism that a table belongs to.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Read printer.cfg, config.g, or a table of FIGAROH's.
+
+    A delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware, become a mechanism
+    folder. Heights that DELTA_CALIBRATE saved, or points given by --probed, are written into it
+    as probing.csv: readings are the ways of the carriages down from their endstops. Calibrate with
+    'pincal calibrate OUT OUT/probing.csv --method latent'.
+    """
+    whose = form or Neighbour(_SUFFIXES.get(file.suffix.lower(), "figaroh"))
+    if whose is Neighbour.figaroh:
+        _import_table(file, mech, output, probed=probed, force=force)
+        return
+    if mech is not None:
+        raise MechanismError(f"{file} describes its own mechanism; leave out --mech {mech}")
+    refuse_existing(output, force=force, folder=True)
+    if whose is Neighbour.klipper:
+        config = read_klipper(file)
+        printer, remarks = config.printer, config.remarks
+        heights, readings = config.heights, config.readings
+    else:
+        printer, remarks = read_reprap(file), ()
+        heights, readings = np.empty(0), np.empty((0, 3))
+    name = re.sub(r"\W+", "_", output.absolute().name) or "printer"
+    mechanism = printer.mechanism(name, f"Linear delta of {file.name}.")
+    if probed is not None:
+        heights, readings = _as_probed(mechanism, probed)
+    with writing(output, force=force, folder=True) as scratch:
+        write_mechanism(mechanism, scratch)
+        if len(heights):
+            write_measurements(scratch / PROBING, mechanism, _on_bed(heights, readings))
+    stdout.print(_in_words(printer), markup=False)
+    for text in remarks:
+        warn(text)
+    wrote(output)
+    if len(heights):
+        remark(f"{len(heights)} probed points in {output / PROBING}")
+
+
+def _import_table(
+    file: Path, mech: str | None, output: Path, *, probed: Path | None, force: bool
+) -> None:
+    """Write another tool's measurements as those of a mechanism.
+
+    Raises:
+        MeasurementError: no mechanism, or points that belong to no table.
+    """
+    if mech is None:
+        raise MeasurementError(f"{file} is a table; say whose measurements they are: --mech MECH")
+    if probed is not None:
+        raise MeasurementError("--probed goes with a printer's configuration, not with a table")
+    refuse_existing(output, force=force)
+    mechanism = load_mechanism(mech)
+    data, remarks = read_figaroh(file, mechanism)
+    write_measurements(output, mechanism, data, force=force)
+    for text in remarks:
+        warn(text)
+    wrote(output)
+
+
+def _as_probed(mechanism: Mechanism, points: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights, zero, and readings at points where the nozzle touched the bed.
+
+    Raises:
+        MeasurementError: points that the printer cannot reach.
+    """
+    solution = inverse(mechanism, read_poses(points, mechanism).poses)
+    lost = np.flatnonzero(~solution.reached.all(axis=1))
+    if len(lost):
+        raise MeasurementError(
+            f"{points}: point {lost[0] + 1} is {solution.reason(int(lost[0]))}, so the firmware "
+            "cannot have believed it to be there"
+        )
+    return np.zeros(len(solution.readings)), solution.readings
+
+
+def _on_bed(heights: np.ndarray, readings: np.ndarray) -> Measurements:
+    """Return measurements of z alone."""
+    poses = np.full((len(heights), 3), np.nan)
+    poses[:, 2] = heights
+    return Measurements(poses=poses, readings=readings)
+
+
+def _in_words(printer: DeltaPrinter) -> str:
+    """Return a printer's parameters in the units of its firmware."""
+    rows = zip(
+        np.degrees(printer.angles) % 360.0,
+        1e3 * np.array(printer.arms),
+        1e3 * np.array(printer.endstops),
+        strict=True,
+    )
+    lines = [f"delta radius {1e3 * printer.radius:.4f} mm"]
+    lines += [
+        f"tower {name}: angle {angle:.4f}°, arm {arm:.4f} mm, endstop {endstop:.4f} mm"
+        for name, (angle, arm, endstop) in zip("abc", rows, strict=True)
+    ]
+    return "\n".join(lines)
+
+
+@command("export")
+def export(
+    mech: Mech,
+    output: Annotated[Path, output_option("FILE", "printer.cfg section, or M665 and M666.")],
+    form: Annotated[
+        Firmware | None,
+        typer.Option("--format", help="For which firmware, if FILE's ending (.cfg, .g) is other."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Write a delta printer for its firmware.
+
+    FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of RepRapFirmware (.g).
+    MECH may be a result of 'pincal calibrate'. What the firmware has no parameter for is said.
+    The calibrated URDFs are in the result's own folder 'mechanism'.
+    """
+    whose = form or _SUFFIXES.get(output.suffix.lower())
+    if whose is None:
+        raise MechanismError(
+            f"{output.name!r} does not say for which firmware; give it the ending .cfg (Klipper) "
+            "or .g (RepRapFirmware), or say --format"
+        )
+    refuse_existing(output, force=force)
+    found = delta_printer(load_mechanism(mech))
+    text = write_klipper(found) if whose == "klipper" else write_reprap(found)
+    with writing(output, force=force) as scratch:
+        scratch.write_text(text, encoding="utf-8")
+    stdout.print(text.rstrip(), markup=False, soft_wrap=True)
+    for one in found.remarks:
+        warn(one)
+    wrote(output)

@@ -1,0 +1,89 @@
+"""Parameters that are told apart, but weakly: pairs whose errors go together, and by how much.
+
+What it would help to know one of them is asked of the covariance: conditioned on its value, the
+other one's standard error falls. Where frames are not measured, a value tells something only as
+far as no motion of the frames can bring it about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
+_TIED = 1e6  # times better, as is none but a parameter tied to the other one
+_MOVED = 1e-9  # by a unit motion of the frames: not moved
+
+
+@dataclass(frozen=True)
+class WeakPair:
+    """Two parameters whose errors mostly compensate each other."""
+
+    first: tuple[str, str]
+    """Leg and name."""
+    second: tuple[str, str]
+    correlation: float
+    std: tuple[float, float]
+    """Standard errors of the two."""
+    known: tuple[float, float]
+    """Standard error of each if the other one were known exactly: if both are of one leg, the
+    other one of every leg."""
+
+    @property
+    def gain(self) -> float:
+        """By how many times knowing one betters the other, at most."""
+        ratios = zip(self.std, self.known, strict=True)
+        return max(std / known if known > 0.0 else np.inf for std, known in ratios)
+
+
+def weakly_told(
+    names: Sequence[tuple[str, str]], covariance: Array, gauge: Array | None = None
+) -> tuple[WeakPair, ...]:
+    """Return the pairs that are weakly told apart, the weakest first.
+
+    Args:
+        names: Leg and name of each parameter.
+        covariance: Shape (n, n). Parameters whose variance is zero, or not finite, and pairs that
+            are tied, are left out.
+        gauge: Directions that only move frames, columns of shape (n, n_gauge).
+    """
+    std = np.sqrt(np.diagonal(covariance))
+    told = np.isfinite(std) & (std > 0.0)
+    covariance = np.where(np.outer(told, told), covariance, 0.0)
+    scale = np.where(told, std, 1.0)
+    rho = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    directions = np.zeros((len(std), 0)) if gauge is None else gauge
+
+    def known(place: int, other: int) -> float:
+        whole = names[place][0] == names[other][0]
+        rows = [i for i, one in enumerate(names) if whole and one[1] == names[other][1]]
+        return _known(covariance, directions, place, [i for i in rows or [other] if told[i]])
+
+    pairs = [
+        WeakPair(
+            names[i],
+            names[j],
+            float(rho[i, j]),
+            (float(std[i]), float(std[j])),
+            (known(i, j), known(j, i)),
+        )
+        for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist()
+    ]
+    weak = [pair for pair in pairs if _WEAKLY <= pair.gain < _TIED]
+    return tuple(sorted(weak, key=lambda pair: -pair.gain))
+
+
+def _known(covariance: Array, gauge: Array, place: int, others: Sequence[int]) -> float:
+    """Return the standard error of one parameter if others were known, frames still unknown."""
+    moved = gauge[list(others)] / np.linalg.norm(gauge, axis=0)
+    axes, size, _ = np.linalg.svd(moved)
+    fixed = axes[:, int((size > _MOVED).sum()) :].T  # combinations that no frame can move
+    across = fixed @ covariance[list(others)]
+    inner = across[:, list(others)] @ fixed.T
+    gained = across[:, place] @ np.linalg.pinv(inner, hermitian=True) @ across[:, place]
+    return float(np.sqrt(max(covariance[place, place] - gained, 0.0)))

@@ -1,0 +1,1 @@
+"""Files of neighbours: firmware of printers and other calibration tools, read and written."""

@@ -1,0 +1,96 @@
+"""Measurement tables as FIGAROH has them: pose columns of a marker, and a column for each joint.
+
+Headers are ``x1, y1, z1`` and, if the marker's orientation was measured, ``phix1, phiy1, phiz1``
+(roll, pitch and yaw, R = Rz Ry Rx), then the joints' names; metres and radians, no units.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from pincal.errors import MeasurementError
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.model.table import Table, read_table
+
+Array = NDArray[np.float64]
+
+
+def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, tuple[str, ...]]:
+    """Return the measurements of a table of FIGAROH's, and remarks on columns that were left out.
+
+    A joint's column has the name of its reading (the leg's, if that has one drive) or, if only one
+    leg has a drive of that name, of the joint.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: a column that is missing or holds something else than numbers.
+    """
+    table = read_table(path)
+    columns = _Columns(table)
+    platform = mechanism.platform
+    drives = [sensor.joint for leg in mechanism.legs for sensor in leg.sensors]
+    readings = np.column_stack(
+        [
+            columns.take(name, *([] if drives.count(drive) > 1 else [drive]))
+            for name, drive in zip(mechanism.reading_names, drives, strict=True)
+        ]
+    )
+    count = len(readings)
+    poses = np.full((count, platform.dof), np.nan)
+    lengths = platform.units.count("m")
+    for place, axis in enumerate("xyz"[:lengths]):
+        if f"{axis}1" in table:
+            poses[:, place] = columns.take(f"{axis}1")
+    turns = [f"phi{axis}1" for axis in "xyz"]
+    if all(name in table for name in turns) and lengths < platform.dof:
+        angles = np.column_stack([columns.take(name) for name in turns])
+        turned = RigidTransform.from_components(
+            np.zeros((count, 3)), Rotation.from_euler("xyz", angles)
+        )
+        poses[:, lengths:] = platform.coordinates_of(turned)[:, lengths:]
+    if not np.isfinite(poses).any():
+        raise MeasurementError(
+            f"{table.path}: nothing of the platform's pose; expected columns x1, y1, z1 and, of a "
+            "platform that turns, phix1, phiy1, phiz1"
+        )
+    left = columns.left()
+    remarks = () if not left else (f"columns left out: {', '.join(left)}",)
+    return Measurements(poses=poses, readings=readings), remarks
+
+
+class _Columns:
+    """Columns of plain numbers, and which of them nobody took."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+        self._taken: set[str] = set()
+
+    def take(self, *names: str) -> Array:
+        """Return the first column of these names, shape (N,).
+
+        Raises:
+            MeasurementError: there is none, or a cell is not a finite number.
+        """
+        table = self._table
+        name = next((name for name in names if name in table), None)
+        if name is None:
+            raise MeasurementError(
+                f"{table.path}: no column {' or '.join(map(repr, names))}; the file has "
+                f"{', '.join(table.units)}"
+            )
+        if table.units[name] is not None:
+            raise MeasurementError(
+                f"{table.path}: column {name!r} has a unit, which FIGAROH's have not (m and rad); "
+                "a table of pincal's own needs no import"
+            )
+        self._taken.add(name)
+        return table.plain(name)
+
+    def left(self) -> list[str]:
+        """Return the names of the columns that were not taken."""
+        return [name for name in self._table.units if name not in self._taken]

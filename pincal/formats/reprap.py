@@ -1,0 +1,130 @@
+"""RepRapFirmware's M665 and M666: delta kinematics in lines of G-code.
+
+``M665 L333.1:333.0:332.9 R174.7 H297.1 B140 X0.1 Y-0.2 Z0`` and ``M666 X0.1 Y-0.2 Z0.1 A0 B0``:
+rods L, delta radius R, homed height H, print radius B, corrections of the towers' angles (counted
+from 210°, 330°, 90°), endstop corrections, and a tilt of the bed in percent. Lengths in mm, angles
+in degrees (``LinearDeltaKinematics.cpp``).
+"""
+
+from __future__ import annotations
+
+import re
+from math import radians
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import FileError, MechanismError
+from pincal.formats.delta import DeltaPrinter, Expressed, noted
+
+Array = NDArray[np.float64]
+_ANGLES = (210.0, 330.0, 90.0)
+_MM = 1e-3
+_COMMENT = re.compile(r";.*|\([^)]*\)")
+_COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.IGNORECASE)
+_WORD = re.compile(r"\s*([A-Z])\s*([-+.\d:\s]*)", re.IGNORECASE)
+_KNOWN = {"665": "LRHBXYZ", "666": "XYZAB"}
+
+
+def read_reprap(path: str | Path) -> DeltaPrinter:
+    """Return the delta kinematics of M665 and M666 in a file; later lines win, letter by letter.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: no M665, a letter missing or unknown, or a tilt of the bed.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise MechanismError(f"{path}: not UTF-8 text ({error.reason})") from error
+    words: dict[tuple[str, str], list[float]] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0])
+        if command:
+            own = _words(command[1], command[2], f"{path}, line {number}")
+            words |= {(command[1], letter): values for letter, values in own.items()}
+    if missing := [letter for letter in "LRH" if ("665", letter) not in words]:
+        raise MechanismError(
+            f"{path}: no M665 with {', '.join(missing)}; expected a line such as "
+            "'M665 L333.0 R174.7 H297.1'"
+        )
+
+    def value(code: str, letter: str) -> float:
+        return words.get((code, letter), [0.0])[0]
+
+    if tilted := [v for letter in "AB" if (v := value("666", letter))]:
+        raise MechanismError(
+            f"{path}: M666 tilts the bed by {tilted[0]:g} %, which a linear delta has no parameter "
+            "for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and measure anew"
+        )
+    arms = words["665", "L"]
+    if len(arms) not in (1, 3):
+        raise MechanismError(f"{path}: M665 L has {len(arms)} lengths; expected 1 or 3, by colons")
+    a, b, c = (arms * 3)[:3]
+    angles = [u + value("665", letter) for u, letter in zip(_ANGLES, "XYZ", strict=True)]
+    ends = [value("665", "H") + value("666", letter) for letter in "XYZ"]
+    try:
+        return DeltaPrinter(
+            radius=_MM * value("665", "R"),
+            angles=(radians(angles[0]), radians(angles[1]), radians(angles[2])),
+            arms=(_MM * a, _MM * b, _MM * c),
+            endstops=(_MM * ends[0], _MM * ends[1], _MM * ends[2]),
+            print_radius=_MM * value("665", "B") or None,
+        )
+    except MechanismError as error:
+        raise MechanismError(f"{path}: {error}") from error
+
+
+def _words(code: str, text: str, where: str) -> dict[str, list[float]]:
+    """Return the numbers behind each letter of a command."""
+    found = {}
+    rest = text.strip()
+    while rest:
+        match = _WORD.match(rest)
+        letter = match[1].upper() if match else ""
+        if match is None or letter not in _KNOWN[code]:
+            raise MechanismError(
+                f"{where}: {rest[:20]!r} is nothing that M{code} of RepRapFirmware takes; expected "
+                f"{', '.join(_KNOWN[code])} with numbers (other firmwares mean other things by it)"
+            )
+        try:
+            found[letter] = [float(part) for part in match[2].split(":")]
+        except ValueError:
+            raise MechanismError(
+                f"{where}: {match[0].strip()!r} of M{code} is not a letter and numbers"
+            ) from None
+        if letter != "L" and len(found[letter]) > 1:
+            raise MechanismError(f"{where}: {match[0].strip()!r} of M{code} has several numbers")
+        rest = rest[match.end() :].strip()
+    return found
+
+
+def write_reprap(found: Expressed) -> str:
+    """Return the lines M665 and M666 of a delta's parameters, to 1e-4 mm and 1e-4 degrees.
+
+    As the firmware does, the mean of the endstops is the homed height. The print radius B stays
+    as the printer has it.
+    """
+    printer = found.printer
+    endstops = np.array(printer.endstops) / _MM
+    height = round(float(endstops.mean()), 4)
+    arms = ":".join(f"{arm / _MM:.4f}" for arm in printer.arms)
+    turns = (np.degrees(printer.angles) - _ANGLES + 180.0) % 360.0 - 180.0
+    angles = _lettered(turns)
+    ends = _lettered(endstops - height)
+    lines = ["; Delta kinematics, calibrated by pincal. Put it into config.g in the place of the"]
+    lines += ["; same lines, and remove M665 and M666 from config-override.g, which would win."]
+    lines += noted(found.remarks, ";")
+    lines += [f"M665 L{arms} R{printer.radius / _MM:.4f} H{height:.4f} {angles}"]
+    lines += [f"M666 {ends} A0.00 B0.00"]
+    return "\n".join(lines) + "\n"
+
+
+def _lettered(values: Array) -> str:
+    """Return three numbers behind X, Y and Z; no zero is negative."""
+    rounded = np.round(values, 4) + 0.0
+    return " ".join(f"{k}{v:.4f}" for k, v in zip("XYZ", rounded, strict=True))
