@@ -230,6 +230,11 @@ def placed(parameters: Mapping[str, float], *coordinates: Coordinate) -> Placeme
     return Placement(coordinates).at(parameters, np.eye(4))
 
 
+def placement_of(matrix: Array) -> Placement:
+    """Return the placement, without coordinates, of a homogeneous matrix, shape (4, 4)."""
+    return Placement((), _floats(matrix[:3, 3]), _roll_pitch_yaw(matrix[:3, :3]))
+
+
 def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
     """Return roll, pitch, yaw about fixed axes, [rad], without Euler's gimbal warning.
 
