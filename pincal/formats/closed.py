@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import replace
-from os.path import commonprefix
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +128,8 @@ def _freedoms(way: Way) -> str | None:
 def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
     """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
     at = poses_at_zero(tree)
-    turning, sliding = [], []
+    turning: list[Array] = []
+    sliding: list[Array] = []
     for edge in (one.bond.edge for way in ways for one in way):
         if edge is not None:
             axis = at[edge.child][:3, :3] @ edge.joint.axis
@@ -172,7 +173,7 @@ def _in_plane(one: Limb, normal: Array, C_platform: Array) -> Limb:
             origin[:3] = C.T @ origin[:3]
             origin[:3, :3] = origin[:3, :3] @ C_child
             x, y, z = (float(v) for v in np.round(C_child.T @ joint.axis, 12))
-            joint = replace(joint, placement=placement_of(origin), axis=(x, y, z))  # noqa: PLW2901
+            joint = replace(joint, placement=placement_of(origin), axis=(x, y, z))
         joints.append(joint)
         C = C_child
     return _turned_platform(Limb(tuple(joints), one.point), C_platform)
@@ -188,17 +189,23 @@ def _turned_platform(one: Limb, C_platform: Array) -> Limb:
 
 
 def _leg_names(limbs: tuple[Limb, ...]) -> list[str]:
-    """Return what the names of each leg's joints begin with, or leg_1, leg_2, …"""
+    """Return what the names of each leg's joints begin with, or otherwise numbers."""
     names = []
     for one in limbs:
         own = [joint.name for joint in one.joints if joint.kind != "fixed"]
-        stem = commonprefix(own)
+        stem = _common(own)
         if any(len(name) > len(stem) and name[len(stem)] not in "_-./ " for name in own):
             stem = re.sub(r"[^_\-./ ]*$", "", stem)
         names.append(re.sub(r"\W", "_", stem).strip("_"))
     if len(set(names)) == len(names) and all(names) and "platform" not in names:
         return names
     return [f"leg_{index + 1}" for index in range(len(limbs))]
+
+
+def _common(names: list[str]) -> str:
+    """Return what all names begin with."""
+    alike = (set(letters) for letters in zip(*names, strict=False))
+    return names[0][: sum(1 for _ in takewhile(lambda letters: len(letters) == 1, alike))]
 
 
 def _leg(name: str, one: Limb, tree: Tree, kind: str) -> Leg:

@@ -86,8 +86,9 @@ def ways_of(tree: Tree, platform: str | None = None) -> Ways:
     else:
         meeting = [one for one in dict.fromkeys(degree) if degree[one] > 2 and one != base]
     if len(meeting) > 1:
+        places = listed(_names(tree, body, one) for one in meeting)
         raise MechanismError(
-            f"{tree.source}: ways meet in {len(meeting)} bodies ({listed(_names(tree, body, one) for one in meeting)}); "
+            f"{tree.source}: ways meet in {len(meeting)} bodies ({places}); "
             "expected one, the platform, and legs that are serial chains from the base to it. "
             "Mechanisms with loops within a leg, or two platforms, cannot be calibrated"
         )
@@ -172,7 +173,9 @@ def _walked(
         used.add(begin.name)
         while body[way[-1].ahead] != goal:
             here = body[way[-1].ahead]
-            on = [b for b in bonds if b.name not in used and here in (body[b.first], body[b.second])]
+            on = [
+                b for b in bonds if b.name not in used and here in (body[b.first], body[b.second])
+            ]
             if len(on) != 1:
                 names = ", ".join(one.bond.name for one in way)
                 raise MechanismError(

@@ -1,7 +1,7 @@
 """A way through a tree with loops as the joints of a leg, from the base to the platform.
 
-A joint that is passed from its child to its parent moves the other way; a loop that closes a point is
-a ball joint. A leg whose last joints, all passive, meet in a point of the platform (three
+A joint that is passed from its child to its parent moves the other way; a loop that closes a point
+is a ball joint. A leg whose last joints, all passive, meet in a point of the platform (three
 revolute axes; in the plane, one) closes that point; any other closes a frame.
 """
 
@@ -53,12 +53,12 @@ def chain(tree: Tree, way: Sequence[Pass], normal: Array | None) -> tuple[tuple[
                 continue
             x, y, z = joint.axis
             joints.append(replace(joint, placement=Placement(), axis=(-x, -y, -z)))
-            joints += _offset(f"{joint.name}_back", np.linalg.inv(joint.placement.origin()))
+            joints += _offset(f"{joint.name}_back", _inverse(joint.placement))
         elif loop is not None:
             spots = (loop.first, loop.second) if one.forth else (loop.second, loop.first)
             joints += _offset(f"{loop.name}_at", spots[0].placement.origin())
             joints += _ball(tree, loop.name, spots[0].link, spots[0].placement, normal)
-            joints += _offset(f"{loop.name}_back", np.linalg.inv(spots[1].placement.origin()))
+            joints += _offset(f"{loop.name}_back", _inverse(spots[1].placement))
     return tuple(joints), link
 
 
@@ -95,8 +95,8 @@ def _fixed_to(tree: Tree, link: str) -> list[tuple[str, list[Joint]]]:
         if edge.parent == link:
             found.append((edge.child, [edge.joint]))
         elif edge.child == link:
-            back = np.linalg.inv(edge.joint.placement.origin())
-            found.append((edge.parent, _offset(f"{edge.joint.name}_back", back)))
+            back = _offset(f"{edge.joint.name}_back", _inverse(edge.joint.placement))
+            found.append((edge.parent, back))
     for loop in tree.loops:
         if loop.closes != "frame":
             continue
@@ -106,6 +106,11 @@ def _fixed_to(tree: Tree, link: str) -> list[tuple[str, list[Joint]]]:
         elif loop.second.link == link:
             found.append((loop.first.link, _offset(loop.name, second @ np.linalg.inv(first))))
     return found
+
+
+def _inverse(placement: Placement) -> Array:
+    """Return the inverse of a placement, shape (4, 4)."""
+    return np.asarray(np.linalg.inv(placement.origin()))
 
 
 def _offset(name: str, matrix: Array) -> list[Joint]:
@@ -143,8 +148,10 @@ def limb(
     centre = _meeting(origins, axes) if normal is None else origins[0]
     if centre is None:
         return Limb(joints, None)
-    there = np.append(np.linalg.inv(frames[-1])[:3] @ np.append(centre, 1.0), 1.0)[:3]
-    return Limb(_to_point(joints[:place], joints[place], centre), _point(tree, end, platform, there))
+    there = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3]
+    return Limb(
+        _to_point(joints[:place], joints[place], centre), _point(tree, end, platform, there)
+    )
 
 
 def _meeting(origins: Array, axes: Array) -> Array | None:

@@ -108,9 +108,7 @@ def _edges(
     return turns(placed, parent, child, axes) if axes else (Edge(placed, parent, child),)
 
 
-def _motors(
-    wanted: list[str], edges: tuple[Edge, ...], loops: Path, urdf: Path
-) -> tuple[str, ...]:
+def _motors(wanted: list[str], edges: tuple[Edge, ...], loops: Path, urdf: Path) -> tuple[str, ...]:
     """Return the joints that ``name_mot`` means: of that name, or else with it in their names.
 
     Raises:

@@ -109,7 +109,7 @@ def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
             -np.inf,
             np.inf,
         )
-        link = child if last else f"{child}_{index + 1}_of_{joint.name}"
+        link = child if last else f"{child}_{one.name}"
         edges.append(Edge(one, edges[-1].child if edges else parent, link))
     return tuple(edges)
 

@@ -21,7 +21,7 @@ from pincal.model.platform import Platform
 Array = NDArray[np.float64]
 _STEPS = 100
 _LARGEST = 0.3  # of the size, and [rad]
-_SMALL = 1e-13
+_SMALL = 1e-12  # of the size
 _CLOSED = 1e-10  # of the size
 
 
@@ -45,6 +45,8 @@ def assembled(legs: Sequence[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform
         parts = [one.evaluate(q, pose) for one, q in zip(closures, joints, strict=True)]
         gaps = np.concatenate([part.gap[0] for part in parts])
         gap = float(np.abs(gaps).max())
+        if gap <= _SMALL * size:
+            break
         widths = [len(leg.moving) for leg in legs]
         J = np.zeros((len(gaps), free.dof + sum(widths)))
         row, column = 0, free.dof
@@ -61,8 +63,6 @@ def assembled(legs: Sequence[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform
         for q, width in zip(joints, widths, strict=True):
             q[0] += step[column : column + width]
             column += width
-        if gap <= _SMALL * size or float(np.abs(step).max()) <= _SMALL * max(1.0, size):
-            break
     if not gap <= _CLOSED * size:
         raise MechanismError(
             f"the loops do not close near the joint positions that the file draws: {gap:.3g} m "

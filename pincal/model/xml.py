@@ -38,6 +38,6 @@ def read_xml(path: Path, root: str) -> etree._Element:
     if element.tag != root:
         raise MechanismError(f"{path}: expected a <{root}> element, found <{element.tag}>")
     dtd = element.getroottree().docinfo.internalDTD
-    if dtd is not None and any(True for _ in dtd.iterentities()):
+    if dtd is not None and any(True for _ in dtd.iterentities()):  # type: ignore[union-attr]
         raise MechanismError(f"{path}: declares entities, which are not read; write them out")
     return element
