@@ -30,6 +30,7 @@ from pincal.identification.result_files import read_result
 from pincal.identification.runs import compare_runs
 from pincal.identification.trust import RunConsistency, Validation
 from pincal.identification.validation import validate
+from pincal.kinematics.arm import load_arm
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse
@@ -140,6 +141,7 @@ __all__ = [
     "indices",
     "inverse",
     "largest_inscribed",
+    "load_arm",
     "load_mechanism",
     "margins",
     "mirror",

@@ -149,9 +149,12 @@ def limb(
     if centre is None:
         return Limb(joints, None)
     there = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3]
-    return Limb(
-        _to_point(joints[:place], joints[place], centre), _point(tree, end, platform, there)
-    )
+    names = [joints[i].name for i in last[-count:]]
+    stem = names[0].removesuffix("_x")
+    ball = names == [f"{stem}_{axis}" for axis in "xyz"]
+    first = replace(joints[place], name=stem) if ball else joints[place]
+    point = _point(tree, end, platform, there)
+    return Limb(_to_point(joints[:place], first, centre), point)
 
 
 def _meeting(origins: Array, axes: Array) -> Array | None:
