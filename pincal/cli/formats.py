@@ -249,9 +249,9 @@ def export(
     other. Without it URDF (.urdf, with a .yaml beside it that closes the loops) and MJCF (.xml)
     hold the kinematics of the whole mechanism.
 
-    Of a delta printer FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of RepRapFirmware (.g).
-    MECH may be a result of 'pincal calibrate'. What the firmware has no parameter for is said.
-    The calibrated URDFs are in the result's own folder 'mechanism'.
+    Of a delta printer FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
+    RepRapFirmware (.g). What a file has no place for is said. MECH may be a result of 'pincal
+    calibrate', whose legs as URDFs are in its own folder 'mechanism'.
     """
     whose = form or _SUFFIXES.get(output.suffix.lower())
     if whose is None:

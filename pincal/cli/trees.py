@@ -83,7 +83,7 @@ def _say(mechanism: Mechanism) -> None:
     """Print what was understood: platform, legs, drives, parameters."""
     platform = mechanism.platform
     home = ", ".join(
-        f"{name} {value + 0.0:.6g} {unit}"
+        f"{name} {round(value, 9) + 0.0:.6g} {unit}"
         for name, value, unit in zip(
             platform.coordinates, platform.home, platform.units, strict=True
         )

@@ -76,8 +76,10 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
             remarks.append("planar, but not across z: the base frame was turned to have z across")
     elif not np.array_equal(C_platform, np.eye(3)):
         limbs = tuple(_turned_platform(one, C_platform) for one in limbs)
+    names = _leg_names(limbs)
+    stems = _stems(names, limbs)
     made = tuple(
-        _leg(name, one, tree, kind) for name, one in zip(_leg_names(limbs), limbs, strict=True)
+        _leg(name, one, tree, kind, own) for name, one, own in zip(names, limbs, stems, strict=True)
     )
     try:
         made, placed = assembled(_apart(made), kind)
@@ -208,22 +210,34 @@ def _common(names: list[str]) -> str:
     return names[0][: sum(1 for _ in takewhile(lambda letters: len(letters) == 1, alike))]
 
 
-def _leg(name: str, one: Limb, tree: Tree, kind: str) -> Leg:
+def _stems(names: list[str], limbs: tuple[Limb, ...]) -> list[list[str]]:
+    """Return for each leg what its moving joints' parameters begin with.
+
+    The joints' names less the leg's, if all legs have the same; else joint_1, joint_2, and so on.
+    """
+    stems = []
+    for name, one in zip(names, limbs, strict=True):
+        own = [joint.name.removeprefix(name) for joint in one.joints if joint.kind != "fixed"]
+        stems.append([re.sub(r"\W", "_", s).strip("_").removesuffix("_joint") for s in own])
+    first = stems[0]
+    if all(own == first for own in stems) and all(first) and len(set(first)) == len(first):
+        return stems
+    return [[f"joint_{index + 1}" for index in range(len(own))] for own in stems]
+
+
+def _leg(name: str, one: Limb, tree: Tree, kind: str, stems: list[str]) -> Leg:
     """Return a leg with displacements of all its joints as parameters."""
     axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
     joints = one.joints
     if joints[-1].kind != "fixed":
         joints = (*joints, Joint("tip", "fixed"))
     parameters: dict[str, float] = {}
-    placed = []
+    placed, stem_of = [], iter(stems)
     for joint in joints:
         if joint.kind == "fixed" and joint is not joints[-1]:
             placed.append(joint)
             continue
-        short = joint.name.removeprefix(name).lstrip("_-./ ").removesuffix("_joint")
-        stem = "tip" if joint is joints[-1] else re.sub(r"\W", "_", short) or "joint"
-        while f"{stem}_x" in parameters:
-            stem += "_"
+        stem = "tip" if joint is joints[-1] else next(stem_of)
         placed.append(replace(joint, placement=_displaced(joint.placement, stem, axes, parameters)))
     point = one.point or Joint("point", "fixed")
     if one.point is not None:
