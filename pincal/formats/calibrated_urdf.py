@@ -43,7 +43,7 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     """
     path = Path(original)
     urdf = _Urdf(path)
-    legs = [leg for leg in mechanism.legs if any(j.name in urdf.joints for j in leg.moving)]
+    legs = [leg for leg in mechanism.legs if any(urdf.named(j.name) for j in leg.moving)]
     if not legs:
         every = [joint.name for leg in mechanism.legs for joint in leg.moving]
         raise MechanismError(
@@ -88,6 +88,13 @@ class _Urdf:
             self.parents[joint.name] = link_of(element, "parent", path)
             self._children[joint.name] = link_of(element, "child", path)
 
+    def named(self, name: str) -> str | None:
+        """Return the joint that a joint of the mechanism is, or is an axis of; None if none."""
+        if name in self.joints:
+            return name
+        stem = re.sub(r"_[xyz]$", "", name)
+        return stem if stem in self.joints else None
+
     def before(self, name: str) -> str | None:
         """Return the joint that carries a joint's parent link; None at the root."""
         return next(
@@ -96,7 +103,7 @@ class _Urdf:
 
     def last_link(self, leg: Leg) -> str:
         """Return the link after the last of a leg's joints that the URDF has."""
-        return self._children[[j.name for j in leg.joints if j.name in self.joints][-1]]
+        return self._children[[n for n in map(self.named, (j.name for j in leg.joints)) if n][-1]]
 
     def differs(self, name: str, placement: Placement) -> bool:
         """Return whether a joint's origin is another one in the URDF."""
@@ -118,38 +125,44 @@ def _of_chain(urdf: _Urdf, leg: Leg) -> dict[str, Placement]:
     """
     origins: dict[str, Placement] = {}
     before: str | None = None
-    for place, joint in enumerate(leg.joints):
-        own = urdf.joints.get(joint.name)
-        last = place == len(leg.joints) - 1
-        if own is None:
-            held = last and leg.closes == "frame"  # see ``_of_point``
-            if joint.placement.parameter_units and not held:
+    for joint in leg.joints:
+        name = urdf.named(joint.name)
+        if name is None or name in origins:
+            held = joint is leg.joints[-1] and leg.closes == "frame"  # see ``_of_point``
+            if not held and _displaced(leg, joint):
                 raise MechanismError(
                     f"{urdf.path} has no joint {joint.name!r}, whose place was calibrated; give "
-                    "the URDF that the mechanism was made from"
+                    "the URDF that the mechanism was made from, or hold "
+                    f"{', '.join(joint.placement.parameter_units)} (--fix)"
                 )
-            before = joint.name
+            before = before if name in origins else joint.name
             continue
-        same = urdf.before(joint.name) == before or (
-            before is None and not any(j.name in origins for j in leg.joints)
-        )
-        turned = joint.kind != "fixed" and not (
-            own.kind == joint.kind and np.abs(np.subtract(own.axis, joint.axis)).max() <= _SAME
-        )
-        if not same or turned:
+        own, there = urdf.joints[name], urdf.before(name)
+        if origins and there != before:
             raise MechanismError(
-                f"{urdf.path}: joint {joint.name!r} cannot be placed: "
-                + (
-                    "its axis there is another one than in the mechanism, whose frames were turned "
-                    "on import"
-                    if same
-                    else f"it hangs on {urdf.before(joint.name)!r} there, on {before!r} in the "
-                    "mechanism"
-                )
+                f"{urdf.path}: joint {name!r} cannot be placed: it hangs on {there!r} there, on "
+                f"{before!r} in the mechanism"
             )
-        origins[joint.name] = Placement((), joint.placement.xyz, joint.placement.rpy)
-        before = joint.name
+        one_axis = joint.kind != "fixed" and name == joint.name
+        if one_axis and (
+            own.kind != joint.kind or np.abs(np.subtract(own.axis, joint.axis)).max() > _SAME
+        ):
+            raise MechanismError(
+                f"{urdf.path}: joint {name!r} cannot be placed: its axis there is another one than "
+                "in the mechanism, whose frames were turned on import"
+            )
+        origins[name] = Placement((), joint.placement.xyz, joint.placement.rpy)
+        before = name
     return origins
+
+
+def _displaced(leg: Leg, joint: Joint) -> bool:
+    """Return whether a joint's parameters have moved it from where they are all zero."""
+    own = dict.fromkeys(joint.placement.parameter_units, 0.0)
+    if not own:
+        return False
+    there = next(j for j in leg.with_parameters(own).joints if j.name == joint.name)
+    return not _is_nothing(np.linalg.inv(there.placement.origin()) @ joint.placement.origin())
 
 
 def _of_point(urdf: _Urdf, leg: Leg) -> tuple[dict[str, Placement], Array | None]:
