@@ -34,9 +34,11 @@ from pincal.formats.serial import serial_arm
 from pincal.formats.tree_mjcf import mjcf
 from pincal.formats.tree_of import tree_of
 from pincal.formats.tree_urdf import loops_urdf, loops_yaml
+from pincal.kinematics.closed_forms import closed_form, pointing_slide
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.forest import cross
 from pincal.kinematics.links import link_placements
+from pincal.kinematics.reach import reach_of
 from pincal.model.leg import Leg
 
 FAMILIES = ("5R", "3RRR", "6UPS", "3RPS", "linear_delta", "4cable")
@@ -295,8 +297,9 @@ def test_a_plane_may_lie_anywhere(tmp_path: Path) -> None:
 
 
 def test_a_hexapod_carried_by_its_first_leg(tmp_path: Path) -> None:
-    """U and S by joint_type, five points closed, motors by part of their names: readings are legs'
-    lengths less 0.8 m, and the platform's frame is the link's.
+    """Readings are the legs' lengths less 0.8 m, and the platform's frame is its link's.
+
+    U and S are joints by joint_type, five points are closed, motors meant by part of their names.
     """
     mechanism = read(hexapod(tmp_path))
     assert [leg.closes for leg in mechanism.legs] == ["point"] * 6
@@ -313,6 +316,14 @@ def test_a_hexapod_carried_by_its_first_leg(tmp_path: Path) -> None:
     lengths = np.linalg.norm(points - base, axis=2)
     solution = pincal.inverse(mechanism, poses)
     np.testing.assert_allclose(solution.readings, lengths - 0.8, atol=1e-11)
+    for leg, length in zip(mechanism.legs, lengths.T, strict=True):  # slides count from 0.8 m
+        closure = LegClosure(leg, mechanism.platform)
+        assert closed_form(closure) is pointing_slide
+        reach = reach_of(closure)
+        assert reach is not None
+        np.testing.assert_array_equal(reach.holds(matrices), (length > 0.5) & (length < 1.6))
+    far = np.array([[9.0, 9.0, 9.0, 0.0, 0.0, 0.0]])
+    assert not pincal.inverse(mechanism, far).reached.all()
 
 
 def test_a_leg_may_be_cut_anywhere(tmp_path: Path) -> None:
@@ -377,7 +388,7 @@ def test_parameters_are_all_that_closures_tell(tmp_path: Path) -> None:
 
 
 def replace_all_displacements(leg: Leg) -> Leg:
-    """Return a leg with six displacements at each joint that moves and the tip, three at the point."""
+    """Return a leg with six displacements at each joint and the tip, three at the point."""
     parameters: list[tuple[str, float]] = []
 
     def displaced(one: pincal.Joint, axes: tuple[str, ...]) -> pincal.Joint:

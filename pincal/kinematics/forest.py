@@ -108,7 +108,7 @@ class Forest:
         flat[count:, :n] = configurations[-1] if count else 0.0
         out = np.empty((blocks, 6, self.copies * self.width))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        for target, q in zip(out, padded.reshape(blocks, -1), strict=True):
+        for target, q in zip(out, padded.reshape(blocks, self.copies * self.width), strict=True):
             target[:] = evaluate(model, data, q)
         rows = out.reshape(blocks, 6, self.copies, self.width).transpose(1, 0, 2, 3)
         twists = rows.reshape(6, blocks * self.copies, self.width)[:, :count]
