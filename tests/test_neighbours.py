@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import yourdfpy
 from command_line import done, run
 from neighbours import (
     ARM,
@@ -322,8 +324,8 @@ def test_a_hexapod_carried_by_its_first_leg(tmp_path: Path) -> None:
         reach = reach_of(closure)
         assert reach is not None
         np.testing.assert_array_equal(reach.holds(matrices), (length > 0.5) & (length < 1.6))
-    far = np.array([[9.0, 9.0, 9.0, 0.0, 0.0, 0.0]])
-    assert not pincal.inverse(mechanism, far).reached.all()
+    none = closure.evaluate(np.empty((0, 3)), np.empty((0, 4, 4)))
+    assert none.gap.shape == (0, 3)
 
 
 def test_a_leg_may_be_cut_anywhere(tmp_path: Path) -> None:
@@ -649,6 +651,31 @@ def test_what_a_urdf_has_no_place_for(tmp_path: Path) -> None:
     arm = pincal.disturb(pincal.load_arm(other, "wrist_3"), 1e-3, seed=0)
     with pytest.raises(pincal.MechanismError, match="no fixed joint of the URDF is there"):
         calibrated_urdf(other, arm)
+
+
+def test_legs_of_a_folder_are_their_own_urdfs(tmp_path: Path) -> None:
+    """A leg's URDF is found by its name, or --leg; the platform's points are in its own."""
+    folder = pincal.load_mechanism("3RRR").save(tmp_path / "rrr")
+    true = pincal.disturb(pincal.load_mechanism(folder), 1e-3, seed=0)
+    true.save(tmp_path / "true")
+    for name in ("leg_1", "leg_3", "platform"):
+        made = calibrated_urdf(folder / f"{name}.urdf", true)
+        joints = origins_of(made)
+        for key, expected in origins_of((tmp_path / "true" / f"{name}.urdf").read_bytes()).items():
+            np.testing.assert_allclose(joints[key], expected, atol=1e-11)
+    (folder / "leg_2.urdf").rename(tmp_path / "mine.urdf")
+    with pytest.raises(pincal.MechanismError, match=r"say whose URDF it is \(--leg\)"):
+        calibrated_urdf(tmp_path / "mine.urdf", true)
+    expected = origins_of((tmp_path / "true" / "leg_2.urdf").read_bytes())
+    found = origins_of(calibrated_urdf(tmp_path / "mine.urdf", true, "leg_2"))
+    for key, value in expected.items():
+        np.testing.assert_allclose(found[key], value, atol=1e-11)
+
+
+def origins_of(text: bytes) -> dict[str, np.ndarray]:
+    """Return the joints' origins of a URDF by yourdfpy, (4, 4)."""
+    robot = yourdfpy.URDF.load(BytesIO(text), load_meshes=False)
+    return {name: one.origin for name, one in robot.joint_map.items()}
 
 
 def test_from_cad_urdf_to_calibrated_urdf(tmp_path: Path) -> None:

@@ -241,6 +241,10 @@ def export(
             help="Your own URDF: its joints get the calibrated origins, all else stays.",
         ),
     ] = None,
+    leg: Annotated[
+        str | None,
+        typer.Option(metavar="LEG", help="Whose URDF it is, if it is not named so."),
+    ] = None,
     force: Force = False,
 ) -> None:
     """Write a mechanism as URDF or MJCF, or a delta printer for its firmware.
@@ -260,10 +264,10 @@ def export(
             ".cfg (Klipper) or .g (RepRapFirmware), or say --format"
         )
     if whose in TREES:
-        export_tree(load_mechanism(mech), output, whose, original=original, force=force)
+        export_tree(load_mechanism(mech), output, whose, original=original, leg=leg, force=force)
         return
-    if original is not None:
-        raise MechanismError(f"--original goes with URDF, not with {whose}")
+    if original is not None or leg is not None:
+        raise MechanismError(f"--original and --leg go with URDF, not with {whose}")
     refuse_existing(output, force=force)
     found = delta_printer(load_mechanism(mech))
     text = write_klipper(found) if whose == "klipper" else write_reprap(found)

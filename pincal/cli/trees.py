@@ -14,7 +14,7 @@ from pincal.formats.loops_yaml import read_loops
 from pincal.formats.mjcf import read_mjcf
 from pincal.formats.serial import serial_arm
 from pincal.formats.tree_mjcf import mjcf
-from pincal.formats.tree_of import tree_of
+from pincal.formats.tree_of import tree_of, unwritten
 from pincal.formats.tree_urdf import loops_urdf, loops_yaml
 from pincal.kinematics.arm import load_arm
 from pincal.model.files import save_mechanism
@@ -101,7 +101,13 @@ def _say(mechanism: Mechanism) -> None:
 
 
 def export_tree(
-    mechanism: Mechanism, output: Path, whose: str, *, original: Path | None, force: bool
+    mechanism: Mechanism,
+    output: Path,
+    whose: str,
+    *,
+    original: Path | None,
+    leg: str | None,
+    force: bool,
 ) -> None:
     """Write a mechanism as URDF or MJCF, or into a copy of the user's URDF.
 
@@ -113,12 +119,16 @@ def export_tree(
     if original is not None:
         if whose != "urdf":
             raise MechanismError("--original goes with URDF, not with MJCF")
-        data = calibrated_urdf(original, mechanism)
+        data = calibrated_urdf(original, mechanism, leg)
         with writing(output, force=force) as scratch:
             scratch.write_bytes(data)
+        for line in unwritten(mechanism):
+            warn(line)
         remark(f"{_changed(original.read_bytes(), data)} lines are other than in {original}")
         wrote(output)
         return
+    if leg is not None:
+        raise MechanismError("--leg goes with --original; the whole mechanism is written")
     tree, remarks = tree_of(mechanism)
     files = {output: mjcf(tree) if whose == "mjcf" else loops_urdf(tree)}
     if whose == "urdf" and tree.loops:

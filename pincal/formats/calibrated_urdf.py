@@ -29,13 +29,15 @@ Array = NDArray[np.float64]
 _SAME = 1e-12  # of unit vectors; [m] and [rad] of origins
 
 
-def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
+def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None = None) -> bytes:
     """Return the bytes of a URDF with the origins of a calibrated mechanism's joints.
 
     Args:
-        original: The URDF whose joints the mechanism has: of an arm, of a tree with loops, or of
-            one leg of a mechanism folder.
+        original: The URDF whose joints the mechanism has: of an arm, of a tree with loops, of one
+            leg of a mechanism folder, or of its platform.
         mechanism: At its calibrated parameters.
+        leg: Whose URDF it is, if its joints are named as those of other legs; else it is the leg
+            of the file's name.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -43,20 +45,14 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     """
     path = Path(original)
     urdf = _Urdf(path)
-    legs = [leg for leg in mechanism.legs if any(urdf.named(j.name) for j in leg.moving)]
-    if not legs:
-        every = [joint.name for leg in mechanism.legs for joint in leg.moving]
-        raise MechanismError(
-            f"{path} has none of the joints {listed(every)}; give the URDF that "
-            f"{mechanism.name!r} was made from"
-        )
     origins: dict[str, Placement] = {}
     moved: list[tuple[str, Array]] = []
-    for leg in legs:
-        origins |= _of_chain(urdf, leg)
-        points, shift = _of_point(urdf, leg)
+    for one in _legs_of(urdf, mechanism, leg):
+        if any(urdf.named(joint.name) for joint in one.moving):
+            origins |= _of_chain(urdf, one)
+        points, shift = _of_point(urdf, one)
         origins |= points
-        moved += [(urdf.last_link(leg), shift)] if shift is not None else []
+        moved += [(urdf.last_link(one), shift)] if shift is not None else []
     for link, T_link_platform in moved:
         on = [name for name, one in urdf.parents.items() if one == link]
         ends = [name for name in on if urdf.joints[name].kind == "fixed"]
@@ -117,6 +113,35 @@ def _without_mimic(element: etree._Element) -> etree._Element:
     return element
 
 
+def _legs_of(urdf: _Urdf, mechanism: Mechanism, name: str | None) -> list[Leg]:
+    """Return the legs whose joints, or whose platform points, are in a URDF.
+
+    Raises:
+        MechanismError: none, or several with the same joints.
+    """
+    if name is not None:
+        return [mechanism.leg(name)]
+    legs = [leg for leg in mechanism.legs if any(urdf.named(j.name) for j in leg.moving)]
+    if not legs:
+        legs = [leg for leg in mechanism.legs if leg.point.name in urdf.joints]
+    if not legs:
+        every = [joint.name for leg in mechanism.legs for joint in leg.moving]
+        raise MechanismError(
+            f"{urdf.path} has none of the joints {listed(every)}; give the URDF that "
+            f"{mechanism.name!r} was made from"
+        )
+    names = [n for leg in legs for n in {urdf.named(j.name) for j in leg.moving} if n]
+    if len(set(names)) == len(names):
+        return legs
+    meant = [leg for leg in legs if leg.name == urdf.path.stem]
+    if not meant:
+        raise MechanismError(
+            f"{urdf.path}: {', '.join(leg.name for leg in legs)} have joints of these names; say "
+            "whose URDF it is (--leg)"
+        )
+    return meant
+
+
 def _of_chain(urdf: _Urdf, leg: Leg) -> dict[str, Placement]:
     """Return the origins of a leg's joints by name.
 
@@ -171,8 +196,9 @@ def _of_point(urdf: _Urdf, leg: Leg) -> tuple[dict[str, Placement], Array | None
     The latter is ``T_link_platform`` of the link that the leg ends with in the URDF.
     """
     last = leg.joints[-1]
+    tip = urdf.named(last.name)
     if leg.closes == "frame":
-        if last.name in urdf.joints:
+        if tip is not None:
             return {}, None
         shift = last.placement.origin()
         return {}, None if _is_nothing(shift) else shift
@@ -180,7 +206,8 @@ def _of_point(urdf: _Urdf, leg: Leg) -> tuple[dict[str, Placement], Array | None
         placement = leg.point.placement
         return {leg.point.name: Placement((), placement.xyz, placement.rpy)}, None
     own = list(leg.point.placement.parameter_units)
-    if not own:
+    carries = tip is not None and urdf.joints[tip].kind != "fixed"
+    if not own or not carries:  # the platform is in another file
         return {}, None
     nominal = leg.with_parameters(dict.fromkeys(own, 0.0)).point.placement.origin()
     shift = np.eye(4)

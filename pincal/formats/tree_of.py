@@ -7,12 +7,15 @@ A serial arm has no loop, and its tip is the platform.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pincal.errors import MechanismError
 from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, turns
+from pincal.kinematics.assembly import assembled
 from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
@@ -25,8 +28,12 @@ _FREEDOMS = {"point": "XY", "planar": "XYz", "translational": "XYZ", "spatial": 
 def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
     """Return the tree of a mechanism at its nominal parameters, and what it cannot hold, in words.
 
-    Joints keep their names if all legs' differ; else they are ``leg_joint``.
+    Joints keep their names if all legs' differ; else they are ``leg_joint``. Home closes the loops
+    if it can.
     """
+    with suppress(MechanismError):
+        closing, platform = assembled(mechanism.legs, mechanism.platform.kind)
+        mechanism = replace(mechanism, legs=closing, platform=platform)
     names = [joint.name for leg in mechanism.legs for joint in leg.joints]
     shared = len(set(names)) != len(names) or PLATFORM in names
     legs = tuple(_named(leg) if shared else leg for leg in mechanism.legs)
@@ -58,7 +65,7 @@ def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
         platform=PLATFORM,
         homed=True,
     )
-    return tree, _remarks(mechanism)
+    return tree, unwritten(mechanism)
 
 
 def _named(leg: Leg) -> Leg:
@@ -103,7 +110,7 @@ def _height(leg: Leg) -> float:
     return float(here[2, 3])
 
 
-def _remarks(mechanism: Mechanism) -> tuple[str, ...]:
+def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
     """Return what neighbours' files have no place for."""
     other = [
         leg.name
