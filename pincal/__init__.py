@@ -12,6 +12,7 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
+from pincal.experiment.configuration_choice import ConfigurationChoice, select_configurations
 from pincal.experiment.forecast import Forecast, forecast
 from pincal.experiment.observability import (
     Identifiability,
@@ -52,6 +53,7 @@ from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.model.setup import Distance, Setup, Target, read_setup
 from pincal.show.notebook import register
+from pincal.show.picture import Picture, picture
 from pincal.show.report import Report, report
 from pincal.show.view import View, view
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
@@ -70,7 +72,7 @@ from pincal.workspace.inscribed import Inscribed, largest_inscribed
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import Grid, Samples
 from pincal.workspace.region import Workspace, compute_workspace
-from pincal.workspace.sampling import sample_workspace
+from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 register()  # mechanisms and results show themselves in notebooks
 
@@ -79,6 +81,7 @@ __all__ = [
     "ArticularSymmetry",
     "Axis",
     "CalibrationResult",
+    "ConfigurationChoice",
     "Distance",
     "Element",
     "FileError",
@@ -99,6 +102,7 @@ __all__ = [
     "Noise",
     "ObservabilityError",
     "Orientations",
+    "Picture",
     "PincalError",
     "Placement",
     "Plan",
@@ -145,6 +149,7 @@ __all__ = [
     "load_mechanism",
     "margins",
     "mirror",
+    "picture",
     "placed",
     "polar",
     "r_diagonal",
@@ -155,7 +160,9 @@ __all__ = [
     "read_setup",
     "report",
     "rotations",
+    "sample_configurations",
     "sample_workspace",
+    "select_configurations",
     "select_poses",
     "simulate",
     "spherical",

@@ -1,29 +1,80 @@
-"""Errors that pincal raises on purpose: one root, each also the natural built-in."""
+"""Errors that pincal raises on purpose: one root, each also the natural built-in.
+
+``docs/errors.md`` is made of their docstrings, which say what causes them and what to do.
+"""
 
 
 class PincalError(Exception):
-    """Root of every error raised on purpose; its text says what, where, expected, what to do."""
+    """Root of every error raised on purpose; its text says what, where, expected, what to do.
+
+    What to do: read the message. ``except pincal.PincalError`` catches all of them.
+    """
 
 
 class MechanismError(PincalError, ValueError):
-    """A mechanism, leg, URDF or mechanism.yaml that cannot be used."""
+    """A mechanism, leg, URDF or mechanism.yaml that cannot be used.
+
+    Causes: a file that says something else than it should, or that disagrees with another one;
+    numbers that are none, or beyond 1e12; poses or parameters of a wrong shape; a leg that does
+    not close at home. So too a printer's configuration that is not of a delta.
+
+    What to do: correct the place that the message names (file and line, or leg and joint);
+    ``pincal check`` says whether all is well. docs/mechanism_files.md says what files may hold.
+    """
 
 
 class MeasurementError(PincalError, ValueError):
-    """A table of poses, readings or measurements that cannot be used."""
+    """A table of poses, readings or measurements that cannot be used.
+
+    Causes: a column that is missing, has no unit or the wrong one; a cell that is no number; rows
+    that cannot have been measured on this mechanism (units, signs, legs exchanged); noise, a
+    setup or a choice of what was measured that does not fit the columns.
+
+    What to do: correct the line and column that the message names. Where it says what would
+    explain the measurements, look at the machine and the tracker before the numbers.
+    docs/measuring.md says what tables may hold.
+    """
 
 
 class ObservabilityError(PincalError, ValueError):
-    """Poses that leave a parameter, or a combination of parameters, undetermined."""
+    """Poses that leave a parameter, or a combination of parameters, undetermined.
+
+    Causes: too few poses, or poses too much alike; parameters that no pose can tell apart with
+    what is measured.
+
+    What to do: choose poses by ``pincal select``, ask ``pincal identifiability`` what they tell,
+    measure more of the pose, or fix, tie or give a prior to a parameter that the message names.
+    """
 
 
 class WorkspaceError(PincalError, ValueError):
-    """A workspace that is empty or cannot be sampled as asked."""
+    """A workspace that is empty or cannot be sampled as asked.
+
+    Causes: margins or joint limits that no pose keeps; axes, steps or orientations that the
+    platform does not have; a home pose that is singular.
+
+    What to do: lower the margins or the count, correct the axis that the message names, or widen
+    the joint limits in the URDFs if the machine has others.
+    """
 
 
 class SymmetryError(PincalError, ValueError):
-    """A symmetry that the mechanism does not have."""
+    """A symmetry that the mechanism does not have.
+
+    Causes: selecting by symmetry, or generating legs, where geometry, limits, working modes or
+    sensors break it.
+
+    What to do: ``pincal symmetry`` says what breaks it and by how much; mend that, or choose
+    poses for each leg alone.
+    """
 
 
 class FileError(PincalError, OSError):
-    """A file or folder that cannot be read, or must not be overwritten."""
+    """A file or folder that cannot be read, or must not be overwritten.
+
+    Causes: it is not there, is something else (a folder, a device), may not be read or written;
+    the disk is full; or it exists and was not to be replaced.
+
+    What to do: correct the name or its rights, or say ``--force`` (``force=True``) to replace a
+    file, or a folder that pincal wrote.
+    """

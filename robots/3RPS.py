@@ -40,8 +40,8 @@ def mechanism() -> Mechanism:
     leg = Leg(
         name="leg_1",
         joints=(
-            Joint("hinge", "revolute", hinge, (0.0, 1.0, 0.0), -1.2, 1.2),
-            Joint("slide", "prismatic", Placement(), lower=0.5, upper=1.1, home=0.8),
+            Joint("hinge", "revolute", hinge, (0.0, 1.0, 0.0), -1.0, 1.0),
+            Joint("slide", "prismatic", Placement(), lower=0.68, upper=0.92, home=0.8),
             Joint("tip", "fixed", Placement()),
         ),
         point=Joint("b_1", "fixed", placed(PARAMETERS, spherical("ob", "alpha_b", "beta_b"))),

@@ -10,6 +10,7 @@ from math import acos, asin, pi, radians, sqrt
 from pathlib import Path
 
 from pincal import (
+    Element,
     Joint,
     Leg,
     Mechanism,
@@ -18,6 +19,7 @@ from pincal import (
     Sensor,
     along,
     generate,
+    mirror,
     placed,
     polar,
     rotations,
@@ -29,11 +31,13 @@ PARAMETERS = {
     "arm": 0.333,  # length of the rod [m]
     "endstop": 0.29705,  # height of the nozzle over the bed, carriages at their endstops [m]
 }
+LEGS = rotations(3)
+GROUP: tuple[Element, ...] = (*LEGS, *(mirror(pi / 6 + k * pi / 3) for k in range(3)))
 PRINT_RADIUS = 0.12  # that the limits of carriages and rods leave on the bed [m]
 
 
 def mechanism() -> Mechanism:
-    """Return the mechanism: leg 1 carried by three rotations; mirrors hold, too."""
+    """Return the mechanism: leg 1, which a mirror maps onto itself, carried by three rotations."""
     radius, arm = PARAMETERS["radius"], PARAMETERS["arm"]
     home = sqrt(arm**2 - radius**2)  # of the carriage, nozzle on the bed
     reach = radius + PRINT_RADIUS
@@ -69,7 +73,7 @@ def mechanism() -> Mechanism:
     return generate(
         "linear_delta",
         leg,
-        rotations(3),
+        LEGS,
         Platform("translational", home=(0.0, 0.0, 0.0)),
         "Linear delta printer of Klipper's example; readings: way down from the endstops.",
     )

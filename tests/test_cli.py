@@ -599,7 +599,7 @@ def test_failed_simulation_leaves_no_truth(work: Path, monkeypatch: pytest.Monke
     def fail(*_: object, **__: object) -> None:
         raise pincal.FileError("cannot write new.csv: No space left on device")
 
-    monkeypatch.setattr("pincal.cli.experiment.write_measurements", fail)
+    monkeypatch.setattr("pincal.cli.simulation.write_measurements", fail)
     outcome = run("simulate", "3RRR", "plan.csv", "--truth", "new", "-o", "new.csv")
     assert outcome.code == 2
     assert "No space left" in outcome.trouble

@@ -6,7 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
@@ -26,6 +28,18 @@ def test_example_runs(path: Path, tmp_path: Path) -> None:
     assert run.returncode == 0, run.stderr
     assert list(tmp_path.glob("*.png"))
     assert len(path.read_text().splitlines()) < 60
+
+
+@pytest.mark.slow
+def test_first_picture_of_the_readme_is_that_of_the_second_example(tmp_path: Path) -> None:
+    """What the example draws is what the README shows, but for a few pixels."""
+    folder = Path(__file__).parents[1]
+    script = str(folder / "examples" / "02_choose_poses.py")
+    subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, check=True)
+    made = imread(tmp_path / "02_poses.png")
+    shown = imread(folder / "docs" / "images" / "selected_poses.png")
+    assert made.shape == shown.shape
+    assert (np.abs(made - shown) > 0.1).any(axis=2).mean() < 2e-3
 
 
 def test_readme_example_prints_what_the_readme_says(tmp_path: Path) -> None:

@@ -470,7 +470,7 @@ def test_overlong_name_is_a_file_error(tmp_path: Path) -> None:
         pytest.param(b"", "empty", id="empty"),
         pytest.param(b"\xff\xfename", "UTF-8", id="not-utf-8"),
         pytest.param(b"[" * 100_000, "parse", id="deep"),
-        pytest.param(b"# padding\n" * 500_000, ": larger than 4 MiB", id="large"),
+        pytest.param(b"# padding\n" * 200_000, ": larger than 1 MiB", id="large"),
     ],
 )
 def test_file_that_is_no_yaml_is_refused(data: bytes, words: str, folder: Path) -> None:

@@ -274,10 +274,9 @@ def test_imported_printers_are_the_mechanisms_they_say() -> None:
 def test_what_a_firmware_cannot_hold_is_said() -> None:
     """Gains are told as way per step; other mechanisms and tilted towers are refused."""
     mechanism = pincal.load_mechanism("linear_delta")
-    legs = [
-        replace(leg, sensors=(replace(leg.sensors[0], gain=1.002),)) for leg in mechanism.legs[:1]
-    ]
-    stretched = replace(mechanism, legs=(*legs, *mechanism.legs[1:]))
+    first = mechanism.legs[0]
+    gained = replace(first, sensors=(replace(first.sensors[0], gain=1.002),))
+    stretched = replace(mechanism, legs=(gained, *mechanism.legs[1:]))
     found = delta_printer(stretched)
     assert found.gains == pytest.approx((1.002, 1.0, 1.0))
     assert "leg_1 moves 1.002000000 mm for each mm" in found.remarks[0]

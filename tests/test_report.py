@@ -237,6 +237,40 @@ def test_the_same_bytes_but_for_the_date(planar: Any) -> None:
         assert mpl.rcParams["font.size"] == 20
 
 
+def test_as_many_unknowns_as_values_prove_nothing() -> None:
+    """Eight poses for eight parameters: no χ², no boast of zero residuals, one warning for all."""
+    mechanism, data = measured("3RRR", 8)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
+    assert result.degrees_of_freedom == 0
+    page = page_of(pincal.report(result, data))
+    first = page.get_element_by_id("answers").text_content()
+    assert "as many unknowns as measured values" in first
+    assert "nan" not in page.get_element_by_id("answers").text_content()
+    assert "e-1" not in first
+    assert first.count("Yes") == 0
+    warned = [one.text_content() for one in page.xpath("//*[@id='warnings']//li")]
+    assert sum("8 poses for 8 parameters" in text for text in warned) == 1
+    assert any(text.startswith("leg_1, leg_2, leg_3: ") for text in warned)
+    assert "nan" not in result._repr_html_()
+
+
+def test_exact_readings_are_no_proof() -> None:
+    """Latent poses and exact readings: the platform's misfit is told, and only measured noise."""
+    mechanism, data = measured("3RRR", 30, pincal.Noise(1e-4, 0.0))
+    poses = data.poses.copy()
+    poses[:, 2] = np.nan
+    data = replace(data, poses=poses)
+    result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 0.0), method="latent")
+    page = page_of(pincal.report(result, data))
+    first = page.get_element_by_id("answers").text_content()
+    (x, y) = result.observed
+    assert f"x within {1e3 * x.rms:.3g} mm, y within {1e3 * y.rms:.3g} mm" in first
+    assert "residuals went" not in first
+    facts = page.get_element_by_id("measured").text_content()
+    assert "σ 0.1 mm in position, readings exact" in facts
+    assert not page.xpath("//*[@id='figure-histogram']")
+
+
 def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:
     """A fit that did not converge says so first, and shows and writes no calibrated mechanism."""
     result, data, _ = planar

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.errors import FileError, MeasurementError, PincalError
+from pincal.model.input import LARGEST
 from pincal.model.table import read_table, write_table
 
 Array = NDArray[np.float64]
 KINDS = {name: pincal.load_mechanism(name) for name in ("3RRR", "5R")}
 THREE = KINDS["3RRR"]
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
+FINITE = st.floats(-LARGEST, LARGEST)
 HEADER = "x [m],y [m],phi [rad],leg_1 [rad],leg_2 [rad],leg_3 [rad]"
 
 
@@ -33,7 +34,7 @@ def measurements(draw: st.DrawFn) -> tuple[pincal.Mechanism, pincal.Measurements
         rows = st.lists(values, min_size=count * columns, max_size=count * columns)
         return np.array(draw(rows)).reshape(count, columns)
 
-    dof, positive = mechanism.platform.dof, st.floats(0.0, allow_infinity=False)
+    dof, positive = mechanism.platform.dof, st.floats(0.0, LARGEST)
     names = st.sampled_from((*mechanism.leg_names, "all", ""))
     sets = tuple(draw(names) for _ in range(count)) if draw(st.booleans()) else None
     return mechanism, pincal.Measurements(

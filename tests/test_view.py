@@ -25,7 +25,7 @@ from pincal.show.bodies import Body, body
 from pincal.show.scene import scene
 from pincal.symmetry.domain import in_domain
 
-MECHANISMS = ["5R", "3RRR", "6UPS"]
+MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
 EVIL = "<script>alert('Ω \"é\"')</script>"
 
 
@@ -199,6 +199,7 @@ def test_view_refuses_what_it_cannot_show() -> None:
         ("0 poses", {"poses": np.empty((0, 3))}),
         ("2001 poses", {"poses": np.zeros((2001, 3))}),
         ("shape", {"poses": [[0.0, 0.0]]}),
+        ("1 of 2 poses are not whole", {"poses": [[0.0, 0.0, np.nan], home[0]]}),
         ("shape", {"poses": [0.0, 0.0, 0.0]}),
         ("shape", {"poses": home, "workspace": [[1.0]]}),
         ("other legs", {"poses": home, "identified": other}),
@@ -222,6 +223,11 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done("simulate", "3RRR", folder / "plan.csv", *noise, "-o", folder / "measured.csv")
     done("calibrate", "3RRR", folder / "measured.csv", *noise, "-o", folder / "result")
     (folder / "empty").mkdir()
+    (folder / "failed").mkdir()
+    told = json.loads((folder / "result" / "result.json").read_text("utf-8"))
+    told |= {"converged": False, "calibrated_mechanism": None}
+    (folder / "failed" / "result.json").write_text(json.dumps(told), "utf-8")
+    (folder / "header.csv").write_text("x [m],y [m],phi [rad]\n", "utf-8")
     quoted = EVIL.replace('"', '""')
     (folder / "evil.csv").write_text(f'set,x [m],y [m],phi [rad]\n"{quoted}",0,0,0\n', "utf-8")
     return folder
@@ -247,6 +253,8 @@ def test_html_holds_plan_workspace_and_result(work: Path, tmp_path: Path) -> Non
         (["3RRR", "{}/plan.csv", "{}/measured.csv"], "at most"),
         (["3RRR", "{}/empty"], "no result.json"),
         (["5R", "{}/result"], "other legs"),
+        (["3RRR", "{}/failed"], "did not converge"),
+        (["3RRR", "{}/header.csv"], "no rows"),
         (["3RRR", "{}/evil.csv"], "is no leg"),
         (["3RRR", "{}/plan.csv", "--magnify", "3"], "RESULT"),
         (["3RRR", "{}/result", "--magnify", "-3"], "above 0"),
@@ -263,6 +271,54 @@ def test_wrong_input_leaves_nothing(
     assert outcome.code == 2
     assert said in outcome.err
     assert not contents(tmp_path)
+
+
+def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: Path) -> None:
+    """Whole rows are drawn and the others told; a latent fit's result gives the poses of all."""
+    lines = (work / "measured.csv").read_text().splitlines()
+    cells = [line.split(",") for line in lines]
+    phi = [head.split()[0] for head in cells[0]].index("phi")
+    gone = [[c for i, c in enumerate(row) if i != phi] for row in cells]
+    holes = [
+        [("" if i == phi and n % 2 else c) for i, c in enumerate(r)] for n, r in enumerate(cells)
+    ]
+    for name, rows in (("gone", gone), ("holes", holes)):
+        (tmp_path / f"{name}.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+    page = tmp_path / "view.html"
+
+    outcome = done("view", "3RRR", tmp_path / "holes.csv", "--html", page)
+    assert "12 of 24 rows hold no whole pose, the first is row 1" in outcome.err
+    assert len(shown_poses(page)) == 12
+    refused = run("view", "3RRR", tmp_path / "gone.csv", "--html", page, "--force")
+    assert refused.code == 2
+    assert "no column 'phi'" in refused.err
+    assert "RESULT/poses.csv" in refused.err
+
+    fit = ["--method", "latent", "--noise-position", 1e-5, "--folds", 0]
+    done("calibrate", "3RRR", tmp_path / "gone.csv", *fit, "-o", tmp_path / "latent")
+    estimated = pincal.read_poses(
+        tmp_path / "latent" / "poses.csv", pincal.load_mechanism("3RRR")
+    ).poses
+    for files in (["gone.csv", "latent"], ["latent"], ["holes.csv", "latent"]):
+        done("view", "3RRR", *[tmp_path / name for name in files], "--html", page, "--force")
+        assert np.allclose(shown_poses(page), estimated, atol=2e-6)
+    (tmp_path / "few.csv").write_text("\n".join(",".join(row) for row in gone[:5]) + "\n")
+    refused = run(
+        "view", "3RRR", tmp_path / "few.csv", tmp_path / "latent", "--html", page, "--force"
+    )
+    assert refused.code == 2
+    assert "has 4 rows" in refused.err
+
+
+def shown_poses(page: Path) -> np.ndarray:
+    """Return the poses that a page steps through, shape (N, dof), [m] and [rad]."""
+    block = re.search(
+        r'<script type="application/json" id="data">(.*?)</script>', page.read_text("utf-8"), re.S
+    )
+    assert block
+    rows = [row for row in json.loads(block[1])["rows"] if row["group"] == "pose"]
+    factors = [{"mm": 1e-3, "°": np.pi / 180}[row["unit"]] for row in rows]
+    return np.array([row["values"] for row in rows]).T * factors
 
 
 def test_interrupt_ends_the_server() -> None:

@@ -25,8 +25,13 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 if CHROMIUM is None:
     pytest.skip("no chromium on this machine (apt-get install chromium)", allow_module_level=True)
 
-MECHANISMS = ["5R", "3RRR", "6UPS"]
-FAR = {"5R": [0.0, 3.0], "3RRR": [1.6, 0.9, 0.0], "6UPS": [0.0, 0.0, 1.2, 0.0, 0.0, 0.0]}
+MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
+FAR = {
+    "5R": [0.0, 3.0],
+    "3RRR": [1.6, 0.9, 0.0],
+    "6UPS": [0.0, 0.0, 1.2, 0.0, 0.0, 0.0],
+    "4cable": [9.0, 9.0, 9.0],
+}
 EVIL = "<script>document.title='Ω'</script><b>\"é\"'&amp;"
 _MATRICES = """(paths) => {
   const { viewer } = window.pincal;
@@ -322,3 +327,26 @@ def test_large_views_stay_small_and_quick(opened: Any, record_property: Any) -> 
     assert size < 10e6
     assert window.seconds < 30  # without a graphics card, on a busy machine
     assert steps / 100 < 0.1
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_a_telephone_shows_all_of_the_mechanism(name: str, opened: Any) -> None:
+    """Upright and narrow: pane and panel one above the other, all points and names in the pane."""
+    view = pincal.view(pincal.load_mechanism(name))
+    page = opened(view).page
+    page.set_viewport_size({"width": 390, "height": 800})
+    page.reload()
+    page.wait_for_function("() => window.pincal")
+    page.wait_for_timeout(200)
+    pane, panel = (page.locator(one).bounding_box() for one in ("main", "aside"))
+    canvas = page.locator("main canvas").first.bounding_box()
+    assert (canvas["width"], canvas["height"]) == pytest.approx((pane["width"], pane["height"]))
+    assert panel["y"] >= pane["y"] + pane["height"] - 1
+    assert panel["width"] == 390
+    points = view.scene.points()
+    assert np.abs(page.evaluate(_ON_SCREEN, points.tolist())).max() < 1
+    for tag in page.locator(".tag").all():
+        box = tag.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 390
+    assert not page.get_by_text("Open Controls").is_visible()

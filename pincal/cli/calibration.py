@@ -36,7 +36,7 @@ from pincal.model.measurement_files import read_measurements
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing
-from pincal.show.calibration import calibration_summary, calibration_tables
+from pincal.show.calibration import calibration_summary, calibration_tables, warnings_of
 from pincal.show.report import report
 
 
@@ -120,6 +120,13 @@ def calibrate(
         bool,
         typer.Option("--rough", help="The nominal mechanism is known roughly: fewer checks."),
     ] = False,
+    hold_undetermined: Annotated[
+        bool,
+        typer.Option(
+            "--hold-undetermined",
+            help="Hold what the measurements do not tell as near to nominal as can be.",
+        ),
+    ] = False,
     folds: Annotated[
         int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")
     ] = FOLDS,
@@ -148,6 +155,7 @@ def calibrate(
         "tied": tie or (),
         "priors": _priors(prior or ()),
         "rough": rough,
+        "hold_undetermined": hold_undetermined,
     }
     with working("identifying parameters") as tell:
         result = identify(mechanism, data, progress=tell, **options)
@@ -161,7 +169,7 @@ def calibrate(
         stdout.print(table)
     for line in (*calibration_summary(data, result, page.found.errors), *said):
         stdout.print(line, markup=False)
-    for text in result.warnings:
+    for text in warnings_of(result):
         warn(text)
     wrote(output)
     answer(as_json(result))

@@ -10,7 +10,8 @@ import typer
 
 from pincal.cli.app import Force, Seed, app, output_option, remember, stdout, typed, working
 from pincal.cli.calibration import calibrate
-from pincal.cli.experiment import select, simulate
+from pincal.cli.selection import select
+from pincal.cli.simulation import simulate
 from pincal.cli.workspace import workspace
 from pincal.errors import FileError
 from pincal.experiment.simulation import accuracy

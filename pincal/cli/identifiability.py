@@ -10,16 +10,23 @@ import numpy as np
 import typer
 
 from pincal.cli.app import Mech, Seed, answer, command, stdout, working
-from pincal.cli.experiment import NoiseOrientation, NoisePosition, NoiseReading
-from pincal.cli.setups import SetupFile, UnknownFrame, UnknownTarget, setup_from
+from pincal.cli.setups import (
+    Measure,
+    NoiseOrientation,
+    NoisePosition,
+    NoiseReading,
+    SetupFile,
+    UnknownFrame,
+    UnknownTarget,
+    measured_of,
+    setup_from,
+)
 from pincal.experiment.forecast import forecast
 from pincal.model.files import load_mechanism
 from pincal.model.measurement_files import read_poses
 from pincal.model.measurements import Noise
-from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 from pincal.show.tables import forecast_table
-from pincal.workspace.sampling import sample_workspace
+from pincal.workspace.sampling import sample_configurations
 
 
 @command(answers=True)
@@ -29,13 +36,7 @@ def identifiability(
         Path | None,
         typer.Argument(metavar="[PLAN.csv]", help="Poses to measure; else --count random ones."),
     ] = None,
-    measure: Annotated[
-        str,
-        typer.Option(
-            metavar="pose|position|orientation|nothing|x,y,…",
-            help="What is measured of the platform; all sensors are read at every pose.",
-        ),
-    ] = "pose",
+    measure: Measure = None,
     noise_position: NoisePosition = 1e-4,
     noise_orientation: NoiseOrientation = 1e-4,
     noise_reading: NoiseReading = 0.0,
@@ -62,16 +63,16 @@ def identifiability(
     mechanism = load_mechanism(mech)
     noise = Noise(noise_position, noise_orientation, noise_reading)
     how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)
-    measured = _measured(mechanism, measure, how)
+    measured = measured_of(mechanism, measure or "pose", how)
     if plan is not None:
-        poses = read_poses(plan, mechanism).poses
+        poses = read_poses(plan, mechanism)
     with working("sampling the workspace"):
-        over = sample_workspace(mechanism, 1000, seed)
+        over = sample_configurations(mechanism, 1000, seed)
         if plan is None:
-            poses = sample_workspace(mechanism, count, seed + 1)
+            poses = sample_configurations(mechanism, count, seed + 1)
     found = forecast(mechanism, poses, noise, measured, how)
     error = found.platform_error(over)
-    stdout.print(forecast_table(found, error, len(poses)))
+    stdout.print(forecast_table(found, error, len(poses.poses)))
     needed = None if accuracy is None else found.poses_for(accuracy, over)
     if accuracy is not None and needed is not None:
         text = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
@@ -96,18 +97,3 @@ def identifiability(
             "poses_for_accuracy": needed,
         }
     )
-
-
-def _measured(mechanism: Mechanism, measure: str, setup: Setup) -> tuple[str, ...]:
-    """Return what is measured of the platform."""
-    platform, more = mechanism.platform, tuple(setup.columns(mechanism))
-    pairs = list(zip(platform.freedoms, platform.units, strict=True))
-    named = {
-        "pose": platform.freedoms,
-        "position": tuple(name for name, unit in pairs if unit == "m"),
-        "orientation": tuple(name for name, unit in pairs if unit == "rad"),
-        "nothing": (),
-    }
-    if measure in named:
-        return (*named[measure], *more)
-    return tuple(measure.replace(" ", "").split(","))

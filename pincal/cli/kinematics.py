@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pincal.cli.app import (
     Force,
     Mech,
+    answer,
     command,
     output_option,
     remark,
@@ -31,7 +34,7 @@ from pincal.workspace.sampling import sample_workspace
 _SHOWN = 5
 
 
-@command()
+@command(answers=True)
 def inverse(
     mech: Mech,
     poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
@@ -51,9 +54,12 @@ def inverse(
     _refuse_lost(poses, [(row, solution.reason(row)) for row in lost], "pose")
     write_readings(output, mechanism, solution.readings, force=force)
     wrote(output)
+    read = mechanism.reading_names, mechanism.reading_units
+    readings = _columns(*read, solution.readings)
+    answer({"mechanism": mechanism.name, "readings": readings})
 
 
-@command()
+@command(answers=True)
 def forward(
     mech: Mech,
     readings: Annotated[Path, typer.Argument(metavar="READINGS.csv", help="leg_1 [rad], …")],
@@ -86,6 +92,22 @@ def forward(
             f"(row {row + 1}, {mechanism.leg_names[leg]})"
         )
     wrote(output)
+    platform = mechanism.platform
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "poses": _columns(platform.coordinates, platform.units, solution.poses),
+            "gaps": _columns(mechanism.leg_names, ["m"] * len(mechanism.legs), solution.gap),
+        }
+    )
+
+
+def _columns(
+    names: Sequence[str], units: Sequence[str], values: NDArray[np.float64]
+) -> dict[str, Any]:
+    """Return columns by name, with their units, for JSON."""
+    columns = zip(names, units, values.T, strict=True)
+    return {name: {"unit": unit, "values": column} for name, unit, column in columns}
 
 
 def _refuse_lost(path: Path, lost: list[tuple[int, str]], what: str) -> None:

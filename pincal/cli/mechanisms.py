@@ -7,12 +7,12 @@ import numpy as np
 from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.experiment.observability import identifiability
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import identification_jacobian
+from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.readers import tips_by_reader
 from pincal.model.files import bundled, load_mechanism
 from pincal.show.tables import parameters_table
 from pincal.symmetry.detect import symmetry_group
-from pincal.workspace.sampling import sample_workspace
+from pincal.workspace.sampling import sample_configurations
 
 
 @command(answers=True)
@@ -62,9 +62,13 @@ def check(mech: Mech) -> None:
         stdout.print(f"{leg.name}: URDF read alike by {readers} within {off:.2g} m", markup=False)
         legs.append({"name": leg.name, "home_gap": gap, "readers_differ_by": off})
     with working("sampling the workspace"):
-        poses = sample_workspace(mechanism, 500)
-    for leg, told in zip(mechanism.legs, legs, strict=True):
-        C = identification_jacobian(mechanism, leg.name, poses)
+        plan = sample_configurations(mechanism, 500)
+    for leg, told, own in zip(mechanism.legs, legs, mechanism.reading_columns, strict=True):
+        readings = None if plan.readings is None else plan.readings[:, own]
+        rows = leg_demand(mechanism, leg.name, plan.poses, readings=readings)
+        if rows.value.shape[1] == len(leg.sensors):
+            rows = rows.as_joint()
+        C = rows.parameter.reshape(-1, len(leg.parameters))
         found = identifiability(C, leg.parameter_names)
         words = "" if found.complete else f": {found.in_words(leg.name)}"
         stdout.print(

@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from pincal.cli.app import Force, Seed, command, output_option, remark, working, wrote
+from pincal.cli.app import Force, Seed, answer, command, output_option, remark, working, wrote
 from pincal.model.output import refuse_existing
 
 
-@command()
+@command(answers=True)
 def study(
     name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|all", help="Whose paper.")],
     output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
@@ -45,11 +45,21 @@ def study(
     if page is not None:
         refuse_existing(page, force=force)
     pages = {}
+    told = []
     for one, folder in zip(names, folders, strict=True):
         with working(f"study of the {one}") as tell:
             found = run_study(one, seed, quick, tell)
         found.write(folder, force=force)
         wrote(folder)
+        told.append(
+            {
+                "name": one,
+                "title": found.title,
+                "paper": found.paper,
+                "folder": str(folder),
+                "tables": found.tables,
+            }
+        )
         if page is not None:
             pages[Path(os.path.relpath(folder, page.parent)).as_posix()] = found
     if page is not None:
@@ -57,3 +67,4 @@ def study(
         wrote(page)
     else:
         remark(f"read {folders[0] / 'study.md'}")
+    answer({"studies": told})

@@ -12,6 +12,7 @@ from pincal.cli.app import (
     Force,
     Mech,
     Seed,
+    answer,
     command,
     counting,
     output_option,
@@ -20,17 +21,18 @@ from pincal.cli.app import (
     working,
     wrote,
 )
+from pincal.cli.workspace_answers import articular_answer, poses_answer, region_answer
 from pincal.errors import WorkspaceError
 from pincal.model.files import load_mechanism
 from pincal.model.measurement_files import write_poses
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing, writing
+from pincal.model.output import refuse_existing
 from pincal.model.table import write_table
 from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.axes import Axis
 from pincal.workspace.box import closer_grid, default_grid, default_samples
-from pincal.workspace.criteria import Margins
+from pincal.workspace.criteria import Margins, refuse_readings
 from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import POSITION_AXES, Positions
@@ -68,7 +70,7 @@ MarginType2 = Annotated[
 ]
 
 
-@command()
+@command(answers=True)
 def workspace(
     mech: Mech,
     output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
@@ -146,6 +148,8 @@ def workspace(
     if no_margins and (margin_type1 is not None or margin_type2 is not None):
         raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
     mechanism = load_mechanism(mech)
+    if kind != "poses":
+        refuse_readings(mechanism)
     for path in (output, picture):
         if path is not None:
             refuse_existing(path, force=force)
@@ -211,6 +215,7 @@ def _poses(
     box = zip(mechanism.platform.coordinates, poses.min(axis=0), poses.max(axis=0), strict=True)
     remark(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f}' for n, a, b in box)}")
     wrote(output)
+    answer(poses_answer(mechanism, poses))
 
 
 def _report(
@@ -229,12 +234,14 @@ def _report(
     wrote(output)
     if picture is not None:
         _draw(picture, workspace_figure(found, circle), force)
+    answer(region_answer(found, circle))
 
 
 def _draw(picture: Path, figure: Figure, force: bool) -> None:
     """Write a picture in the format of its name."""
-    with writing(picture, force=force) as scratch:
-        figure.savefig(scratch, format=picture.suffix[1:].lower(), dpi=150)
+    from pincal.show.picture_files import save_figure
+
+    save_figure(figure, picture, force=force)
     wrote(picture)
 
 
@@ -282,6 +289,7 @@ def _articular(
     wrote(output)
     if picture is not None:
         _draw(picture, articular_figure(mechanism, readings), force)
+    answer(articular_answer(mechanism, readings, checks))
 
 
 def _named(mechanism: Mechanism, orientation: Orientations) -> str:

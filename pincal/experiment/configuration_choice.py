@@ -71,7 +71,7 @@ def select_configurations(
         MeasurementError: unknown freedoms, or measurements without noise or equations.
     """
     tell = progress or (lambda _: None)
-    plan = as_plan(candidates)
+    plan = as_plan(mechanism, candidates)
     tell("looking at candidates")
     legs = legs_at(mechanism, plan)
     rows, names, kept = information_rows(

@@ -12,15 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import solve
+from pincal.kinematics.closure import LegClosure, solve
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.forward import forward
-from pincal.kinematics.inverse import inverse
+from pincal.kinematics.held import held
+from pincal.kinematics.inverse import InverseSolution, inverse, sensor_law
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_CLOSES = 0.01  # of a leg's size, where readings and poses were measured
 _ABOUT = 0.05  # of the mechanism's size, and [rad], by which configurations are moved about
 
 
@@ -51,9 +53,47 @@ class Legs:
         return -solve(by_pose, by_parameter)
 
 
-def as_plan(planned: Plan | Array) -> Plan:
-    """Return a plan, or one of bare poses, shape (N, dof)."""
-    return planned if isinstance(planned, Plan) else Plan(np.asarray(planned, dtype=np.float64))
+def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
+    """Return a plan, with readings only where poses do not tell them; or one of bare poses."""
+    if not isinstance(planned, Plan):
+        return Plan(np.asarray(planned, dtype=np.float64))
+    return Plan(planned.poses, planned.sets, planned.readings if mechanism.by_readings else None)
+
+
+def home_of(mechanism: Mechanism) -> Plan:
+    """Return the home configuration as a plan of one."""
+    home = np.array([mechanism.platform.home])
+    if not mechanism.by_readings:
+        return Plan(home)
+    readings = [
+        sensor_law(LegClosure(leg, mechanism.platform)).reading(leg.home[None, leg.active])
+        for leg in mechanism.legs
+    ]
+    return Plan(home, readings=np.concatenate(readings, axis=1))
+
+
+def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
+    """Return all joints at planned configurations: by inverse kinematics, or as readings say.
+
+    Where readings say, a leg counts as reached if it closes within a hundredth of its size, as
+    one that was measured does.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    plan = as_plan(mechanism, planned)
+    if plan.readings is None:
+        return inverse(mechanism, plan.poses)
+    matrices = mechanism.platform.transforms(plan.poses).as_matrix()
+    joints, reached = {}, []
+    for leg, own in zip(mechanism.legs, mechanism.reading_columns, strict=True):
+        closure = LegClosure(leg, mechanism.platform)
+        closed, found = held(closure, matrices, plan.readings[:, own])
+        near = np.abs(closed.gap).max(axis=1) <= _CLOSES * closure.size
+        joints[leg.name] = np.where(near[:, None], found, np.nan)
+        reached.append(near)
+    every = np.stack(reached, axis=1)
+    return InverseSolution(joints, plan.readings, every, mechanism.leg_names)
 
 
 def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
@@ -62,7 +102,7 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
     Raises:
         MechanismError: poses or readings of a wrong shape, or not finite.
     """
-    plan = as_plan(planned)
+    plan = as_plan(mechanism, planned)
     poses, readings = plan.poses, plan.readings
     found = np.ones(len(poses), dtype=bool)
     if readings is not None:
@@ -107,7 +147,7 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
     Raises:
         MechanismError: poses or readings of a wrong shape, or not finite.
     """
-    plan = as_plan(planned)
+    plan = as_plan(mechanism, planned)
     if plan.readings is not None:
         solution = forward(mechanism, plan.readings, plan.poses)
         return solution.poses, plan.readings, list(solution.reasons)
@@ -130,7 +170,11 @@ def nearby(
         size: Of the mechanism, [m].
         seed: Of the draws.
     """
-    plan, platform, rng = as_plan(planned), mechanism.platform, np.random.default_rng(seed)
+    plan, platform, rng = (
+        as_plan(mechanism, planned),
+        mechanism.platform,
+        np.random.default_rng(seed),
+    )
     rounds = -(-count // max(len(plan.poses), 1))
     poses = np.tile(plan.poses, (rounds, 1))
     if plan.readings is not None:

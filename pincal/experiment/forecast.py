@@ -131,6 +131,8 @@ def forecast(
     near = legs_at(mechanism, nearby(mechanism, plan, _GENERIC, size))
     there = platform.transforms(near.poses).as_matrix()
     gauge, lost = split_frames(platform, there, near.gain, lost[:n_legs], size)
+    if gauge.shape[1]:  # which does not count: what is lost takes no part of it
+        lost = lost - gauge @ np.linalg.lstsq(gauge, lost, rcond=None)[0]
     return Forecast(
         mechanism,
         len(legs.poses),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 Array = NDArray[np.float64]
+_NOTHING = 1e-14  # of the longest column: rounding errors of one that is zero
 _RANK_TOLERANCE = 1e-9  # of the largest singular value, columns of unit length
 
 
@@ -106,7 +107,8 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     if not n:
         return Identifiability(0, 0, 1.0, ())
     lengths = np.linalg.norm(C, axis=0)
-    scaled = C / np.where(lengths > 0.0, lengths, 1.0)
+    seen = lengths > _NOTHING * lengths.max(initial=0.0)
+    scaled = np.where(seen, C / np.where(seen, lengths, 1.0), 0.0)
     if not len(C):
         return Identifiability(0, n, np.inf, tuple((name,) for name in names))
     s = np.linalg.svd(scaled, compute_uv=False)

@@ -21,6 +21,7 @@ from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import sensor_law
 from pincal.model.files import load_mechanism
+from pincal.model.input import LARGEST
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import carry
@@ -52,9 +53,16 @@ class DeltaPrinter:
     """Radius of the bed, [m]."""
 
     def __post_init__(self) -> None:
-        numbers = (self.radius, *self.angles, *self.arms, *self.endstops)
-        if not np.isfinite(numbers).all():
-            raise MechanismError("a parameter of the printer is not a finite number")
+        printed = 1.0 if self.print_radius is None else self.print_radius
+        numbers = np.array([self.radius, *self.angles, *self.arms, *self.endstops, printed])
+        if not (np.abs(numbers) <= LARGEST).all():
+            raise MechanismError(
+                f"a parameter of the printer is not a finite number, at most {LARGEST:g} m in size"
+            )
+        if printed <= 0.0:
+            raise MechanismError(
+                f"the print radius is {1e3 * printed:g} mm; a radius above 0 is expected"
+            )
         if not 0.0 < self.radius < min(self.arms):
             raise MechanismError(
                 f"the delta radius is {1e3 * self.radius:g} mm and the shortest rod "
@@ -182,7 +190,7 @@ def _tower(closure: LegClosure) -> Array:
             "are"
         )
     rod = rod_geometry(closure)
-    up = rod.speed
+    up = rod.frame[:, 1]
     tilt = hypot(up[0], up[1])
     if tilt > _VERTICAL:
         raise MechanismError(
@@ -190,7 +198,7 @@ def _tower(closure: LegClosure) -> Array:
             "have no parameter for that"
         )
     law = sensor_law(closure)
-    gain = -float(up[2]) * float(law.slope[0])
+    gain = -float(up[2]) * law.slope[0]
     if gain <= 0.0:
         raise MechanismError(
             f"{leg.name}: its readings grow upwards; a firmware's count down from the endstop "

@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, tuple[str, ...]]:
     """Return the measurements of a table of FIGAROH's, and remarks on columns that were left out.
 
-    A joint's column has the name of its reading (the leg's, if that has one drive) or, if only one
-    leg has a drive of that name, of the joint.
+    A joint's column has the name of the reading (the leg's, if it has one drive) or, if no other
+    drive is called so, of the joint.
 
     Raises:
         FileError: the file is missing or cannot be read.

@@ -8,23 +8,26 @@ the parameters (``klippy/extras/delta_calibrate.py``). Times the way per step th
 from __future__ import annotations
 
 import configparser
+import glob
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import degrees, isfinite, radians
+from math import degrees, inf, isfinite, radians
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import MechanismError
 from pincal.formats.delta import DeltaPrinter, Expressed, Three, noted
+from pincal.model.input import LARGEST, lines_of, plain_number, read_text
 
 Array = NDArray[np.float64]
 _SAVED = "#*# "  # begins the lines of SAVE_CONFIG
 _STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 _ANGLES = (210.0, 330.0, 90.0)  # where none are given [deg]
 _MM = 1e-3
-_DEEPEST = 8  # of includes
+_LARGEST = 4 * 1024 * 1024  # bytes, of all files together
+_ONE_MORE = 4096  # bytes for which an included file counts at least
 
 
 @dataclass(frozen=True)
@@ -124,18 +127,25 @@ def _heights(config: _Config) -> tuple[Array, Array, tuple[str, ...]]:
     if not heights:
         return np.empty(0), np.empty((0, 3)), tuple(remarks)
     ways = [_MM * config.way_per_step(name) for name in _STEPPERS]
-    return np.array(heights), np.array(steps) * ways, tuple(remarks)
+    readings = np.array(steps) * ways
+    if not np.abs(np.column_stack((heights, readings))).max() <= LARGEST:
+        raise MechanismError(
+            f"{config.path}: a height of [delta_calibrate], or its steps times their way, is no "
+            f"number up to {LARGEST:g} m"
+        )
+    return np.array(heights), readings, tuple(remarks)
 
 
 class _Config:
     """Options of a configuration file, those of SAVE_CONFIG and of included files among them."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         self.remarks: list[str] = []
+        self._left = _LARGEST
         regular: list[str] = []
         saved: list[str] = []
-        for line in self._lines(path, 0):
+        for line in self._lines(path, ()):
             if line.startswith(_SAVED.rstrip()):
                 if saved or line.startswith(f"{_SAVED}["):  # behind the block's heading
                     saved.append(line[len(_SAVED) :])
@@ -143,40 +153,59 @@ class _Config:
                 regular.append(line.split("#")[0])
         self._parsers = (self._parsed(regular), self._parsed(saved))
 
-    def _lines(self, path: Path, depth: int) -> Iterator[str]:
+    def _lines(self, path: Path, above: tuple[Path, ...]) -> Iterator[str]:
         """Yield the lines of a file, those of included files in their place.
+
+        Args:
+            path: The file.
+            above: The files that include it.
 
         Raises:
             FileError: the file is missing or cannot be read.
-            MechanismError: files that include each other.
+            MechanismError: files that include each other, or too many of them.
         """
-        if depth > _DEEPEST:
-            raise MechanismError(f"{self._path}: files include each other more than {depth} deep")
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except OSError as error:
-            raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-        except UnicodeDecodeError as error:
-            raise MechanismError(f"{path}: not UTF-8 text ({error.reason})") from error
-        for line in text.splitlines():
+        text = read_text(path, _LARGEST, MechanismError, pipe=not above)
+        if path.resolve() in above:
+            raise MechanismError(f"{self.path}: files include each other, {path.name} among them")
+        if self._left < 0:
+            raise MechanismError(f"{self.path}: more is included than a configuration can be")
+        self._left -= max(len(text), _ONE_MORE)
+        for line in lines_of(text):
             bare = line.split("#")[0].strip()
             if not (bare.startswith("[include ") and bare.endswith("]")):
                 yield line
                 continue
             name = bare[len("[include ") : -1].strip()
-            found = sorted(path.parent.glob(name)) if name and not name.startswith("/") else []
+            found = self._included(path, name)
             if not found:
-                self.remarks.append(f"{name!r}, which {path.name} includes, was not found")
+                self.remarks.append(
+                    f"{name[:100]!r}, which {path.name} includes, was not found in its folder"
+                )
             for one in found:
-                yield from self._lines(one, depth + 1)
+                yield from self._lines(one, (*above, path.resolve()))
+
+    def _included(self, path: Path, name: str) -> list[Path]:
+        """Return the files that a name or pattern stands for, none outside the first file's folder.
+
+        Patterns do not lead upwards, where there may be much to search.
+        """
+        if name.startswith("/") or (".." in Path(name).parts and glob.has_magic(name)):
+            return []
+        top = self.path.resolve().parent
+        try:
+            names = sorted(glob.glob(name, root_dir=path.parent))  # noqa: PTH207
+            found = [path.parent / one for one in names]
+            return [one for one in found if one.is_file() and one.resolve().is_relative_to(top)]
+        except (OSError, ValueError):  # a name that no file can have
+            return []
 
     def _parsed(self, lines: Sequence[str]) -> configparser.RawConfigParser:
         parser = configparser.RawConfigParser(strict=False, inline_comment_prefixes=(";", "#"))
         try:
-            parser.read_string("\n".join(lines), str(self._path))
+            parser.read_string("\n".join(lines), str(self.path))
         except configparser.Error as error:
             why = str(error).splitlines()[0]
-            raise MechanismError(f"{self._path}: not a configuration of Klipper: {why}") from error
+            raise MechanismError(f"{self.path}: not a configuration of Klipper: {why}") from error
         return parser
 
     def options(self, section: str) -> set[str]:
@@ -193,7 +222,7 @@ class _Config:
             if parser.has_option(section, option):
                 return parser.get(section, option).strip()
         if default is None:
-            raise MechanismError(f"{self._path}: no option {option!r} in section [{section}]")
+            raise MechanismError(f"{self.path}: no option {option!r} in section [{section}]")
         return default
 
     def number(self, section: str, option: str, default: float | None = None) -> float:
@@ -213,13 +242,12 @@ class _Config:
             MechanismError: there is none, or it is something else.
         """
         text = self.text(section, option)
-        try:
-            values = [float(part) for part in text.split(",")]
-        except ValueError:
-            values = []
+        values = [plain_number(part) for part in text.split(",")]
         if len(values) != count or not np.isfinite(values).all():
             what = "a finite number" if count == 1 else f"{count} finite numbers"
-            raise MechanismError(f"{self._path}: [{section}] {option} is {text!r}; expected {what}")
+            raise MechanismError(
+                f"{self.path}: [{section}] {option} is {text[:100]!r}; expected {what}"
+            )
         return values
 
     def way_per_step(self, stepper: str) -> float:
@@ -234,18 +262,18 @@ class _Config:
         for pair in self.text(stepper, "gear_ratio", "").split(","):
             if pair.strip():
                 try:
-                    driven, driving = (float(part) for part in pair.split(":"))
+                    driven, driving = (plain_number(part) for part in pair.split(":"))
                     gearing *= driven / driving
                 except (ValueError, ZeroDivisionError):
                     raise MechanismError(
-                        f"{self._path}: [{stepper}] gear_ratio is {pair.strip()!r}; expected "
+                        f"{self.path}: [{stepper}] gear_ratio is {pair.strip()!r}; expected "
                         "two numbers, such as 3:1"
                     ) from None
         steps = self.number(stepper, "full_steps_per_rotation", 200.0)
         per_turn = steps * self.number(stepper, "microsteps") * gearing
         way = self.number(stepper, "rotation_distance") / per_turn if per_turn else np.nan
-        if not way > 0.0:
-            raise MechanismError(f"{self._path}: [{stepper}] has no way per step above zero")
+        if not 0.0 < way < inf:
+            raise MechanismError(f"{self.path}: [{stepper}] has no way per step above zero")
         return way
 
 

@@ -15,15 +15,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import MechanismError
 from pincal.formats.delta import DeltaPrinter, Expressed, noted
+from pincal.model.input import lines_of, plain_number, read_text
 
 Array = NDArray[np.float64]
 _ANGLES = (210.0, 330.0, 90.0)
 _MM = 1e-3
-_COMMENT = re.compile(r";.*|\([^)]*\)")
-_COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.IGNORECASE)
-_WORD = re.compile(r"\s*([A-Z])\s*([-+.\d:\s]*)", re.IGNORECASE)
+_LARGEST = 4 * 1024 * 1024  # bytes
+_COMMENT = re.compile(r";.*|\([^)]*(?:\)|$)")
+_COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.I | re.A)
+_WORD = re.compile(r"\s*([A-Z])\s*([-+.\d:\s]*)", re.I | re.A)
 _KNOWN = {"665": "LRHBXYZ", "666": "XYZAB"}
 
 
@@ -35,14 +37,9 @@ def read_reprap(path: str | Path) -> DeltaPrinter:
         MechanismError: no M665, a letter missing or unknown, or a tilt of the bed.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise MechanismError(f"{path}: not UTF-8 text ({error.reason})") from error
+    text = read_text(path, _LARGEST, MechanismError, pipe=True)
     words: dict[tuple[str, str], list[float]] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(lines_of(text), start=1):
         command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0])
         if command:
             own = _words(command[1], command[2], f"{path}, line {number}")
@@ -81,25 +78,24 @@ def read_reprap(path: str | Path) -> DeltaPrinter:
 
 def _words(code: str, text: str, where: str) -> dict[str, list[float]]:
     """Return the numbers behind each letter of a command."""
-    found = {}
-    rest = text.strip()
-    while rest:
-        match = _WORD.match(rest)
+    found: dict[str, list[float]] = {}
+    text, place = text.strip(), 0
+    while place < len(text):
+        match = _WORD.match(text, place)
         letter = match[1].upper() if match else ""
         if match is None or letter not in _KNOWN[code]:
             raise MechanismError(
-                f"{where}: {rest[:20]!r} is nothing that M{code} of RepRapFirmware takes; expected "
-                f"{', '.join(_KNOWN[code])} with numbers (other firmwares mean other things by it)"
+                f"{where}: {text[place : place + 20]!r} is nothing that M{code} of RepRapFirmware "
+                f"takes; expected {', '.join(_KNOWN[code])} with numbers (other firmwares mean "
+                "other things by it)"
             )
-        try:
-            found[letter] = [float(part) for part in match[2].split(":")]
-        except ValueError:
-            raise MechanismError(
-                f"{where}: {match[0].strip()!r} of M{code} is not a letter and numbers"
-            ) from None
+        word = match[0].strip()[:100]
+        found[letter] = [plain_number(part) for part in match[2].split(":")]
+        if not np.isfinite(found[letter]).all():
+            raise MechanismError(f"{where}: {word!r} of M{code} is not a letter and numbers")
         if letter != "L" and len(found[letter]) > 1:
-            raise MechanismError(f"{where}: {match[0].strip()!r} of M{code} has several numbers")
-        rest = rest[match.end() :].strip()
+            raise MechanismError(f"{where}: {word!r} of M{code} has several numbers")
+        place = match.end()
     return found
 
 

@@ -140,6 +140,11 @@ def calibration_task(
             )
     if method == "latent" and residual != "closure":
         raise MeasurementError("latent poses take the closure residual; leave out the other")
+    if residual == "joint" and mechanism.by_readings:
+        raise MeasurementError(
+            f"readings of {mechanism.name!r} do not follow from its poses, so there is no joint "
+            "residual; take the closure residual (--residual closure)"
+        )
     if noise is not None:
         check_noise(mechanism, noise)
     return Task(

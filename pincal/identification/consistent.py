@@ -70,7 +70,9 @@ def consistent(
     platform = mechanism.platform
     start = problem.start(unknowns.start[: problem.columns[-1].stop])
     size = largest_size(problem.legs, platform)
-    chosen = np.arange(len(start.matrices))[: _ROWS if generic else None]
+    chosen = np.arange(len(start.matrices))
+    if generic:  # the same ones in whatever order rows were measured
+        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *problem.readings.T))[:_ROWS]
     planned = Plan(
         platform.from_matrices(start.matrices[chosen]),
         readings=problem.readings[chosen] if mechanism.by_readings else None,

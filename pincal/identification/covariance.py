@@ -12,9 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.identification.estimate import Estimate
 from pincal.identification.fit import Fit, inverse_gram
 from pincal.identification.gauge import Gauge
 from pincal.identification.robust import Robust
+from pincal.identification.task import Task
 from pincal.identification.unknowns import Unknowns
 from pincal.model.mechanism import Mechanism
 
@@ -80,3 +82,15 @@ def nearest_to_nominal(covariance: Array, gauge: Gauge, unknowns: Unknowns) -> t
     follows = along @ amounts
     P = np.eye(n) - follows[:n]
     return P @ covariance @ P.T, follows[n:] @ covariance @ follows[n:].T
+
+
+def covariances(task: Task, estimate: Estimate) -> tuple[Array, Array | None]:
+    """Return the covariance of all legs' parameters, and of the external unknowns' steps."""
+    n = sum(len(leg.parameters) for leg in task.mechanism.legs)
+    if estimate.latent is not None:
+        full = estimate.fits[0].fit.covariance
+        return full[:n, :n], full[n:, n:]
+    covariance = all_legs(task.mechanism, estimate.fits)
+    if estimate.gauge is None or estimate.unknowns is None:
+        return covariance, None
+    return nearest_to_nominal(covariance, estimate.gauge, estimate.unknowns)

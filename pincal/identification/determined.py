@@ -46,7 +46,7 @@ def check_rank(problem: Problem, unknowns: Unknowns, linear: Linear) -> list[tup
             f"the measured poses leave parameters undetermined: {all_.in_words()} "
             f"(rank {all_.rank} of {all_.n_params}). Measure poses that tell them apart, fix "
             "one of them, make it a constant in mechanism.yaml, or hold what is not told as near "
-            "to nominal as can be (--hold-undetermined)"
+            "to nominal as can be (--method latent --hold-undetermined)"
         )
     own = (
         identifiability(J[:, columns], leg.parameter_names)

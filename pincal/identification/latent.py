@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.experiment.elimination import Eliminated, eliminate
 from pincal.experiment.observation import Observation
-from pincal.identification.problem import (
-    LegRows,
-    Linear,
-    State,
+from pincal.identification.exactness import least_sigmas
+from pincal.identification.problem import LegRows, Linear, State
+from pincal.identification.residuals import LegResidual
+from pincal.identification.stacking import (
     by_readings,
     joined_units,
     leg_columns,
     leg_readings,
     leg_rows,
 )
-from pincal.identification.residuals import LegResidual
 from pincal.kinematics.closure import LegClosure, product
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.inverse import inverse, sensor_law
@@ -35,7 +34,6 @@ from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_EXACT = 1e-3  # of the typical standard deviation: that of what is given as exact
 
 
 @dataclass(frozen=True)
@@ -314,9 +312,18 @@ class LatentPoses:
         """
         sigmas = [self.sigma_readings[:, own] for own in self._readings]
         own = [by_readings(demand, s) for demand, s in zip(demands, sigmas, strict=True)]
-        by_reading = np.concatenate([np.linalg.norm(d.reading, axis=2) for d in demands], axis=1)
+        by_reading = np.concatenate([np.linalg.norm(d.reading, axis=1) for d in demands], axis=1)
         legs = np.concatenate([np.sqrt(np.einsum("nkk->nk", one)) for one in own], axis=1)
-        floors, sigma_seen = self._floors(by_reading, legs)
+        floors, sigma_seen = least_sigmas(
+            by_reading,
+            legs,
+            np.repeat(self.used, self._widths, axis=1),
+            self.sigma_observed,
+            self.observation.measured,
+            self._noisy,
+            np.array([unit == "m" for unit in self.observation.units], dtype=bool),
+            eased=self._eased,
+        )
         whiteners: list[Array] = []
         for index, (covariance, rows) in enumerate(zip(own, self._rows, strict=True)):
             k = covariance.shape[1]
@@ -325,44 +332,3 @@ class LatentPoses:
             W = 1.0 / root if k == 1 else np.linalg.inv(root)
             whiteners.append(np.asarray(self.used[:, index, None, None] * W))
         return whiteners, sigma_seen
-
-    def _floors(self, by_reading: Array, legs: Array) -> tuple[Array, Array]:
-        """Return least standard deviations of the legs' rows [m], those of observed quantities.
-
-        What is given as exact counts as a thousand times better than what is typical.
-
-        Args:
-            by_reading: How the legs' rows follow their readings, shape (N, K).
-            legs: Standard deviations of the rows by their readings' noise, shape (N, K).
-
-        Raises:
-            MeasurementError: nothing has noise.
-        """
-        used = np.repeat(self.used, self._widths, axis=1)
-        seen = self.observation.measured
-        lengths = np.array([unit == "m" for unit in self.observation.units], dtype=bool)
-        size = float(np.median(np.abs(by_reading)))  # [m/rad] or 1
-        sigma = self.sigma_observed
-        noisy = self._noisy
-        own = [sigma[:, lengths][noisy[:, lengths]], size * sigma[:, ~lengths][noisy[:, ~lengths]]]
-        known = next(
-            (v for v in (own[0], legs[used & (legs > 0.0)], own[1]) if len(v)), np.zeros(0)
-        )
-        if not len(known):
-            raise MeasurementError(
-                "nothing that was measured has noise; give a standard deviation above zero for "
-                "positions or readings (only their ratios matter to the estimate)"
-            )
-        typical = float(np.median(known))
-        if self._eased:
-            floor = np.where(lengths, typical, typical / size)
-            every = np.full(legs.shape, typical)
-            return every, np.where(seen, np.maximum(sigma, floor), 1.0)
-        noisy_legs = legs[used & (legs > 0.0)]
-        small = _EXACT * float(np.median(noisy_legs)) if len(noisy_legs) else 0.0
-        least = _EXACT * typical
-        exact = np.where(lengths, least, least / size)
-        return (
-            np.where(legs > 0.0, small, least),
-            np.where(seen, np.where(sigma > 0.0, sigma, exact), 1.0),
-        )

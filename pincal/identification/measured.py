@@ -183,12 +183,13 @@ def _check_counts(task: Task) -> None:
     for leg, count in zip(task.mechanism.legs, task.used.sum(axis=0), strict=True):
         own = unknowns.part([leg.name])
         n = own.map.shape[1] - int(np.isfinite(own.priors).sum())
-        least = n if task.noise.known else n + 1
+        equations = len(task.mechanism.platform.closing(leg.closes)) - len(leg.passive)
+        least = -(-(n if task.noise.known else n + 1) // equations)
         if count < least:
             why = "" if task.noise.known else " and the scale of the noise"
             raise ObservabilityError(
                 f"{leg.name}: {count} measured poses for {n} parameters{why}; at least {least} are "
-                f"needed, {2 * n} or more advised"
+                f"needed, {2 * least} or more advised"
                 + ("" if task.every_pose else ". --poses all uses every pose for every leg")
             )
 

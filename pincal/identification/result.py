@@ -69,6 +69,11 @@ class LegResult:
     """Residuals with identified parameters, shape (n_residuals,)."""
 
     @property
+    def n_poses(self) -> int:
+        """Number of poses that served the leg."""
+        return len(np.unique(self.rows))
+
+    @property
     def identified(self) -> Array:
         """Identified values, shape (n_params,)."""
         return np.array([p.identified for p in self.parameters])

@@ -9,15 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import pincal.model.output as output
-from pincal.errors import FileError, MeasurementError
+from pincal.errors import MeasurementError
 from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult, Page
 from pincal.identification.trust import RunConsistency
+from pincal.model.input import read_text
 from pincal.model.measurement_files import write_poses
 from pincal.model.measurements import Plan
 from pincal.model.table import write_table
 
 FORMAT = 1
 MECHANISM = "mechanism"
+_LARGEST = 256 * 1024 * 1024  # bytes
 
 
 def save_result(
@@ -146,6 +148,22 @@ def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:40]} is not a finite number")
+    return value
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ValueError(f"{name[:40]!r} appears twice")
+        found[name] = value
+    return found
+
+
 def read_result(folder: str | Path) -> dict[str, Any]:
     """Return the contents of a result folder's ``result.json``.
 
@@ -154,12 +172,13 @@ def read_result(folder: str | Path) -> dict[str, Any]:
         MeasurementError: not a result of pincal, or of an unknown version.
     """
     path = Path(folder) / "result.json"
+    text = read_text(path, _LARGEST, MeasurementError)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise MeasurementError(f"{path}: not JSON: {error}") from error
+        data = json.loads(
+            text, parse_float=_finite, parse_constant=_finite, object_pairs_hook=_once
+        )
+    except (ValueError, RecursionError) as error:
+        raise MeasurementError(f"{path}: not JSON as pincal writes it: {error}") from error
     if not isinstance(data, dict) or data.get("pincal_result") != FORMAT:
         raise MeasurementError(f"{path}: not a result of pincal in format {FORMAT}")
     return data

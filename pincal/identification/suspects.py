@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ class Suspect:
 
 
 def single_faults(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Suspect]:
-    """Yield signs, units, frames and directions of orientation, one wrong at a time."""
+    """Yield signs, orders, units, frames and directions of orientation, one wrong at a time."""
     yield Suspect(
         "{readings} have the other sign",
         "Change their sign, or the sensor's 'direction' in mechanism.yaml",
@@ -65,6 +65,7 @@ def single_faults(mechanism: Mechanism, poses: Array, readings: Array) -> Iterat
         -readings,
         by_leg=True,
     )
+    yield from _of_one_leg(mechanism, poses, readings)
     yield from (suspect for faults, suspect in _units(mechanism, poses, readings) if faults == 1)
     yield from mirrored(mechanism, poses, readings)
     platform = mechanism.platform
@@ -85,6 +86,31 @@ def single_faults(mechanism: Mechanism, poses: Array, readings: Array) -> Iterat
         _poses(mechanism, back, turns),
         readings,
     )
+
+
+def _of_one_leg(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Suspect]:
+    """Yield one reading's sign, and two columns exchanged, of legs with several sensors."""
+    names = mechanism.reading_names
+    for own in mechanism.reading_columns:
+        columns = range(own.start, own.stop)
+        for one in columns if len(columns) > 1 else ():
+            signs = np.ones(len(names))
+            signs[one] = -1.0
+            yield Suspect(
+                f"{names[one]} has the other sign",
+                "Change its sign, or the sensor's 'direction' in mechanism.yaml",
+                poses,
+                readings * signs,
+            )
+        for one, other in combinations(columns, 2):
+            order = np.arange(len(names))
+            order[[one, other]] = other, one
+            yield Suspect(
+                f"{names[one]} and {names[other]} are exchanged",
+                "Correct the order of columns",
+                poses,
+                readings[:, order],
+            )
 
 
 def several_units(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Suspect]:

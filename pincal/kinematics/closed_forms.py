@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.forest import cross
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -69,12 +68,16 @@ class Pointing:
     side: float
     """Sign of cos(q₂ + δ) at home: of the two ways of pointing somewhere, which is meant."""
 
-    def angles(self, u: Array) -> Array:
-        """Return the joint's angles when it points along unit vectors (N, 3), shape (N, 1 or 2)."""
-        along, across, up = u @ self.e1, u @ self.e2, u @ self.e3
-        q1 = np.arctan2(-self.side * across, self.side * up)
-        q2 = np.arctan2(along, self.side * np.hypot(across, up)) - self.delta
-        return np.stack((q1, q2), axis=1)
+    universal: bool = True
+
+    def angles(self, vectors: Array) -> list[Array]:
+        """Return the joint's angles when it points along vectors (N, 3), one or two, (N,) each."""
+        across, up = self.side * (vectors @ self.e2), self.side * (vectors @ self.e3)
+        q1 = np.arctan2(-across, up)
+        if not self.universal:
+            return [q1]
+        q2 = np.arctan2(vectors @ self.e1, self.side * np.hypot(across, up)) - self.delta
+        return [q1, q2]
 
 
 def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
@@ -85,11 +88,9 @@ def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
     leg, form = closure.leg, slide_geometry(closure)
     arm = _in_space(closure, targets - form.centre)
     length = np.linalg.norm(arm, axis=1)
-    with np.errstate(all="ignore"):
-        angles = form.pointing.angles(form.forth * arm / length[:, None])
-    turns = angles[:, : len(leg.moving) - 1]
-    turns = leg.home[:-1] + wrapped(turns - leg.home[:-1])
-    return np.column_stack((turns, form.forth * length - form.shift)), length > 0.0
+    angles = form.pointing.angles(form.forth * arm)
+    turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[:-1], strict=True)]
+    return np.stack((*turns, form.forth * length), axis=1), length > 0.0
 
 
 @dataclass(frozen=True)
@@ -127,53 +128,46 @@ def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
     leg, rod = closure.leg, rod_geometry(closure)
     arm = _in_space(closure, targets - rod.centre)
     with np.errstate(all="ignore"):
-        if rod.axis is None:
-            along = arm @ rod.speed
+        if leg.moving[0].kind == "prismatic":
+            along = arm @ rod.frame[:, 1]
             square = along**2 - np.einsum("ni,ni->n", arm, arm) + rod.length**2
             possible = square >= 0.0
             drive = along - rod.mode * np.sqrt(np.clip(square, 0.0, None))
-            to_tip = arm - drive[:, None] * rod.speed
+            to_tip = arm - drive[:, None] * rod.frame[:, 1]
         else:
-            out, on = arm @ rod.out, arm @ rod.speed
-            square = np.einsum("ni,ni->n", arm, arm) + rod.radius**2 - rod.length**2
-            cos = np.nan_to_num(square / (2 * np.hypot(out, on)))  # at the centre, any angle
+            out, on, up = (arm @ rod.frame).T
+            square = out**2 + on**2 + up**2 + rod.radius**2 - rod.length**2
+            cos = np.nan_to_num(square / (2 * rod.radius * np.hypot(out, on)))  # at O, any angle
             possible = np.abs(cos) <= 1.0
             cos = np.clip(cos, -1.0, 1.0)
             drive = np.arctan2(on, out) - rod.mode * np.arctan2(np.sqrt((1 - cos) * (1 + cos)), cos)
             drive = leg.home[0] + wrapped(drive - leg.home[0])
-            c, s = np.cos(drive)[:, None], np.sin(drive)[:, None]
-            to_tip = arm - c * rod.out - s * rod.speed
-            to_tip = _turned_back(rod.axis, c, s, to_tip)
-        angles = rod.pointing.angles(to_tip / np.linalg.norm(to_tip, axis=1)[:, None])
-    turns = angles[:, : len(leg.moving) - 1]
-    turns = leg.home[1:] + wrapped(turns - leg.home[1:])
-    return np.column_stack((drive, turns)), possible
+            c, s = np.cos(drive), np.sin(drive)  # turned back to where the drive is at zero
+            back = np.stack((c * out + s * on - rod.radius, c * on - s * out, up), axis=1)
+            to_tip = back @ rod.frame.T
+    angles = rod.pointing.angles(to_tip)
+    turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[1:], strict=True)]
+    return np.stack((drive, *turns), axis=1), possible
 
 
 @dataclass(frozen=True)
 class RodGeometry:
     """A driven rod at zero joint positions, read off its chain; base frame.
 
-    The pointing joint is at C(q) = centre + out cos q + speed sin q, out ⟂ speed, or at
-    C(q) = centre + speed q on a line.
+    The pointing joint is at C(q) = centre + radius (u cos q + v sin q), with u and v the
+    first columns of the frame, or at C(q) = centre + v q on a line.
     """
 
     centre: Array
     """Of the circle, or where the line begins, shape (3,), [m]."""
-    axis: Array | None
-    """Unit axis of the circle, shape (3,); None for a line."""
-    out: Array
-    """From the circle's centre to the pointing joint, shape (3,), [m]; zero for a line."""
-    speed: Array
-    """Velocity of the pointing joint for a unit rate of the drive, shape (3,), [m] or [1]."""
+    radius: float
+    """Of the circle, [m]; zero for a line."""
+    frame: Array
+    """Columns: from the circle's centre to the pointing joint, its way, the axis; unit vectors,
+    shape (3, 3). Of a line, the way is the second."""
     pointing: Pointing
     mode: float
     """Sign of (t − C) · ∂C/∂q at home."""
-
-    @property
-    def radius(self) -> float:
-        """Radius of the circle, [m]; zero for a line."""
-        return float(np.linalg.norm(self.out))
 
     @property
     def length(self) -> float:
@@ -188,14 +182,18 @@ def rod_geometry(closure: LegClosure) -> RodGeometry:
     tips, columns = closure.joint_columns(np.stack((np.zeros(len(leg.moving)), leg.home)))
     pointing = _pointing(closure, columns[:, 0, 1:], _arm(columns[:, 0]), first=1)
     point, speed = tips[0] - pointing.arm, columns[:3, 0, 0]
-    axis, out = None, np.zeros(3)
+    radius, axis = 0.0, np.zeros(3)
     if leg.moving[0].kind == "revolute":
         axis = columns[3:, 0, 0]
         speed = speed - np.cross(axis, pointing.arm)
-        out = np.cross(speed, axis)
+        radius = float(np.linalg.norm(speed))
+        speed = speed / radius
+    out = np.cross(speed, axis)
+    frame = np.stack((out, speed, axis), axis=1)
     at_home = _arm(columns[:, 1])  # drive and rod as they are there
     grip = at_home @ (columns[:3, 1, 0] - np.cross(columns[3:, 1, 0], at_home))
-    return RodGeometry(point - out, axis, out, speed, pointing, float(np.sign(grip)) or 1.0)
+    mode = float(np.sign(grip)) or 1.0
+    return RodGeometry(point - radius * out, radius, frame, pointing, mode)
 
 
 def _pointing(closure: LegClosure, axes: Array, arm: Array, first: int) -> Pointing:
@@ -203,7 +201,7 @@ def _pointing(closure: LegClosure, axes: Array, arm: Array, first: int) -> Point
     u = arm / np.linalg.norm(arm)
     e1 = axes[3:, 0]
     if axes.shape[1] == 1:
-        return Pointing(arm, e1, np.cross(u, e1), u, 0.0, 1.0)
+        return Pointing(arm, e1, np.cross(u, e1), u, 0.0, 1.0, universal=False)
     e2 = axes[3:, 1]
     e3 = np.cross(e1, e2)
     delta = float(np.arctan2(u @ e1, u @ e3))
@@ -225,22 +223,14 @@ def _points(closure: LegClosure, rod: bool) -> bool:
     skew = [] if closure.platform.space == 2 else [axes[3:, 0] @ axes[3:, 1]]
     skew += [] if rod else [axes[3:, -1] @ arm]
     small = _EXACT * closure.size
-    beside = 0.0 if rod else float(np.linalg.norm(np.cross(start, arm)))
-    degenerate = rod and np.linalg.norm(arm) <= small
-    missed = max(missed, beside)
+    lever = columns[:3, 0] - np.cross(columns[3:, 0], arm)  # of a rod's drive
+    degenerate = rod and min(np.linalg.norm(arm), np.linalg.norm(lever)) <= small
     return bool(missed <= small and np.abs(skew).max(initial=0.0) <= _EXACT and not degenerate)
 
 
 def _in_space(closure: LegClosure, vectors: Array) -> Array:
     """Return vectors, shape (N, 3), in the plane without their heights."""
     return vectors if closure.platform.space == 3 else vectors * (1.0, 1.0, 0.0)
-
-
-def _turned_back(axis: Array, c: Array, s: Array, vectors: Array) -> Array:
-    """Return vectors, shape (N, 3), turned about an axis by −q, with c, s = cos q, sin q (N, 1)."""
-    across = cross(np.broadcast_to(axis, vectors.shape), vectors)
-    along = (vectors @ axis)[:, None] * axis
-    return along + c * (vectors - along) - s * across
 
 
 def wrapped(angles: Array) -> Array:

@@ -115,10 +115,13 @@ class LegClosure:
 
     @cached_property
     def size(self) -> float:
-        """Length of the stretched leg, [m]: the scale against which gaps are small."""
+        """Length of the stretched leg, [m]: the scale against which gaps are small.
+
+        Its reach if it has no length at home, a metre if it has none anywhere.
+        """
         arms = [np.linalg.norm(j.placement.xyz) for j in (*self.leg.joints[1:], self.leg.point)]
         slides = [abs(j.home) for j in self.leg.moving if j.kind == "prismatic"]
-        return float(sum(arms) + sum(slides))
+        return float(sum(arms) + sum(slides)) or self.reach or 1.0
 
     @cached_property
     def reach(self) -> float:
@@ -192,11 +195,11 @@ class LegClosure:
         """
         error = turn_between(turns, R @ self._turn)
         axes = [row - 3 for row in self._rows if row >= 3]
-        spread = (self.size or 1.0) * inverse_left_jacobian(error)
+        spread = self.size * inverse_left_jacobian(error)
         back = spread.transpose(0, 2, 1)[:, axes]
         turned = np.equal.outer((3, 4, 5), self.platform.twist_rows).astype(float)
         return (
-            (self.size or 1.0) * error[:, axes],
+            self.size * error[:, axes],
             -(back @ turned),
             (spread @ columns[3:].transpose(1, 0, 2))[:, axes],
             back @ R @ self._db[3:],
@@ -213,7 +216,7 @@ class LegClosure:
         tips, _, turns = chain.forest.frames(chain.configurations(self.parameters, joints))
         if gap is not None:
             tips = tips - gap[:, :3]
-            turns = Rotation.from_rotvec(-gap[:, 3:] / (self.size or 1.0)).as_matrix() @ turns
+            turns = Rotation.from_rotvec(-gap[:, 3:] / self.size).as_matrix() @ turns
         matrices = np.tile(np.eye(4), (len(joints), 1, 1))
         matrices[:, :3, :3] = turns @ self._turn.T
         matrices[:, :3, 3] = tips - matrices[:, :3, :3] @ self._b

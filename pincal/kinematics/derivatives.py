@@ -115,6 +115,11 @@ def leg_demand(
     Arguments and errors are those of ``demand_chunks``.
     """
     parts = [part for _, part in demand_chunks(mechanism, leg, poses, parameters, readings)]
+    if not parts:
+        one, dof = mechanism.leg(leg), mechanism.platform.dof
+        k = len(mechanism.platform.closing(one.closes)) - len(one.passive)
+        sizes = (len(one.parameters), dof, len(one.sensors))
+        return Demand(np.empty((0, k)), *(np.empty((0, k, size)) for size in sizes))
     return Demand(
         *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Demand))
     )

@@ -103,7 +103,7 @@ class Forest:
         count, n = configurations.shape
         blocks = -(-count // self.copies)
         padded = np.zeros((blocks, self.copies, self.width))
-        flat = padded.reshape(-1, self.width)
+        flat = padded.reshape(blocks * self.copies, self.width)
         flat[:count, :n] = configurations
         flat[count:, :n] = configurations[-1] if count else 0.0
         out = np.empty((blocks, 6, self.copies * self.width))

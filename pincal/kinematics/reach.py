@@ -120,14 +120,15 @@ def _rod(closure: LegClosure, least_type1: float) -> Reach:
     beyond the shell is out of reach, what is within need not be in reach.
     """
     rod, leg = rod_geometry(closure), closure.leg
-    dyad = rod.axis is not None and closure.platform.space == 2
+    line = leg.moving[0].kind == "prismatic"
+    dyad = closure.platform.space == 2 and not line
     exact = dyad and not any(joint.limited for joint in leg.moving)
     if leg.active != [0]:  # the grip of a driven elbow is another quantity
         exact &= least_type1 == 0.0
     grip = least_type1 if dyad and leg.active == [0] else 0.0
-    if rod.axis is None:
+    if line:
         first = leg.moving[0]
-        middle = rod.centre + rod.speed * (first.lower + first.upper) / 2
+        middle = rod.centre + rod.frame[:, 1] * (first.lower + first.upper) / 2
         high = (first.upper - first.lower) / 2 + rod.length
         return _reach(closure, middle, (0.0, high), [], exact)
     squares, swing = rod.radius**2 + rod.length**2, 2 * rod.radius * rod.length

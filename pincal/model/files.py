@@ -38,8 +38,8 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
     """
     folder = _folder(name_or_path)
     path = folder / _YAML
-    spec = read_spec(path)
     try:
+        spec = read_spec(_inside(folder, _YAML))
         return _mechanism(spec, folder)
     except MechanismError as error:
         raise MechanismError(
@@ -55,7 +55,7 @@ def mechanism_files(name_or_path: str | Path) -> list[Path]:
         MechanismError: it does not say what it should.
     """
     folder = _folder(name_or_path)
-    spec = read_spec(folder / _YAML)
+    spec = read_spec(_inside(folder, _YAML))
     urdfs = dict.fromkeys((spec.platform.urdf, *(leg.urdf for leg in spec.legs)))
     return [folder / _YAML, *(folder / name for name in urdfs)]
 
@@ -158,7 +158,7 @@ def _inside(folder: Path, name: str) -> Path:
     """Return a file of the mechanism's folder; paths that lead out of it are refused."""
     try:
         inside = (folder / name).resolve().is_relative_to(folder.resolve())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: links in a circle
         raise MechanismError(f"{name[:200]!r} cannot be a file's name: {error}") from error
     if not inside:
         raise MechanismError(f"{name!r} leads out of the mechanism's folder; keep its files inside")

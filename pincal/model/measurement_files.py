@@ -20,10 +20,15 @@ Array = NDArray[np.float64]
 _ANGLES = ("yaw", "pitch", "roll")  # that may be measured one by one
 
 
-def read_poses(path: str | Path, mechanism: Mechanism) -> Plan:
+def read_poses(path: str | Path, mechanism: Mechanism, *, partial: bool = False) -> Plan:
     """Return the poses of a CSV file, with its ``set`` column if there is one.
 
     And with the readings, of a mechanism whose poses do not tell them.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        partial: Whether columns or cells of the pose may be missing; they are NaN.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -33,7 +38,8 @@ def read_poses(path: str | Path, mechanism: Mechanism) -> Plan:
     readings = None
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
         readings = _readings(table, mechanism)
-    return Plan(_poses(table, mechanism), _sets(table, mechanism), readings)
+    poses = _poses(table, mechanism, partial=partial)
+    return Plan(poses, _sets(table, mechanism), readings)
 
 
 def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
@@ -233,6 +239,12 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
     if column not in table:
         return None
     names = tuple(cell.strip() for cell in table.text[column])
+    for name, line in zip(names, table.lines, strict=True):
+        if not name.isprintable():
+            raise MeasurementError(
+                f"{table.path}, line {line}: {column} {name[:40]!r} has characters that cannot be "
+                "printed; name it otherwise"
+            )
     if column == "run" and "" in names:
         raise MeasurementError(
             f"{table.path}, line {table.lines[names.index('')]}: no run; name it in every row"

@@ -190,7 +190,9 @@ class Placement:
             MechanismError: coordinates and URDF origin disagree.
         """
         rest = np.linalg.inv(self.displacement(parameters)) @ self.origin()
-        if not self.turns:
+        if self.turns:
+            rest[:3, :3] = _without_rounding(rest[:3, :3])
+        else:
             rest[:3, :3] = self.origin()[:3, :3]
         corrections = not any(step.amount(parameters) for step in self.steps)
         if corrections:
@@ -230,9 +232,13 @@ def placed(parameters: Mapping[str, float], *coordinates: Coordinate) -> Placeme
     return Placement(coordinates).at(parameters, np.eye(4))
 
 
-def placement_of(matrix: Array) -> Placement:
-    """Return the placement, without coordinates, of a homogeneous matrix, shape (4, 4)."""
-    return Placement((), _floats(matrix[:3, 3]), _roll_pitch_yaw(matrix[:3, :3]))
+def _without_rounding(rotation: Array) -> Array:
+    """Return a rotation with entries that are 0 or ±1 but for rounding errors set to that.
+
+    A leg whose joints turn by parameters then has the same constant parts at all their values.
+    """
+    whole = np.round(rotation)
+    return np.where(np.abs(rotation - whole) < 1e-15, whole, rotation)
 
 
 def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:

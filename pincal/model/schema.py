@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
+from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -18,20 +20,25 @@ from pydantic import (
     WrapValidator,
 )
 
-from pincal.errors import FileError, MechanismError, PincalError
+from pincal.errors import MechanismError, PincalError
+from pincal.model.input import LARGEST, plain_number, read_text
 
 FORMAT = 1
-_LARGEST = 4 * 1024 * 1024  # bytes
+_LARGEST = 1024 * 1024  # bytes
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=64)]
 
 
-def _no_bool(value: object) -> object:
+def _number(value: object) -> object:
     if isinstance(value, bool):
         raise ValueError("a number, not true or false, is expected")
+    if isinstance(value, str):  # 1e-3, which is text to YAML
+        value = plain_number(value)
+        if isnan(value):
+            raise ValueError("a number is expected")
     return value
 
 
-Number = Annotated[FiniteFloat, BeforeValidator(_no_bool)]
+Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST), BeforeValidator(_number)]
 Value = Name | Number
 
 
@@ -98,7 +105,11 @@ class MechanismSpec(Strict):
 
 
 class _Loader(yaml.SafeLoader):
-    """Loads plain data; refuses repeated keys and aliases, which hide or multiply content."""
+    """Loads plain data.
+
+    Refuses repeated keys and aliases, which hide or multiply content, and numbers that YAML 1.1
+    takes for others than people do: ``010`` is 8, ``1:30`` is 90, ``1_0`` is 10.
+    """
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
@@ -115,6 +126,24 @@ class _Loader(yaml.SafeLoader):
                 )
             keys.add(str(key.value))
         return super().construct_mapping(node, deep)
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        if not _PLAIN.fullmatch(node.value):
+            raise yaml.constructor.ConstructorError(
+                None,
+                None,
+                f"{node.value[:100]!r} is no plain decimal number; write it as one, or text in "
+                "quotes",
+                node.start_mark,
+            )
+        if node.tag.endswith("int"):
+            return int(self.construct_yaml_int(node))
+        return float(self.construct_yaml_float(node))
+
+
+_PLAIN = re.compile(r"[-+]?(0|[1-9][0-9]*|[0-9]*\.[0-9]*(e[-+]?[0-9]+)?|\.inf|\.nan)|\.nan", re.I)
+for _kind in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_number)
 
 
 def read_spec(path: Path) -> MechanismSpec:
@@ -139,17 +168,9 @@ def read_yaml(path: Path, form: type[Form], error_type: type[PincalError]) -> Fo
         FileError: the file is missing or cannot be read.
         PincalError: of the given type: it does not parse, or says something else than it should.
     """
+    text = read_text(path, _LARGEST, error_type)
     try:
-        size = path.stat().st_size
-        text = path.read_bytes() if size <= _LARGEST else b""
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    if size > _LARGEST:
-        raise error_type(f"{path}: larger than {_LARGEST // 2**20} MiB; not a file of this kind")
-    try:
-        data = yaml.load(text.decode("utf-8"), _Loader)
-    except UnicodeDecodeError as error:
-        raise error_type(f"{path}: not UTF-8 text: {error}") from error
+        data = yaml.load(text, _Loader)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise error_type(f"{path}: the YAML does not parse: {error}") from error
     if not isinstance(data, dict):

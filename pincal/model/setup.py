@@ -118,8 +118,12 @@ def read_setup(path: str | Path) -> Setup:
         MeasurementError: it does not parse, or says something else than it should.
     """
     spec = read_yaml(Path(path), _SetupSpec, MeasurementError)
-    return Setup(
-        unknown_frame=spec.frame == "unknown",
-        targets={name: Target(one.offset, one.unknown) for name, one in spec.targets.items()},
-        distances={name: Distance(one.start, one.target) for name, one in spec.distances.items()},
-    )
+    distances = {name: Distance(one.start, one.target) for name, one in spec.distances.items()}
+    try:
+        return Setup(
+            unknown_frame=spec.frame == "unknown",
+            targets={name: Target(one.offset, one.unknown) for name, one in spec.targets.items()},
+            distances=distances,
+        )
+    except MeasurementError as error:
+        raise MeasurementError(f"{path}: {error}") from error

@@ -6,8 +6,8 @@ Values are SI and radians inside. What pincal writes it reads back bit for bit.
 from __future__ import annotations
 
 import csv
+import io
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import FileError, MeasurementError
+from pincal.errors import MeasurementError
+from pincal.model.input import LARGEST, plain_number, read_text
 from pincal.model.output import writing
 
 Array = NDArray[np.float64]
@@ -35,8 +36,8 @@ UNITS: dict[str, tuple[str, float]] = {
     "deg": ("rad", np.pi / 180),
     "°": ("rad", np.pi / 180),
 }
-_HEADER = re.compile(r"^\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
 _MOST_COLUMNS = 1000
+_LARGEST = 256 * 1024 * 1024  # bytes
 
 
 @dataclass(frozen=True)
@@ -88,24 +89,19 @@ class Table:
         """Return the numbers of a column as they stand, shape (N,).
 
         Raises:
-            MeasurementError: a cell is not a finite number.
+            MeasurementError: a cell is not a finite number, or beyond ``LARGEST``.
         """
-        values = np.array([_number_or_nan(cell) for cell in self.text[column]])
+        values = np.array([plain_number(cell) for cell in self.text[column]])
         empty = np.array([blank and not cell.strip() for cell in self.text[column]])
-        if not (np.isfinite(values) | empty).all():
-            row = int(np.argmin(np.isfinite(values) | empty))
+        sound = np.abs(values) <= LARGEST
+        if not (sound | empty).all():
+            row = int(np.argmin(sound | empty))
             raise MeasurementError(
-                f"{self.path}, line {self.lines[row]}: {self.text[column][row]!r} in column "
-                f"{column!r} is not a finite number; correct it or remove the row"
+                f"{self.path}, line {self.lines[row]}: {self.text[column][row][:100]!r} in column "
+                f"{column!r} is not a finite number, at most {LARGEST:g} in size; correct it or "
+                "remove the row"
             )
         return values
-
-
-def _number_or_nan(cell: str) -> float:
-    try:
-        return np.nan if "_" in cell else float(cell)
-    except ValueError:
-        return np.nan
 
 
 def read_table(path: str | Path) -> Table:
@@ -116,28 +112,24 @@ def read_table(path: str | Path) -> Table:
         MeasurementError: no header, no rows, repeated columns, or rows of uneven length.
     """
     path = Path(path)
+    text = read_text(path, _LARGEST, MeasurementError, pipe=True)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows, lines = [], []
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, strict=True)
-            header = next((row for row in reader if any(cell.strip() for cell in row)), None)
-            if not header:
-                raise MeasurementError(f"{path}: empty; expected a header line and rows")
-            units = _header(path, header)
-            rows, lines = [], []
-            for row in reader:
-                if not row or not any(cell.strip() for cell in row):
-                    continue
-                if len(row) != len(header):
-                    raise MeasurementError(
-                        f"{path}, line {reader.line_num}: {len(row)} cells under "
-                        f"{len(header)} headers; separate cells by commas, decimals by points"
-                    )
-                rows.append(row)
-                lines.append(reader.line_num)
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise MeasurementError(f"{path}: not UTF-8 text ({error.reason})") from error
+        header = next((row for row in reader if any(cell.strip() for cell in row)), None)
+        if not header:
+            raise MeasurementError(f"{path}: empty; expected a header line and rows")
+        units = _header(path, header)
+        for row in reader:
+            if not row or not any(cell.strip() for cell in row):
+                continue
+            if len(row) != len(header):
+                raise MeasurementError(
+                    f"{path}, line {reader.line_num}: {len(row)} cells under "
+                    f"{len(header)} headers; separate cells by commas, decimals by points"
+                )
+            rows.append(row)
+            lines.append(reader.line_num)
     except csv.Error as error:
         raise MeasurementError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
     if not rows:
@@ -156,14 +148,15 @@ def _header(path: Path, header: Sequence[str]) -> dict[str, str | None]:
             )
     units: dict[str, str | None] = {}
     for cell in header:
-        match = _HEADER.match(cell)
-        if not match or not match[1]:
+        name, bracket, unit = (part.strip() for part in cell.strip().partition("["))
+        inner = unit.removesuffix("]")
+        if not name or set("[]") & {*name, *inner} or bool(bracket) != (inner != unit):
             raise MeasurementError(
-                f"{path}: header {cell!r} is not a name with a unit, such as 'x [mm]'"
+                f"{path}: header {cell[:100]!r} is not a name with a unit, such as 'x [mm]'"
             )
-        if match[1] in units:
-            raise MeasurementError(f"{path}: column {match[1]!r} appears twice")
-        units[match[1]] = match[2]
+        if name in units:
+            raise MeasurementError(f"{path}: column {name[:100]!r} appears twice")
+        units[name] = inner.strip() if bracket else None
     return units
 
 
@@ -178,7 +171,10 @@ def write_table(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    with writing(path, force=force) as scratch, scratch.open("w", newline="") as file:
+    with (
+        writing(path, force=force) as scratch,
+        scratch.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         cells = (map(_cell, values) for values in columns.values())

@@ -9,6 +9,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.model.input import LARGEST, plain_number, read_bytes
 from pincal.model.leg import Joint, JointKind, Leg
 from pincal.model.placement import Placement
 from pincal.model.xml import read_xml
@@ -118,19 +119,35 @@ def read_points(path: Path) -> dict[str, Joint]:
     elements = read_xml(path, "robot").findall("joint")
     children = {link_of(element, "child", path) for element in elements}
     for element in elements:
-        joint = read_joint(element, path)
-        if joint.kind == "fixed":
-            if link_of(element, "parent", path) in children:
+        joint = _joint(element, path)
+        if joint.kind != "fixed":
+            continue
+        if _link(element, "parent", path) in children:
+            raise MechanismError(
+                f"{path}, line {element.sourceline}: joint {joint.name!r} sits on another "
+                "frame; fix each platform point to the platform's root link"
+            )
+        for name in {joint.name, _link(element, "child", path)}:
+            if name in points:
                 raise MechanismError(
-                    f"{path}, line {element.sourceline}: joint {joint.name!r} sits on another "
-                    "frame; fix each platform point to the platform's root link"
+                    f"{path}, line {element.sourceline}: {name!r} names two points; give each "
+                    "joint and link a name of its own"
                 )
-            points[joint.name] = points[link_of(element, "child", path)] = joint
+            points[name] = joint
     return points
 
 
-def read_joint(element: etree._Element, path: Path) -> Joint:
-    """Return a <joint> of a URDF.
+def _read_xml(path: Path) -> etree._Element:
+    """Return the <robot> element; entities are not resolved and nothing is fetched."""
+    text = read_bytes(path, _LARGEST, MechanismError)
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
+    try:
+        root = etree.fromstring(text, parser)
+    except etree.XMLSyntaxError as error:
+        raise MechanismError(f"{path}: the URDF does not parse: {error}") from error
+    if root.tag != "robot":
+        raise MechanismError(f"{path}: expected a <robot> element, found <{root.tag}>")
+    return root
 
     Raises:
         MechanismError: of a type that a leg cannot have, or a number that is none.
@@ -208,12 +225,11 @@ def _triple(element: etree._Element | None, key: str, where: str, default: Tripl
 
 
 def _number(text: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise MechanismError(f"{where}: {text!r} is not a number") from error
-    if not np.isfinite(value):
-        raise MechanismError(f"{where}: {text!r} is not a finite number")
+    value = plain_number(text)
+    if not abs(value) <= LARGEST:
+        raise MechanismError(
+            f"{where}: {text[:100]!r} is not a finite number, at most {LARGEST:g} in size"
+        )
     return value
 
 
@@ -236,7 +252,8 @@ def leg_urdf(leg: Leg) -> str:
             _visual(link, "cylinder", radius=size, length=3 * size, rpy=roll, rgba=colour)
         elif joint.kind == "prismatic":
             colour = _ORANGE if joint.name in read else _BLUE
-            _visual(link, "box", size=(2 * size, 2 * size, 2 * size), rgba=colour)
+            along = _axis_rpy(joint.axis)  # longer than what it carries is wide
+            _visual(link, "box", size=(2 * size, 2 * size, 4 * size), rpy=along, rgba=colour)
         else:
             _visual(link, "sphere", radius=size, rgba=_BLUE)
         parent = (
@@ -265,7 +282,7 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
 
 def _size(leg: Leg) -> float:
     """Return a radius for joints that suits the longest link (a stroke is two), two digits, [m]."""
-    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints]
+    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints[1:]]
     lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
     return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
 

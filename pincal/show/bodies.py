@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.inverse import inverse
+from pincal.experiment.configurations import as_plan, joints_at
 from pincal.kinematics.links import link_placements
 from pincal.model.leg import Leg
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.urdf import leg_urdf, platform_urdf
 from pincal.show.shapes import Shape, urdf_shapes
@@ -57,18 +58,19 @@ class Body:
         return at[:, pairs]
 
 
-def body(mechanism: Mechanism, poses: Array) -> Body:
-    """Return a mechanism at poses, each leg in its working mode.
+def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
+    """Return a mechanism at poses, each leg in its working mode, or as readings say.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
-        poses: Platform coordinates, shape (N, dof), [m] and [rad].
+        planned: Platform coordinates, shape (N, dof), [m] and [rad], or a plan.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
     platform = mechanism.platform
-    solution = inverse(mechanism, poses)
+    solution = joints_at(mechanism, planned)
+    poses = as_plan(mechanism, planned).poses
     T_base_platform = platform.transforms(poses).as_matrix()
     parts: list[Part] = []
     placements: list[Array] = []

@@ -9,6 +9,10 @@ from pincal.model.measurements import Measurements
 from pincal.show.tables import SHOWN, plain_table, titled, weak_in_words
 from pincal.show.workspace_errors import WorkspaceErrors
 
+_NO_FREEDOM = (
+    "as many unknowns as measured values: residuals vanish whatever the machine is, and tell "
+    "nothing; measure more poses"
+)
 _ROWS = 20  # outliers in the table; all are in result.json
 
 
@@ -69,7 +73,7 @@ def legs_table(result: CalibrationResult) -> Group:
             f"{factor * leg.rms_before:.4f}",
             f"{factor * leg.rms_after:.4f}",
             unit,
-            str(leg.n_residuals),
+            str(leg.n_poses),
             f"{leg.rank} of {len(leg.parameters)}",
             f"{leg.condition:.3g}",
         )
@@ -161,13 +165,23 @@ def calibration_summary(
             f"with the {len(result.outliers)} rows that do not fit, parameters would move by up to "
             f"{result.shift:.1f} standard errors"
         )
-    unused = len(data) - min(leg.n_residuals for leg in result.legs)
+    unused = len(data) - min(leg.n_poses for leg in result.legs)
     if unused and result.poses == "own" and data.sets is not None:
         lines.append(
             f"{unused} of {len(data)} measured poses serve other legs only; --poses all lets every "
             "leg use every pose"
         )
     return lines
+
+
+def warnings_of(result: CalibrationResult) -> list[str]:
+    """Return the warnings; one that several legs share is said once, with their names."""
+    legs: dict[str, list[str]] = {}
+    for text in result.warnings:
+        name, colon, rest = text.partition(": ")
+        own = bool(colon) and name in result.nominal.leg_names
+        legs.setdefault(rest if own else text, []).extend([name] if own else [])
+    return [f"{', '.join(names)}: {text}" if names else text for text, names in legs.items()]
 
 
 def noise_in_words(result: CalibrationResult) -> str:
@@ -182,7 +196,10 @@ def noise_in_words(result: CalibrationResult) -> str:
             text += f", {1e3 * result.noise.reading:.3g} mm or mrad in readings"
         if result.noise_source == "estimated":
             return text
-        return f"{text}; reduced χ² {result.reduced_chi2:.3g}"
+        more = f"reduced χ² {result.reduced_chi2:.3g}"
+        return f"{text}; {more if result.degrees_of_freedom else _NO_FREEDOM}"
+    if not result.degrees_of_freedom:
+        return _NO_FREEDOM
     return (
         f"reduced χ² {result.reduced_chi2:.3g} on {result.degrees_of_freedom} degrees of "
         "freedom; near 1 the residuals are as large as the noise given makes them"

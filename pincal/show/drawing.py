@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.show.bodies import Body
-from pincal.show.colours import COLOURS
+from pincal.show.looks import (
+    CARRIED,
+    DOMAIN,
+    GROUND,
+    IDENTIFIED,
+    frame_axes,
+    ground,
+    set_colour,
+)
 from pincal.show.scene import Scene
 from pincal.show.shapes import Shape
 
@@ -25,13 +33,8 @@ with warnings.catch_warnings():
 import umsgpack
 
 Array = NDArray[np.float64]
-IDENTIFIED = "#7A33AD"
-DOMAIN, CARRIED = "#0072B2", "#A9CBE8"  # as in the pictures of workspaces
-_EVERY, _GROUND = "#333333", "#D4D4D4"
-_AXES = ("#CC2626", "#1A8C1A", "#2640D9")
 _I = np.eye(4)
-#: Turn three.js' cylinders, which lie along y, to lie along x and z.
-_SIDEWAYS = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+#: Turns three.js' cylinders, which lie along y, to lie along z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
@@ -64,12 +67,11 @@ def commands(scene: Scene) -> list[bytes]:
         draw[path].set_property("visible", False)
     for key in ("top_color", "bottom_color"):
         draw["/Background"].set_property(key, [1.0, 1.0, 1.0])
-    _lines(draw["grid"], _grid(scene), _GROUND)
-    platform = scene.body.parts[scene.body.part("platform/body")]
-    length = 5 * platform.shapes[0].size[0]
-    _axes(draw["base axes"], length)
+    _lines(draw["grid"], ground(scene), GROUND)
+    axes = frame_axes(scene)
+    _axes(draw["base axes"], axes)
     _body(draw["mechanism"], scene.body)
-    _axes(draw["mechanism/platform/body/axes"], length)
+    _axes(draw["mechanism/platform/body/axes"], axes)
     if scene.identified:
         _body(draw["identified"], scene.identified.body, IDENTIFIED, opacity=0.45)
     if scene.cloud:
@@ -92,35 +94,6 @@ def viewer_script() -> str:
     return (Path(meshcat.viewer_assets_path()) / "dist" / "main.min.js").read_text("utf-8")
 
 
-def grid_step(scene: Scene) -> float:
-    """Return the lines' distance on the ground, 1, 2 or 5 times a power of ten, [m]."""
-    width = float(np.ptp(scene.bounds()[:, :2], axis=0).max())
-    wanted = max(width, 1e-9) / 6
-    decade = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(s for s in (1.0, 2.0, 5.0) if s <= wanted / decade * (1 + 1e-9)) * decade)
-
-
-def _grid(scene: Scene) -> Array:
-    """Return lines on the ground under all that is drawn, shape (n, 2, 3), [m]."""
-    step = grid_step(scene)
-    low, high = scene.bounds()[:, :2]
-    begin, end = np.floor(low / step) * step, np.ceil(high / step) * step
-    lines = []
-    for axis in (0, 1):
-        at = np.arange(begin[axis], end[axis] + step / 2, step)
-        ends = np.zeros((len(at), 2, 3))
-        ends[:, :, axis] = at[:, None]
-        ends[:, :, 1 - axis] = begin[1 - axis], end[1 - axis]
-        lines.append(ends)
-    return np.concatenate(lines)
-
-
-def set_colour(scene: Scene, name: str) -> str:
-    """Return the colour of a set, that of its leg; dark for the poses of every leg."""
-    names = scene.mechanism.leg_names
-    return COLOURS[names.index(name) % len(COLOURS)] if name in names else _EVERY
-
-
 def _body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None:
     """Draw the shapes of a body's parts, in their own colours or in one."""
     for part in body.parts:
@@ -140,13 +113,11 @@ def _geometry(shape: Shape) -> Any:
     return g.Sphere(*shape.size)
 
 
-def _axes(draw: Any, length: float) -> None:
-    """Draw the axes of a frame, x red, y green, z blue."""
-    along_y = np.eye(4)
-    along_y[1, 3] = length / 2
-    for name, turn, colour in zip("xyz", (_SIDEWAYS, _I, _UPRIGHT), _AXES, strict=True):
-        draw[name].set_object(g.Cylinder(length, 0.03 * length), _matt(colour))
-        draw[name].set_transform(turn @ along_y)
+def _axes(draw: Any, shapes: tuple[Shape, ...]) -> None:
+    """Draw the axes of a frame."""
+    for name, shape in zip("xyz", shapes, strict=True):
+        draw[name].set_object(_geometry(shape), _matt(shape.colour))
+        draw[name].set_transform(shape.T_link_shape @ _UPRIGHT)
 
 
 def _dots(draw: Any, positions: Array, colours: Array, pixels: float) -> None:

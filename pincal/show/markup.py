@@ -14,6 +14,7 @@ from lxml import etree
 Element: TypeAlias = etree._Element
 Content: TypeAlias = Element | str | None
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_SHORT = 12  # rows of a table that is not broken over printed pages
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?(e[+-]\d\d)?( of \d+)?")
 
 
@@ -75,7 +76,8 @@ def table(
         if "n" in column:
             cell.set("class", "n")
     whole = tag("table", tag("thead", head), body, aria_label=caption)
-    frame = tag("div", whole, class_="wide", role="region", tabindex="0", aria_label=caption)
+    kind = "wide short" if len(body) <= _SHORT else "wide"
+    frame = tag("div", whole, class_=kind, role="region", tabindex="0", aria_label=caption)
     return tag("div", tag("p", caption, class_="caption"), frame)
 
 

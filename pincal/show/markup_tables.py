@@ -65,7 +65,7 @@ def residuals_table(result: CalibrationResult) -> Element:
         unit, factor = SHOWN[leg.unit]
         sigma = float(np.sqrt(np.mean(residual_sigma(result, leg) ** 2)))
         sizes = (f"{factor * value:.4f}" for value in (leg.rms_before, leg.rms_after, sigma))
-        rows.append((leg.name, *sizes, unit, str(leg.n_residuals)))
+        rows.append((leg.name, *sizes, unit, str(leg.n_poses)))
     heads = ("leg", "rms before", "rms after", "σ", "unit", "poses")
     return table("Residuals, and what the noise alone makes of them (σ)", heads, rows, groups=1)
 

@@ -24,7 +24,7 @@ def register() -> None:
 
 
 def mechanism_html(mechanism: Mechanism) -> str:
-    """Return a mechanism: a picture, where it is planar, and its nominal parameters."""
+    """Return a mechanism: a picture and its nominal parameters."""
     from pincal.show.markup import serialised, tag
     from pincal.show.markup_tables import nominal_table
 
@@ -33,14 +33,14 @@ def mechanism_html(mechanism: Mechanism) -> str:
     whole = tag("div", tag("h2", title))
     if mechanism.description:
         whole.append(tag("p", mechanism.description))
-    if platform.space == 2:
-        whole.append(_picture(mechanism))
+    whole.append(_picture(mechanism))
     whole.append(nominal_table(mechanism))
     return serialised(whole)
 
 
 def result_html(result: CalibrationResult) -> str:
     """Return a calibration: what to know first, parameters, residuals."""
+    from pincal.show.calibration import noise_in_words
     from pincal.show.markup import bullets, serialised, tag
     from pincal.show.markup_tables import outliers_table, parameters_table, residuals_table
     from pincal.show.report_answers import warnings_box
@@ -50,9 +50,7 @@ def result_html(result: CalibrationResult) -> str:
         whole.append(box)
     if not result.converged:
         return serialised(whole)
-    lines = [
-        f"reduced χ² {result.reduced_chi2:.3g}, {result.degrees_of_freedom} degrees of freedom"
-    ]
+    lines = [noise_in_words(result)]
     if (one := result.validation) is not None:
         lines.append(
             f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
@@ -67,16 +65,12 @@ def result_html(result: CalibrationResult) -> str:
 
 
 def _picture(mechanism: Mechanism) -> Element:
-    """Return a planar mechanism at home."""
-    from matplotlib.figure import Figure
-
-    from pincal.show.plots import draw_mechanism
+    """Return a mechanism at home."""
+    from pincal.show.picture import picture
     from pincal.show.svg import drawing, figure
 
     with drawing():
-        drawn = Figure(figsize=(4.0, 3.2), layout="constrained")
-        draw_mechanism(drawn.subplots(), mechanism)
         name = f"{mechanism.name} at home"
-        element = figure(drawn, "figure-mechanism", name, name)
+        element = figure(picture(mechanism).figure(), "figure-mechanism", name, name)
     element.set("style", "max-width: 30em")
     return element

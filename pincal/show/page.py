@@ -17,14 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.show.bodies import Body
-from pincal.show.drawing import (
-    DOMAIN,
-    IDENTIFIED,
-    commands,
-    grid_step,
-    set_colour,
-    viewer_script,
-)
+from pincal.show.drawing import commands, viewer_script
+from pincal.show.looks import DOMAIN, IDENTIFIED, TOWARDS_VIEWER, grid_step, set_colour
 from pincal.show.scene import Scene
 
 Array = NDArray[np.float64]
@@ -62,6 +56,7 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         "description": scene.mechanism.description,
         "source": source,
         "planar": scene.planar,
+        "towards": TOWARDS_VIEWER,
         "bounds": scene.bounds().tolist(),
         "grid": f"grid {1e3 * grid_step(scene):.6g} mm",
         "commands": [base64.b64encode(command).decode() for command in commands(scene)],

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_law
 
 from pincal.identification.result import CalibrationResult
-from pincal.show.calibration import noise_in_words, size_in_words
+from pincal.show.calibration import noise_in_words, size_in_words, warnings_of
 from pincal.show.findings import Findings
 from pincal.show.markup import Element, bullets, tag
 from pincal.show.report_residuals import series_of
@@ -21,7 +21,7 @@ _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 
 def warnings_box(result: CalibrationResult) -> Element | None:
     """Return what the reader should know first, or None."""
-    lines = list(result.warnings)
+    lines = warnings_of(result)
     if not result.converged:
         lines.insert(0, f"The fit did not converge: {result.message}")
     if not lines:
@@ -87,7 +87,8 @@ def _better(found: Findings, errors: WorkspaceErrors) -> Element:
     ratios = [before / after / more] + ([turned / turning / more] if found.turns else [])
     worst = min(ratios)
     if worst >= _CLEARLY:
-        verdict = "Probably" if doubtful(found.result) else "Yes"
+        checked = bool(found.result.degrees_of_freedom) and not doubtful(found.result)
+        verdict = "Yes" if checked else "Probably"
         said = f"The platform's error should be {_times(ratios)} smaller {errors.where}."
     elif max(ratios) > 1.0:
         verdict = "Hardly"
@@ -98,7 +99,14 @@ def _better(found: Findings, errors: WorkspaceErrors) -> Element:
     else:
         verdict = "No sign of it"
         said = "The correction is smaller than its own uncertainty."
-    series = series_of(found.result)
+    return _answer("Is it better?", verdict, said, _residuals(found.result))
+
+
+def _residuals(result: CalibrationResult) -> str:
+    """Return what became of the residuals, where they could have been anything else than zero."""
+    if not result.degrees_of_freedom:
+        return "Residuals are zero, since there are as many unknowns as measured values."
+    series = series_of(result)
     alike = [one for one in series if one.unit == series[0].unit]
     unit, factor = SHOWN[alike[0].unit]
     fell = [
@@ -106,11 +114,10 @@ def _better(found: Findings, errors: WorkspaceErrors) -> Element:
         for of in ([one.before for one in alike], [one.after for one in alike])
     ]
     whose = "all legs" if alike[0].of_leg else ", ".join(one.name for one in alike)
-    rest = (
+    return (
         f"At the measured poses, residuals went from {factor * fell[0]:.3g} to "
         f"{factor * fell[1]:.3g} {unit} (root mean square, {whose})."
     )
-    return _answer("Is it better?", verdict, said, rest)
 
 
 def _times(ratios: Sequence[float]) -> str:
@@ -160,7 +167,7 @@ def _how_much(found: Findings, errors: WorkspaceErrors) -> Element:
 
 
 def _trust(result: CalibrationResult, notes: Sequence[str]) -> Element:
-    count = len(result.warnings)
+    count = len(warnings_of(result))
     verdict = "Nothing speaks against it"
     if count:
         start = "Not as it stands" if doubtful(result) else "With care"
@@ -186,12 +193,14 @@ def _trust(result: CalibrationResult, notes: Sequence[str]) -> Element:
 
 def _chi2(result: CalibrationResult) -> str:
     """Return how the residuals compare with the noise."""
+    words = noise_in_words(result)
     if result.noise_source == "estimated":
-        words = noise_in_words(result)
         return f"{words[0].upper()}{words[1:]}; so residuals cannot contradict it."
     dof = result.degrees_of_freedom
+    if not dof:
+        return f"{words[0].upper()}{words[1:]}."
     text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
-    if dof and result.loss == "none":
+    if result.loss == "none":
         low, high = chi2_law.ppf((0.025, 0.975), dof) / dof
         text += f"; {low:.2f} to {high:.2f} is expected by the noise"
     return text + "."

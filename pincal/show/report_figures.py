@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.kinematics.inverse import inverse
+from pincal.experiment.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
@@ -62,7 +62,7 @@ def _workspace(found: Findings) -> Array | None:
 def _projection(axes: Axes, mechanism: Mechanism, plan: Plan, pair: tuple[int, int]) -> None:
     """Draw poses as they are seen along an axis, and the legs at home."""
     legs, across = mechanism.leg_names, list(pair)
-    home = inverse(mechanism, np.array([mechanism.platform.home]))
+    home = joints_at(mechanism, home_of(mechanism))
     for leg in mechanism.legs:
         if np.isfinite(home.joints[leg.name]).all():
             points = skeleton(leg, home.joints[leg.name][0])[:, across]

@@ -146,8 +146,12 @@ def _noise(found: Findings) -> str:
 
 
 def _sigmas(noise: Noise, found: Findings) -> str:
-    parts = [f"{1e3 * noise.position:.3g} mm in position"]
-    if found.turns:
+    angles = np.array([unit == "rad" for unit in found.result.nominal.platform.units])
+    told, more = np.isfinite(found.data.poses), bool(found.data.extra)
+    parts = []
+    if told[:, ~angles].any() or more:
+        parts.append(f"{1e3 * noise.position:.3g} mm in position")
+    if told[:, angles].any() or (more and found.turns):
         parts.append(f"{1e3 * noise.orientation:.3g} mrad in orientation")
     units = {SHOWN[unit][0] for unit in found.result.nominal.reading_units}
     reading = f"{1e3 * noise.reading:.3g} {' or '.join(sorted(units))} in readings"

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
+from pincal.experiment.configurations import joints_at
 from pincal.experiment.simulation import platform_errors
 from pincal.kinematics.forward import forward
-from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.bodies import Body, body
@@ -71,13 +72,17 @@ class Scene:
         """Whether all moves in the x-y plane."""
         return len(self.mechanism.platform.closure_rows) == 2
 
-    def bounds(self) -> Array:
-        """Return least and largest coordinates of all that is drawn, shape (2, 3), [m]."""
+    def points(self) -> Array:
+        """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
         bodies = [self.body] + ([self.identified.body] if self.identified else [])
         feet = [leg.joints[0].placement.xyz for leg in self.mechanism.legs]
-        points = [one.placements[:, :, :3, 3].reshape(-1, 3) for one in bodies]
+        parts = [one.placements[:, :, :3, 3].reshape(-1, 3) for one in bodies]
         clouds = [self.cloud.positions] if self.cloud else []
-        every = np.concatenate((feet, *points, *clouds))
+        return np.concatenate((feet, *parts, *clouds))
+
+    def bounds(self) -> Array:
+        """Return least and largest coordinates of all that is drawn, shape (2, 3), [m]."""
+        every = self.points()
         return np.stack((np.nanmin(every, axis=0), np.nanmax(every, axis=0)))
 
 
@@ -99,23 +104,41 @@ def scene(
 
     Raises:
         MechanismError: poses of a wrong shape; an identified mechanism with other parameters.
-        MeasurementError: no poses or too many; a workspace of a wrong shape; a factor that is
-            not positive.
+        MeasurementError: no poses, too many or not whole; a workspace of a wrong
+            shape; a factor that is not positive.
     """
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
             f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
             "are better seen as a workspace cloud (--workspace)"
         )
+    if not np.isfinite(plan.poses).all():
+        raise MeasurementError(
+            f"{int((~np.isfinite(plan.poses).all(axis=1)).sum())} of {len(plan.poses)} poses are "
+            "not whole; those that a calibration with latent poses estimated can be drawn: "
+            "result.estimated_poses, or poses.csv in the folder of the result"
+        )
     found = Scene(
         mechanism,
         plan,
-        body(mechanism, plan.poses),
-        inverse(mechanism, plan.poses).readings,
+        body(mechanism, plan),
+        joints_at(mechanism, plan).readings,
     )
     if identified is not None:
         found = replace(found, identified=_identified(found, identified, magnify))
     return found if workspace is None else replace(found, cloud=_cloud(mechanism, workspace))
+
+
+def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> Plan:
+    """Return poses in any form as a plan.
+
+    Raises:
+        MechanismError: poses of a wrong shape.
+    """
+    if isinstance(poses, Plan):
+        return poses
+    given = poses if isinstance(poses, RigidTransform) else np.asarray(poses, np.float64)
+    return Plan(mechanism.platform.coordinates_of(given))
 
 
 def _cloud(mechanism: Mechanism, workspace: Array) -> Cloud:
@@ -159,11 +182,12 @@ def _identified(scene: Scene, identified: Mechanism, magnify: float) -> Identifi
     driven = np.flatnonzero(np.isfinite(scene.readings).all(axis=1))
     solution = forward(machine, scene.readings[driven], poses[driven])
     reached = driven[solution.converged]
-    at = body(machine, solution.poses[solution.converged])
+    there = Plan(solution.poses[solution.converged], readings=scene.readings[reached])
+    at = body(machine, there)
     placements = np.full((len(poses), *at.placements.shape[1:]), np.nan)
     placements[reached] = at.placements
     why = dict.fromkeys(range(len(poses)), "the nominal model does not reach this pose")
     why |= dict(zip(driven.tolist(), solution.reasons, strict=True))
     why |= dict(zip(reached.tolist(), at.problems, strict=True))
     everywhere = replace(at, placements=placements, problems=tuple(why.values()))
-    return Identified(everywhere, magnify, platform_errors(mechanism, identified, poses))
+    return Identified(everywhere, magnify, platform_errors(mechanism, identified, scene.plan))

@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from pincal.experiment.configuration_choice import ConfigurationChoice
 from pincal.experiment.forecast import Forecast
 from pincal.experiment.platform_error import PlatformError
 from pincal.experiment.selection import Selection
@@ -36,18 +37,21 @@ def titled(title: str, table: Table, caption: str = "") -> Group:
 
 
 def parameters_table(mechanism: Mechanism) -> Group:
-    """Return a table of nominal parameters, one row a parameter, one column a leg."""
-    table = plain_table()
-    table.add_column("parameter")
-    for name in mechanism.leg_names:
-        table.add_column(name, justify="right")
-    table.add_column("unit")
+    """Return a table of nominal parameters, one column a leg, or one row where legs are more."""
     names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
+    grid = [["parameter", *mechanism.leg_names, "unit"]]
     for name in names:
         values = [leg.nominal_by_name.get(name) for leg in mechanism.legs]
-        cells = ["" if value is None else f"{value:.6f}" for value in values]
         unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
-        table.add_row(name, *cells, unit)
+        grid.append([name, *("" if v is None else f"{v:.6f}" for v in values), unit])
+    if len(mechanism.legs) > len(names):
+        grid = [list(row) for row in zip(*grid, strict=True)]
+    header, *rows = grid
+    table = plain_table()
+    for cell in header:
+        table.add_column(cell, justify="left" if cell in ("parameter", "unit") else "right")
+    for row in rows:
+        table.add_row(*row)
     return titled(f"{mechanism.name}: nominal parameters", table)
 
 
@@ -141,6 +145,26 @@ def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mec
         f"{names[0]} and {names[1]}{whose} are weakly told apart, correlation "
         f"{worst.correlation:+.3f}: if the other one were known, {' and '.join(parts)}"
     )
+
+
+def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Group:
+    """Return how good chosen configurations are, and what they tell."""
+    table = plain_table()
+    for name, justify in (("poses", "right"), ("of", "right"), ("efficiency", "right")):
+        table.add_column(name, justify=justify)  # type: ignore[arg-type]
+    table.add_column("rank", justify="right")
+    table.add_column("measured")
+    rank = chosen.rank
+    table.add_row(
+        str(len(chosen.plan.poses)),
+        f"{chosen.candidates:,}",
+        f"{chosen.efficiency:.3f}",
+        f"{rank.rank} of {rank.n_params}",
+        ", ".join(chosen.measured),
+    )
+    lost = rank.n_params - rank.rank
+    words = f"; {lost} directions are not told by any candidate" if lost else ""
+    return titled(f"{mechanism.name}: configurations for all parameters together{words}", table)
 
 
 def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group:

@@ -6,6 +6,8 @@
   const find = (id) => document.getElementById(id);
   const pane = find("pane");
   const viewer = new MeshCat.Viewer(pane);
+  const resize = viewer.set_3d_pane_size.bind(viewer); // takes the window's height for the pane's
+  viewer.set_3d_pane_size = () => resize(pane.clientWidth, pane.clientHeight);
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const node = (path) => viewer.scene_tree.find(path.split("/"));
   const poses = data.set.length;
@@ -147,15 +149,26 @@
   viewer.set_camera(camera);
   viewer.set_object(["Cameras", "default", "rotated"], camera);
 
+  function beside() { // room for the names of legs, in pixels
+    const widest = Math.max(0, ...tags.map(({ tag }) => (tag.hidden ? 0 : tag.offsetWidth)));
+    return Math.min(widest + 12, pane.clientWidth / 5);
+  }
+
+  function widen() {
+    camera.right = (camera.top * pane.clientWidth) / pane.clientHeight;
+    camera.left = -camera.right;
+  }
+
   function fit() {
-    const aspect = pane.clientWidth / pane.clientHeight;
+    const aspect = (pane.clientWidth - 2 * beside()) / pane.clientHeight;
     viewer.controls.target.copy(centre);
     if (data.planar) {
       const half = 0.57 * Math.max(high[1] - low[1], (high[0] - low[0]) / aspect, 0.1 * size);
-      Object.assign(camera, { left: -half * aspect, right: half * aspect, top: half, bottom: -half, zoom: 1 });
+      Object.assign(camera, { top: half, bottom: -half, zoom: 1 });
+      widen();
       camera.position.copy(centre).add(new THREE.Vector3(0, 10 * size, 0));
     } else {
-      const towards = turned([0.45, -0.85, 0.28]).normalize();
+      const towards = turned(data.towards).normalize();
       const right = new THREE.Vector3(0, 1, 0).cross(towards).normalize();
       const up = towards.clone().cross(right);
       const slope = Math.tan(((camera.fov / 2) * Math.PI) / 180);
@@ -176,7 +189,7 @@
     placeTags();
   };
   window.addEventListener("resize", () => {
-    if (data.planar) camera.left = (-camera.top * pane.clientWidth) / pane.clientHeight;
+    if (data.planar) widen();
     viewer.set_3d_pane_size();
   });
 

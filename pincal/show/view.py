@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import WorkspaceError
+from pincal.experiment.configurations import home_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import writing
-from pincal.show.scene import MAGNIFY, Scene, scene
+from pincal.show.scene import MAGNIFY, Scene, plan_of, scene
 
 Array = NDArray[np.float64]
 _SAMPLED = 24
@@ -95,26 +96,23 @@ def view(
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism.
-        MeasurementError: no poses or too many; a workspace of a wrong shape; a factor that is
-            not positive.
+        MeasurementError: no poses, too many or not whole; a workspace of a wrong
+            shape; a factor that is not positive.
     """
-    if poses is None:
-        plan = Plan(_some_poses(mechanism))
-    elif isinstance(poses, Plan):
-        plan = poses
-    else:
-        given = poses if isinstance(poses, RigidTransform) else np.asarray(poses, np.float64)
-        plan = Plan(mechanism.platform.coordinates_of(given))
+    plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
     cloud = None if workspace is None else np.asarray(workspace, np.float64)
     return View(scene(mechanism, plan, cloud, identified, magnify), source)
 
 
-def _some_poses(mechanism: Mechanism) -> Array:
-    """Return home and, where there is a workspace, some of its poses, shape (N, dof)."""
-    from pincal.workspace.sampling import sample_workspace
+def _some_poses(mechanism: Mechanism) -> Plan:
+    """Return home and, where there is a workspace, some of its configurations."""
+    from pincal.workspace.sampling import sample_configurations
 
-    home = np.array([mechanism.platform.home])
+    home = home_of(mechanism)
     try:
-        return np.concatenate((home, sample_workspace(mechanism, _SAMPLED)))
+        more = sample_configurations(mechanism, _SAMPLED)
     except WorkspaceError:  # none with the default margins
         return home
+    read = [plan.readings for plan in (home, more) if plan.readings is not None]
+    readings = np.concatenate(read) if read else None
+    return Plan(np.concatenate((home.poses, more.poses)), readings=readings)

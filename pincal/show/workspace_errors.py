@@ -68,7 +68,7 @@ def workspace_errors(result: CalibrationResult, measured: Plan) -> WorkspaceErro
 
 def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErrors:
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
-    platform, plan = result.nominal.platform, as_plan(planned)
+    platform, plan = result.nominal.platform, as_plan(result.nominal, planned)
     moved = platform_errors(result.nominal, result.identified, plan)
     legs = legs_at(result.identified, plan)
     reached, gain = legs.reached, legs.gain

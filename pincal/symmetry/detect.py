@@ -165,6 +165,8 @@ def _permutation(
     mechanism: Mechanism, legs: list[Leg], element: Element, tolerance: float
 ) -> tuple[tuple[int, ...], Break | None]:
     """Return where an element carries the legs, and what breaks it if something does."""
+    if element.equals(Element(0.0)):
+        return tuple(range(len(legs))), None
     permutation: list[int] = []
     home = np.array([mechanism.platform.home])
     carried_home = element.poses(mechanism.platform, home)

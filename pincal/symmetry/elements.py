@@ -69,7 +69,7 @@ class Element:
 
 def wrapped(angle: float) -> float:
     """Return an angle in (-pi, pi], [rad]."""
-    return float(-((-angle + np.pi) % (2 * np.pi) - np.pi))
+    return float(np.pi - (np.pi - angle) % (2 * np.pi))
 
 
 def rotations(n: int) -> tuple[Element, ...]:

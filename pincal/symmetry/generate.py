@@ -56,4 +56,4 @@ def at_home(leg: Leg, platform: Platform) -> Leg:
             f"{leg.name} does not reach the home pose {platform.home}; correct the home pose, the "
             "leg's lengths, or its home (which says on which side the leg bends)"
         )
-    return leg.with_home(np.round(closed.joints[0], 12))
+    return leg.with_home(np.round(closed.joints[0], 12) + 0.0)

@@ -110,6 +110,20 @@ def criteria_of(mechanism: Mechanism, least: Margins) -> Criteria:
     return Criteria(mechanism, least)
 
 
+def refuse_readings(mechanism: Mechanism) -> None:
+    """Raise if poses do not tell readings, so that positions cannot be asked one by one.
+
+    Raises:
+        WorkspaceError: naming what to do instead.
+    """
+    if mechanism.by_readings:
+        raise WorkspaceError(
+            f"poses of {mechanism.name!r} are made from readings, and do not fill a region of "
+            "positions and orientations that could be asked; 'pincal workspace' without --kind "
+            "samples them"
+        )
+
+
 def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = None) -> Mask:
     """Return which poses count, shape (N,).
 

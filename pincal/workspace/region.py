@@ -23,7 +23,7 @@ from pincal.model.table import write_table
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.workspace.chunks import run
-from pincal.workspace.criteria import Margins
+from pincal.workspace.criteria import Margins, refuse_readings
 from pincal.workspace.neighbours import at_edge, edges, part_around
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.position_test import PositionTest
@@ -220,6 +220,7 @@ def compute_workspace(
     _check_positions(mechanism, positions)
     if connected and not isinstance(positions, Grid):
         raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
+    refuse_readings(mechanism)
     every = kind != "reachable"
     least = least or Margins()
     group = symmetry_group(mechanism, _EXACT).elements

@@ -1,0 +1,151 @@
+"""Writes the tables of dependencies.md, of what is installed: ``python docs/dependencies.py``."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+PAGE = Path(__file__).with_suffix(".md")
+_BLOCK = re.compile(r"(<!-- made by dependencies\.py: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+#: Why each package that pincal asks for is there.
+WHY = {
+    "pin": "Pinocchio: kinematics of all joints and parameters, with their derivatives; reads URDF",
+    "numpy": "batched arrays and small linear algebra",
+    "scipy": "least squares, rigid transforms, k-d trees, Voronoi diagrams, graph and grid "
+    "components, distributions",
+    "joblib": "chunks of work on several cores (`--jobs`)",
+    "lxml": "reads URDF strictly and safely (no entities, no network), with line numbers; yourdfpy "
+    "repairs what is broken and folds roll-pitch-yaw into matrices, so what was read could not be "
+    "written back bit for bit; writes reports as trees, so that names of users stay text (a "
+    "template engine would be one dependency more, and escape by setting)",
+    "yourdfpy": "second reader of the URDFs that pincal writes (`pincal check`, tests); shapes for "
+    "`pincal view`",
+    "PyYAML": "mechanism files",
+    "pydantic": "checks mechanism files, with errors that name the place",
+    "typer": "command line",
+    "rich": "tables and progress",
+    "matplotlib": "plots, also those inside reports, as SVG",
+    "meshcat": "`pincal view`: draws scenes in the browser; its viewer (three.js, MIT) is one file "
+    "that goes into the page; its server, and what that needs (tornado, pyzmq, pyngrok, ipython), "
+    "are installed with it but not used",
+    "u-msgpack-python": "packs meshcat's commands as its viewer reads them; meshcat needs it too",
+    "distributed": "extra `cluster`: the same chunks on a Dask cluster (`--scheduler`)",
+    "hypothesis": "properties and fuzzed files",
+    "playwright": "drives Debian's Chromium, which `.ci/run` installs; without one the tests of "
+    "the page skip",
+    "pytest": "runs the tests",
+    "pytest-benchmark": "speeds",
+    "pytest-xdist": "tests in two processes",
+    "import-linter": "the floors of the house",
+    "mypy": "types",
+    "ruff": "style, unused names, formatting",
+    "types-PyYAML": "types of PyYAML",
+    "lxml-stubs": "types of lxml",
+}
+#: Licences by the words of classifiers, and of licence texts.
+_CLASSIFIERS = {
+    "MIT": "MIT",
+    "BSD": "BSD",
+    "Apache": "Apache-2.0",
+    "Mozilla Public License 2": "MPL-2.0",
+    "Python Software": "PSF-2.0",
+    "ISC": "ISC",
+}
+_TEXTS = {
+    "Permission is hereby granted, free of charge": "MIT",
+    "Redistribution and use in source and binary forms": "BSD",
+    "Qhull": "Qhull",
+}
+
+
+def asked(*groups: str) -> list[Requirement]:
+    """Return what ``pyproject.toml`` asks for, itself or in the given extras."""
+    text = (PAGE.parents[1] / "pyproject.toml").read_text(encoding="utf-8")
+    project = tomllib.loads(text)["project"]
+    extras = project["optional-dependencies"]
+    lines = [line for group in groups for line in extras[group]] or project["dependencies"]
+    return list({one.name: one for one in map(Requirement, lines)}.values())
+
+
+def licence(name: str) -> str:
+    """Return the licence of an installed package in short, as its metadata or its files say."""
+    found = metadata.distribution(name)
+    about = found.metadata
+    stated = about.get("License-Expression") or (about.get("License") or "")
+    if stated and stated != "UNKNOWN" and len(stated) < 80 and "\n" not in stated:
+        first, *others = stated.split(" AND ")
+        return first.removesuffix(" License") + (" and others" if others else "")
+    for line in about.get_all("Classifier") or []:
+        kind = line.removeprefix("License :: OSI Approved :: ")
+        if kind != line and (known := [v for k, v in _CLASSIFIERS.items() if kind.startswith(k)]):
+            return known[0]
+    files = [f for f in found.files or [] if re.search("licen[cs]e|copying", f.name, re.IGNORECASE)]
+    texts = " ".join([stated, *(f.read_text() for f in files)])
+    return next((v for k, v in _TEXTS.items() if k in " ".join(texts.split())), "not stated")
+
+
+def brought() -> dict[str, set[str]]:
+    """Return what the packages that pincal asks for need in turn, and which need it."""
+    needed: dict[str, set[str]] = {}
+    told: set[tuple[str, str]] = set()
+    waiting = [(one.name, extra) for one in asked() for extra in ("", *one.extras)]
+    while waiting:
+        name, extra = waiting.pop()
+        for line in metadata.requires(name) or []:
+            one = Requirement(line)
+            if one.marker and not one.marker.evaluate({"extra": extra}):
+                continue
+            needed.setdefault(_plain(one.name), set()).add(name)
+            new = {(one.name, e) for e in ("", *one.extras)} - told
+            told |= new
+            waiting += sorted(new)
+    own = {_plain(one.name) for one in asked()}
+    return {name: by for name, by in sorted(needed.items()) if name not in own}
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def direct(*groups: str) -> str:
+    """Return the table of what pincal asks for."""
+    already = {one.name for one in asked()} if groups else set()
+    rows = [
+        f"| {one.name} | {licence(one.name)} | {WHY[one.name]} |\n"
+        for one in sorted(asked(*groups), key=lambda one: list(WHY).index(one.name))
+        if one.name not in already
+    ]
+    return "| package | licence | why |\n|---|---|---|\n" + "".join(rows)
+
+
+def indirect() -> str:
+    """Return the table of what these bring along."""
+    rows = [
+        f"| {name} | {licence(name)} | {', '.join(sorted(by))} |" for name, by in brought().items()
+    ]
+    return "| package | licence | needed by |\n|---|---|---|\n" + "\n".join(rows) + "\n"
+
+
+TABLES = {
+    "library": direct,
+    "tools": lambda: direct("cluster", "test", "dev"),
+    "brought": indirect,
+}
+
+
+def written(page: str, *names: str) -> str:
+    """Return the page with its tables, or some of them, made anew."""
+
+    def made(match: re.Match[str]) -> str:
+        table = TABLES[match[2]]() if match[2] in (names or TABLES) else None
+        return match[0] if table is None else f"{match[1]}{table}{match[3]}"
+
+    return _BLOCK.sub(made, page)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

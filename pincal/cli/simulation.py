@@ -1,0 +1,117 @@
+"""``pincal simulate``: measurements of a machine whose errors are known."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from pincal.cli.app import (
+    Force,
+    Mech,
+    Seed,
+    answer,
+    command,
+    output_option,
+    remark,
+    working,
+    wrote,
+)
+from pincal.cli.setups import NoiseOrientation, NoisePosition, NoiseReading
+from pincal.errors import FileError, MeasurementError
+from pincal.experiment.simulation import disturb as disturbed
+from pincal.experiment.simulation import simulate as simulated
+from pincal.model.files import load_mechanism, write_mechanism
+from pincal.model.measurement_files import read_poses, write_measurements
+from pincal.model.measurements import Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.output import refuse_existing, writing
+
+
+@command(answers=True)
+def simulate(
+    mech: Mech,
+    plan: Annotated[Path, typer.Argument(metavar="PLAN.csv", help="Poses to command.")],
+    output: Annotated[Path, output_option("MEASUREMENTS.csv", "Measured poses and readings.")],
+    disturb: Annotated[
+        float | None,
+        typer.Option(help="Standard deviation of the errors of all parameters [default: 0.002]."),
+    ] = None,
+    noise_position: NoisePosition = 1e-4,
+    noise_orientation: NoiseOrientation = 1e-4,
+    noise_reading: NoiseReading = 0.0,
+    seed: Seed = 0,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TRUE_MECH",
+            help="Folder for the true mechanism. Without --disturb, if it exists, it is the truth.",
+        ),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Simulate measurements of a disturbed machine.
+
+    The nominal mechanism commands the poses, the true one moves. With more legs than freedoms
+    it is taken to the poses themselves.
+    Poses that the true mechanism cannot reach are left out and listed.
+    """
+    mechanism = load_mechanism(mech)
+    refuse_existing(output, force=force)
+    noise = Noise(noise_position, noise_orientation, noise_reading)
+    planned = read_poses(plan, mechanism)
+    parts = np.random.SeedSequence(seed).spawn(2)
+    given = truth is not None and disturb is None and truth.is_dir()
+    if truth is not None and given:
+        true_mechanism = _same_kind(load_mechanism(truth), mechanism, truth)
+    else:
+        if truth is not None:
+            refuse_existing(truth, force=force, folder=True)
+            if truth.absolute() == output.absolute():
+                raise FileError(
+                    f"{truth} is named for both the true mechanism and the measurements"
+                )
+        sigma = 0.002 if disturb is None else disturb
+        true_mechanism = disturbed(mechanism, sigma, np.random.default_rng(parts[0]))
+    with working("simulating measurements"):
+        rng = np.random.default_rng(parts[1])
+        simulation = simulated(mechanism, true_mechanism, planned, noise, rng)
+    if not len(simulation.measurements):
+        reason = simulation.unreachable[0][1]
+        raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
+    with ExitStack() as both:  # written together, or neither
+        if truth is not None and not given:
+            folder = both.enter_context(writing(truth, force=force, folder=True))
+            write_mechanism(true_mechanism, folder)
+        write_measurements(output, mechanism, simulation.measurements, force=force)
+    if truth is not None and not given:
+        wrote(truth)
+    for row, reason in simulation.unreachable:
+        remark(f"row {row + 1} of the plan is not measured: {reason}")
+    lost = len(simulation.unreachable)
+    remark(f"{len(simulation.measurements)} poses measured, {lost} not reached")
+    wrote(output)
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "measurements": str(output),
+            "truth": None if truth is None else str(truth),
+            "poses": len(simulation.measurements),
+            "not_reached": [
+                {"row": row + 1, "reason": reason} for row, reason in simulation.unreachable
+            ],
+        }
+    )
+
+
+def _same_kind(truth: Mechanism, mechanism: Mechanism, path: Path) -> Mechanism:
+    """Return the truth if it has the mechanism's legs and platform."""
+    if (truth.leg_names, truth.platform.kind) != (mechanism.leg_names, mechanism.platform.kind):
+        raise FileError(
+            f"{path} holds {truth.name!r}, whose legs or platform differ from those of "
+            f"{mechanism.name!r}"
+        )
+    return truth

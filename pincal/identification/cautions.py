@@ -1,0 +1,93 @@
+"""What the reader of a calibration should know before its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from scipy.special import gammainc
+
+from pincal.identification.result import LegResult, TieTest
+from pincal.identification.robust import Outlier
+from pincal.identification.task import Task
+from pincal.kinematics.closure import largest_size
+
+_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
+_FAR = 0.05  # of a leg's size, [rad] and [1]: changes of parameters that are doubted
+_MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
+
+
+def _far(task: Task, legs: Sequence[LegResult]) -> list[str]:
+    """Return a warning if parameters moved farther than those of one machine differ."""
+    platform = task.mechanism.platform
+    size = largest_size(task.mechanism.legs, platform)
+    moved = [
+        (abs(p.identified - p.nominal) / (_FAR * (size if p.unit == "m" else 1.0)), leg, p)
+        for leg in legs
+        for p in leg.parameters
+    ]
+    share, leg, p = max(moved, key=lambda one: one[0])
+    if task.rough or not share > 1.0:
+        return []
+    return [
+        f"{p.name} of {leg.name} moved by {p.identified - p.nominal:+.3g} {p.unit}, farther than a "
+        "machine differs from its drawing: check the frame and target of the measurements "
+        "(--unknown-frame, --unknown-target), units, and the order of the readings"
+    ]
+
+
+def warnings_of(
+    task: Task,
+    legs: Sequence[LegResult],
+    outliers: Sequence[Outlier],
+    ties: Sequence[TieTest],
+    dof: int,
+    chi2: float,
+) -> list[str]:
+    """Return what the reader of a result should know first."""
+    found = []
+    source, mechanism = task.noise.source, task.mechanism
+    if source == "assumed":
+        turns = "rad" in mechanism.platform.units
+        what = "position [m]" + (" and orientation [rad]" if turns else "")
+        if task.noise.noise.reading:
+            what += " and readings"
+        exact = "" if task.noise.noise.reading else ", exact readings"
+        found.append(
+            f"the noise was not given: equal standard deviations of {what}{exact} were assumed, "
+            "and the scale estimated from the residuals"
+        )
+    elif dof and not _UNLIKELY <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - _UNLIKELY:
+        given = "repeated rows show" if source == "repeats" else "given"
+        found.append(
+            f"reduced χ² is {chi2:.3g} where 1 is expected: the noise is "
+            f"{'larger' if chi2 > 1 else 'smaller'} than {given}"
+            f"{', or the model lacks something' if chi2 > 1 else ''}; the uncertainties assume "
+            "that noise"
+        )
+    found += _far(task, legs)
+    listed = len(outliers)
+    if listed and task.loss == "none":
+        worst = outliers[0]
+        found.append(
+            f"{listed} of {len(task.data)} rows do not fit the others, the worst data row "
+            f"{worst.row + 1} by {worst.sigma:.1f} standard deviations ({worst.why}); look at "
+            "them, or use a robust loss (--robust reject)"
+        )
+    if listed > _MUCH * len(task.data):
+        found.append(
+            f"{100 * listed / len(task.data):.0f} % of the rows do not fit: rather the noise is "
+            "larger than assumed, or the model lacks something, than that so many are wrong"
+        )
+    found += [
+        f"{one.name} is tied over the legs, and the measurements contradict that "
+        f"(p = {one.p_value:.2g})"
+        for one in ties
+        if not one.holds
+    ]
+    found += [
+        f"{leg.name}: {leg.n_poses} poses for {len(leg.parameters)} parameters; two or three "
+        "times as many poses as parameters are advised"
+        for leg in legs
+        if leg.n_residuals < 1.5 * len(leg.parameters)
+    ]
+    return found

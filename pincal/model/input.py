@@ -1,0 +1,88 @@
+"""Files are read whole, up to a size, as UTF-8 text; numbers in them are in plain digits."""
+
+from __future__ import annotations
+
+import re
+import stat
+from math import nan
+from pathlib import Path
+
+from pincal.errors import FileError, PincalError
+
+LARGEST = 1e12
+"""Size of a mechanism's numbers, [m] or [rad], beyond which its squares mean nothing."""
+_CHUNK = 64 * 1024  # bytes
+_LINE = re.compile("\r\n|\r|\n")
+
+
+def read_bytes(
+    path: Path, largest: int, error_type: type[PincalError], *, pipe: bool = False
+) -> bytes:
+    """Return what a file holds, of which no more than ``largest`` is ever read.
+
+    Args:
+        path: The file.
+        largest: Size up to which it is read, [bytes].
+        error_type: Raised if it is larger.
+        pipe: Whether it may be a pipe or a device.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        PincalError: of the given type: it is too large.
+    """
+    parts, size = [], 0
+    try:
+        status = path.stat()
+        if not (pipe or stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+            raise FileError(f"cannot read {path}: a device or a pipe; name a file")
+        if status.st_size <= largest:
+            with path.open("rb") as file:
+                while size <= largest and (part := file.read(_CHUNK)):
+                    parts.append(part)
+                    size += len(part)
+    except FileError:
+        raise
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    except ValueError as error:  # a name that no file can have
+        raise FileError(f"cannot read {str(path)[:200]!r}: {error}") from error
+    if max(size, status.st_size) > largest:
+        raise error_type(f"{path}: larger than {largest // 2**20} MiB; not a file of this kind")
+    return b"".join(parts)
+
+
+def read_text(
+    path: Path, largest: int, error_type: type[PincalError], *, pipe: bool = False
+) -> str:
+    """Return a file's text without its byte order mark; line ends stay: see ``read_bytes``.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        PincalError: of the given type: it is too large, or not UTF-8.
+    """
+    data = read_bytes(path, largest, error_type, pipe=pipe)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = len(_LINE.findall(data[: error.start].decode("latin-1"))) + 1
+        raise error_type(
+            f"{path}: not UTF-8 text ({error.reason} in line {line}); save it in that encoding"
+        ) from error
+
+
+def lines_of(text: str) -> list[str]:
+    """Return the lines of a text, which end as Unix, Windows or old Macs end them."""
+    return _LINE.split(text)
+
+
+def plain_number(text: str) -> float:
+    """Return the number that a text says, NaN if it says none.
+
+    Digits are ASCII and stand together: other programs would take ``１`` or ``1_000`` for
+    something else than Python does.
+    """
+    bare = text.strip()
+    try:
+        return float(bare) if bare.isascii() and "_" not in bare else nan
+    except ValueError:
+        return nan

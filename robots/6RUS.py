@@ -1,0 +1,68 @@
+"""6-RUS, the hexapod with rotary drives: run to write its files.
+
+One of the architectures of K. H. Hunt, Structural kinematics of in-parallel-actuated robot-arms,
+J. Mechanisms, Transmissions and Automation in Design 105, 1983. Dimensions are our own.
+"""
+
+from math import pi, radians
+from pathlib import Path
+
+from pincal import (
+    Element,
+    Joint,
+    Leg,
+    Mechanism,
+    Placement,
+    Platform,
+    Sensor,
+    along,
+    generate,
+    mirror,
+    placed,
+    rotations,
+    spherical,
+)
+
+PARAMETERS = {
+    "OA": 0.4,  # middle of the crank's axis: radius [m], angle from z and azimuth [rad]
+    "alpha": pi / 2,
+    "beta": radians(10),
+    "yaw": 0.0,  # of the axis about z and about the crank's zero direction [rad]
+    "roll": 0.0,
+    "l": 0.13,  # crank [m]
+    "L": 0.55,  # rod [m]
+    "ob": 0.26,  # platform point: radius [m], angle from z and azimuth [rad]
+    "alpha_b": pi / 2,
+    "beta_b": radians(50),
+    "gamma": 0.0,  # crank's angle below the horizontal where the drive reads zero [rad]
+}
+GROUP: tuple[Element, ...] = tuple(
+    element for k, turn in enumerate(rotations(3)) for element in (turn, mirror((k + 1) * pi / 3))
+)
+
+
+def mechanism() -> Mechanism:
+    """Return the mechanism: leg 1 carried by the rotations and mirrors of D_6."""
+    point = spherical("OA", "alpha", "beta")
+    tangent = along("rz", PARAMETERS["beta"] + pi / 2).steps[0].matrix({})  # towards leg 2
+    axis = placed(PARAMETERS, along("rz", "yaw"), along("rx", "roll"))
+    wrist = placed(PARAMETERS, along("x", "l"))
+    leg = Leg(
+        name="leg_1",
+        joints=(
+            Joint("base", "fixed", Placement((point,)).at(PARAMETERS, tangent)),
+            Joint("drive", "revolute", axis, (0.0, 1.0, 0.0), lower=-1.4, upper=1.4),
+            Joint("universal_y", "revolute", wrist, (0.0, 1.0, 0.0), home=-2.2),
+            Joint("universal_z", "revolute", Placement(), lower=-0.9, upper=0.9),
+            Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
+        ),
+        point=Joint("b_1", "fixed", placed(PARAMETERS, spherical("ob", "alpha_b", "beta_b"))),
+        sensors=(Sensor("drive", form="joint", offset="gamma"),),
+        parameters=tuple(PARAMETERS.items()),
+    )
+    platform = Platform("spatial", home=(0.0, 0.0, 0.51, 0.0, 0.0, 0.0))
+    return generate("6RUS", leg, GROUP, platform, "Hexapod with rotary drives (Hunt, 1983).")
+
+
+if __name__ == "__main__":
+    mechanism().save(Path(__file__).with_suffix(""), force=True)
