@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
+from pincal.model.input import LARGEST, plain_number
 
 Array = NDArray[np.float64]
 _TURNS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
@@ -158,10 +159,7 @@ def numbers(
     where = f"{path}, line {element.sourceline}"
     if text is None:
         raise MechanismError(f"{where}: <{element.tag}> needs {key}")
-    try:
-        found = tuple(float(word) for word in text.split())
-    except ValueError as error:
-        raise MechanismError(f"{where}: {key}={text[:80]!r} should hold numbers") from error
-    if len(found) != count or not np.isfinite(found).all():
+    found = tuple(plain_number(word) for word in text.split())
+    if len(found) != count or not all(abs(value) <= LARGEST for value in found):
         raise MechanismError(f"{where}: {key}={text[:80]!r} should hold {count} finite numbers")
     return found

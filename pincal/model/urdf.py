@@ -9,7 +9,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.input import LARGEST, plain_number, read_bytes
+from pincal.model.input import LARGEST, plain_number
 from pincal.model.leg import Joint, JointKind, Leg
 from pincal.model.placement import Placement
 from pincal.model.xml import read_xml
@@ -119,15 +119,15 @@ def read_points(path: Path) -> dict[str, Joint]:
     elements = read_xml(path, "robot").findall("joint")
     children = {link_of(element, "child", path) for element in elements}
     for element in elements:
-        joint = _joint(element, path)
+        joint = read_joint(element, path)
         if joint.kind != "fixed":
             continue
-        if _link(element, "parent", path) in children:
+        if link_of(element, "parent", path) in children:
             raise MechanismError(
                 f"{path}, line {element.sourceline}: joint {joint.name!r} sits on another "
                 "frame; fix each platform point to the platform's root link"
             )
-        for name in {joint.name, _link(element, "child", path)}:
+        for name in {joint.name, link_of(element, "child", path)}:
             if name in points:
                 raise MechanismError(
                     f"{path}, line {element.sourceline}: {name!r} names two points; give each "
@@ -137,17 +137,8 @@ def read_points(path: Path) -> dict[str, Joint]:
     return points
 
 
-def _read_xml(path: Path) -> etree._Element:
-    """Return the <robot> element; entities are not resolved and nothing is fetched."""
-    text = read_bytes(path, _LARGEST, MechanismError)
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
-    try:
-        root = etree.fromstring(text, parser)
-    except etree.XMLSyntaxError as error:
-        raise MechanismError(f"{path}: the URDF does not parse: {error}") from error
-    if root.tag != "robot":
-        raise MechanismError(f"{path}: expected a <robot> element, found <{root.tag}>")
-    return root
+def read_joint(element: etree._Element, path: Path) -> Joint:
+    """Return a <joint> of a URDF.
 
     Raises:
         MechanismError: of a type that a leg cannot have, or a number that is none.

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from lxml import etree
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import MechanismError
+from pincal.model.input import read_bytes
 
 _LARGEST = 16 * 1024 * 1024  # bytes
 
@@ -22,14 +23,7 @@ def read_xml(path: Path, root: str) -> etree._Element:
         FileError: the file is missing or cannot be read.
         MechanismError: too large, not well-formed, with entities, or another root element.
     """
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise MechanismError(
-                f"{path}: larger than {_LARGEST // 2**20} MiB; not the kinematics of a mechanism"
-            )
-        text = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    text = read_bytes(path, _LARGEST, MechanismError)
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
     try:
         element = etree.fromstring(text, parser)
