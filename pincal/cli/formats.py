@@ -1,4 +1,4 @@
-"""``pincal import`` and ``export``: files of printer firmwares and other calibration tools."""
+"""``pincal import`` and ``export``: files of other tools, printers' firmwares and simulators."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from pincal.cli.app import Force, Mech, command, output_option, remark, stdout, warn, wrote
+from pincal.cli.trees import TREES, export_tree, import_tree
 from pincal.errors import MeasurementError, MechanismError
 from pincal.formats.delta import DeltaPrinter, delta_printer
 from pincal.formats.figaroh import read_figaroh
@@ -24,12 +25,22 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing, writing
 
 PROBING = "probing.csv"
-_SUFFIXES = {".cfg": "klipper", ".conf": "klipper", ".g": "reprap", ".gcode": "reprap"}
+_SUFFIXES = {
+    ".cfg": "klipper",
+    ".conf": "klipper",
+    ".g": "reprap",
+    ".gcode": "reprap",
+    ".urdf": "urdf",
+    ".xml": "mjcf",
+    ".mjcf": "mjcf",
+}
 
 
-class Firmware(StrEnum):
-    """Whose configuration a file is."""
+class Form(StrEnum):
+    """What is written."""
 
+    urdf = "urdf"
+    mjcf = "mjcf"
     klipper = "klipper"
     reprap = "reprap"
 
@@ -37,6 +48,8 @@ class Firmware(StrEnum):
 class Neighbour(StrEnum):
     """Whose file it is."""
 
+    urdf = "urdf"
+    mjcf = "mjcf"
     klipper = "klipper"
     reprap = "reprap"
     figaroh = "figaroh"
@@ -45,14 +58,45 @@ class Neighbour(StrEnum):
 @command("import")
 def import_(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="printer.cfg, config.g, or a table of FIGAROH's.")
+        Path,
+        typer.Argument(
+            metavar="FILE", help="URDF, MJCF, printer.cfg, config.g, or a table of FIGAROH's."
+        ),
     ],
     output: Annotated[
         Path, output_option("OUT", "Mechanism folder; of a table: measurements, CSV.")
     ],
     form: Annotated[
         Neighbour | None,
-        typer.Option("--format", help="Whose file it is, if its ending (.cfg, .g, .csv) is other."),
+        typer.Option(
+            "--format",
+            help="Whose file it is, if its ending (.urdf, .xml, .cfg, .g, .csv) is other.",
+        ),
+    ] = None,
+    loops: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YAML",
+            help="What closes the loops of a URDF (closed_loop, type, name_mot); FILE with the "
+            "ending .yaml, or robot.yaml beside it, if not given.",
+        ),
+    ] = None,
+    platform: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LINK",
+            help="Link whose frame is the platform's; the one where the legs meet, if not given.",
+        ),
+    ] = None,
+    tip: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="Of a serial arm: the link whose frame is measured."),
+    ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LINK", help="Of a serial arm: the link it stands on, if not the root."
+        ),
     ] = None,
     probed: Annotated[
         Path | None,
@@ -67,7 +111,11 @@ def import_(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Read printer.cfg, config.g, or a table of FIGAROH's.
+    """Read URDF, MJCF, printer.cfg, config.g, or a table of FIGAROH's.
+
+    A URDF whose loops a YAML file closes (the convention of example-parallel-robots), or MJCF
+    with connect and weld and actuators, becomes a mechanism folder: legs, platform and drives are
+    told apart, and each joint's place on its link gets parameters. With --tip a serial arm.
 
     A delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware, become a mechanism
     folder. Heights that DELTA_CALIBRATE saved, or points given by --probed, are written into it
@@ -75,6 +123,16 @@ def import_(
     'pincal calibrate OUT OUT/probing.csv --method latent'.
     """
     whose = form or Neighbour(_SUFFIXES.get(file.suffix.lower(), "figaroh"))
+    of_trees = {"--loops": loops, "--platform": platform, "--tip": tip, "--base": base}
+    if whose in TREES:
+        if mech is not None or probed is not None:
+            raise MechanismError(f"--mech and --probed have nothing to do with {file}")
+        import_tree(
+            file, output, whose, loops=loops, platform=platform, tip=tip, base=base, force=force
+        )
+        return
+    if said := [name for name, value in of_trees.items() if value is not None]:
+        raise MechanismError(f"{said[0]} goes with URDF or MJCF, not with {file}")
     if whose is Neighbour.figaroh:
         _import_table(file, mech, output, probed=probed, force=force)
         return
@@ -167,25 +225,49 @@ def _in_words(printer: DeltaPrinter) -> str:
 @command("export")
 def export(
     mech: Mech,
-    output: Annotated[Path, output_option("FILE", "printer.cfg section, or M665 and M666.")],
+    output: Annotated[
+        Path, output_option("FILE", "URDF, MJCF, printer.cfg section, or M665 and M666.")
+    ],
     form: Annotated[
-        Firmware | None,
-        typer.Option("--format", help="For which firmware, if FILE's ending (.cfg, .g) is other."),
+        Form | None,
+        typer.Option(
+            "--format", help="What to write, if FILE's ending (.urdf, .xml, .cfg, .g) is other."
+        ),
+    ] = None,
+    original: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="URDF",
+            help="Your own URDF: its joints get the calibrated origins, all else stays.",
+        ),
+    ] = None,
+    leg: Annotated[
+        str | None,
+        typer.Option(metavar="LEG", help="Whose URDF it is, if it is not named so."),
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write a delta printer for its firmware.
+    """Write a mechanism as URDF or MJCF, or a delta printer for its firmware.
 
-    FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of RepRapFirmware (.g).
-    MECH may be a result of 'pincal calibrate'. What the firmware has no parameter for is said.
-    The calibrated URDFs are in the result's own folder 'mechanism'.
+    With --original FILE is a copy of that URDF in which only the origins of calibrated joints are
+    other. Without it URDF (.urdf, with a .yaml beside it that closes the loops) and MJCF (.xml)
+    hold the kinematics of the whole mechanism.
+
+    Of a delta printer FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
+    RepRapFirmware (.g). What a file has no place for is said. MECH may be a result of 'pincal
+    calibrate', whose legs as URDFs are in its own folder 'mechanism'.
     """
     whose = form or _SUFFIXES.get(output.suffix.lower())
     if whose is None:
         raise MechanismError(
-            f"{output.name!r} does not say for which firmware; give it the ending .cfg (Klipper) "
-            "or .g (RepRapFirmware), or say --format"
+            f"{output.name!r} does not say what to write; give it the ending .urdf, .xml (MJCF), "
+            ".cfg (Klipper) or .g (RepRapFirmware), or say --format"
         )
+    if whose in TREES:
+        export_tree(load_mechanism(mech), output, whose, original=original, leg=leg, force=force)
+        return
+    if original is not None or leg is not None:
+        raise MechanismError(f"--original and --leg go with URDF, not with {whose}")
     refuse_existing(output, force=force)
     found = delta_printer(load_mechanism(mech))
     text = write_klipper(found) if whose == "klipper" else write_reprap(found)

@@ -100,17 +100,21 @@ class SlideGeometry:
     centre: Array
     """Of the pointing joint, base frame, shape (3,), [m]."""
     pointing: Pointing
+    shift: float
+    """How far beyond the centre the slide is at zero, [m]."""
     forth: float
-    """Sign of the slide's position at home."""
+    """Sign of the slide's distance from the centre at home."""
 
 
 @lru_cache(maxsize=256)
 def slide_geometry(closure: LegClosure) -> SlideGeometry:
     """Return the geometry of a slide on a pointing joint."""
     tips, columns = closure.joint_columns(np.zeros((1, len(closure.leg.moving))))
-    forth = float(np.sign(closure.leg.home[-1])) or 1.0
+    start = _arm(columns[:, 0, :-1])
+    shift = float(start @ columns[:3, 0, -1])
+    forth = float(np.sign(closure.leg.home[-1] + shift)) or 1.0
     pointing = _pointing(closure, columns[:, 0, :-1], columns[:3, 0, -1], first=0)
-    return SlideGeometry(tips[0], pointing, forth)
+    return SlideGeometry(tips[0] - start, pointing, shift, forth)
 
 
 def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
@@ -214,7 +218,7 @@ def _points(closure: LegClosure, rod: bool) -> bool:
     """Return whether revolute axes cross at right angles, and the arm starts where they do."""
     columns = closure.joint_columns(np.zeros((1, len(closure.leg.moving))))[1][:, 0]
     axes, arm = (columns[:, 1:], _arm(columns)) if rod else (columns[:, :-1], columns[:3, -1])
-    start = arm if rod else np.zeros(3)  # from the crossing to the tip; a slide is at zero
+    start = arm if rod else _arm(axes)  # from the crossing to the tip
     missed = np.abs(axes[:3].T - np.cross(axes[3:].T, start)).max()
     skew = [] if closure.platform.space == 2 else [axes[3:, 0] @ axes[3:, 1]]
     skew += [] if rod else [axes[3:, -1] @ arm]

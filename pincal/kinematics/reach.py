@@ -141,7 +141,8 @@ def _slide(closure: LegClosure, least_type1: float) -> Reach:
     """Return the shell of a slide on a pointing joint, cut by the first axis' limits."""
     form = slide_geometry(closure)
     pointing, (first, *second, slide) = form.pointing, closure.leg.moving
-    low, high = sorted((form.forth * slide.lower, form.forth * slide.upper))
+    ends = (slide.lower + form.shift, slide.upper + form.shift)
+    low, high = sorted(form.forth * end for end in ends)
     planes: list[Array] = []
     exact = least_type1 <= 1.0 - SLACK  # a slide along the leg always has full grip
     if closure.leg.active != [len(second) + 1]:  # not so where another joint is driven

@@ -241,6 +241,11 @@ def _without_rounding(rotation: Array) -> Array:
     return np.where(np.abs(rotation - whole) < 1e-15, whole, rotation)
 
 
+def placement_of(matrix: Array) -> Placement:
+    """Return the placement, without coordinates, of a homogeneous matrix, shape (4, 4)."""
+    return Placement((), _floats(matrix[:3, 3]), _roll_pitch_yaw(matrix[:3, :3]))
+
+
 def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
     """Return roll, pitch, yaw about fixed axes, [rad], without Euler's gimbal warning.
 

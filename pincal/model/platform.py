@@ -72,6 +72,11 @@ class Platform:
                 f"({', '.join(self.coordinates)}), got {len(self.home)}"
             )
 
+    @staticmethod
+    def dof_of(kind: str) -> int:
+        """Return the number of freedoms of a kind of platform."""
+        return len(_KINDS[kind].coordinates)
+
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates."""

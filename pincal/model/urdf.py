@@ -9,9 +9,10 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.input import LARGEST, plain_number, read_bytes
+from pincal.model.input import LARGEST, plain_number
 from pincal.model.leg import Joint, JointKind, Leg
 from pincal.model.placement import Placement
+from pincal.model.xml import read_xml
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -22,7 +23,6 @@ _KINDS: dict[str, JointKind] = {
     "prismatic": "prismatic",
     "fixed": "fixed",
 }
-_LARGEST = 16 * 1024 * 1024  # bytes
 _ORANGE, _BLUE, _GREY = "0.85 0.37 0.01 1", "0.12 0.47 0.71 1", "0.35 0.35 0.35 1"
 
 
@@ -33,12 +33,12 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
         FileError: the file is missing or cannot be read.
         MechanismError: not well-formed, no serial chain, or no such tip link.
     """
-    robot = _read_xml(path)
+    robot = read_xml(path, "robot")
     joints = robot.findall("joint")
     by_parent: dict[str, etree._Element] = {}
     children = set()
     for element in joints:
-        parent, child = _link(element, "parent", path), _link(element, "child", path)
+        parent, child = link_of(element, "parent", path), link_of(element, "child", path)
         if parent in by_parent or child in children:
             raise MechanismError(
                 f"{path}, line {element.sourceline}: link {parent!r} branches or closes a loop; a "
@@ -65,8 +65,8 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
                 f"{path}: the chain from the root ends at {link!r}, not at {tip!r}"
             )
         element = by_parent[link]
-        chain.append(_joint(element, path))
-        link = _link(element, "child", path)
+        chain.append(read_joint(element, path))
+        link = link_of(element, "child", path)
     if not any(joint.kind != "fixed" for joint in chain):
         raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
     return tuple(chain)
@@ -84,14 +84,14 @@ def read_path(path: Path, tip: str, base: str | None = None) -> tuple[Joint, ...
         FileError: the file is missing or cannot be read.
         MechanismError: not well-formed, or no path from base to tip.
     """
-    robot = _read_xml(path)
+    robot = read_xml(path, "robot")
     links = [str(link.get("name")) for link in robot.findall("link")]
     for name in (tip, *([] if base is None else [base])):
         if name not in links:
             raise MechanismError(f"{path}: no link named {name!r}; it has {', '.join(links)}")
     above: dict[str, etree._Element] = {}
     for element in robot.findall("joint"):
-        child = _link(element, "child", path)
+        child = link_of(element, "child", path)
         if child in above:
             raise MechanismError(
                 f"{path}, line {element.sourceline}: link {child!r} hangs on two joints; a URDF "
@@ -102,10 +102,10 @@ def read_path(path: Path, tip: str, base: str | None = None) -> tuple[Joint, ...
     found: list[etree._Element] = []
     while link in above and link != base and len(found) <= len(above):
         found.append(above[link])
-        link = _link(above[link], "parent", path)
+        link = link_of(above[link], "parent", path)
     if (base is not None and link != base) or (link in above and base is None):
         raise MechanismError(f"{path}: no chain of joints leads from {base or 'a root'} to {tip!r}")
-    return tuple(_joint(element, path) for element in reversed(found))
+    return tuple(read_joint(element, path) for element in reversed(found))
 
 
 def read_points(path: Path) -> dict[str, Joint]:
@@ -116,18 +116,18 @@ def read_points(path: Path) -> dict[str, Joint]:
         MechanismError: not well-formed.
     """
     points: dict[str, Joint] = {}
-    elements = _read_xml(path).findall("joint")
-    children = {_link(element, "child", path) for element in elements}
+    elements = read_xml(path, "robot").findall("joint")
+    children = {link_of(element, "child", path) for element in elements}
     for element in elements:
-        joint = _joint(element, path)
+        joint = read_joint(element, path)
         if joint.kind != "fixed":
             continue
-        if _link(element, "parent", path) in children:
+        if link_of(element, "parent", path) in children:
             raise MechanismError(
                 f"{path}, line {element.sourceline}: joint {joint.name!r} sits on another "
                 "frame; fix each platform point to the platform's root link"
             )
-        for name in {joint.name, _link(element, "child", path)}:
+        for name in {joint.name, link_of(element, "child", path)}:
             if name in points:
                 raise MechanismError(
                     f"{path}, line {element.sourceline}: {name!r} names two points; give each "
@@ -137,20 +137,12 @@ def read_points(path: Path) -> dict[str, Joint]:
     return points
 
 
-def _read_xml(path: Path) -> etree._Element:
-    """Return the <robot> element; entities are not resolved and nothing is fetched."""
-    text = read_bytes(path, _LARGEST, MechanismError)
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
-    try:
-        root = etree.fromstring(text, parser)
-    except etree.XMLSyntaxError as error:
-        raise MechanismError(f"{path}: the URDF does not parse: {error}") from error
-    if root.tag != "robot":
-        raise MechanismError(f"{path}: expected a <robot> element, found <{root.tag}>")
-    return root
+def read_joint(element: etree._Element, path: Path) -> Joint:
+    """Return a <joint> of a URDF.
 
-
-def _joint(element: etree._Element, path: Path) -> Joint:
+    Raises:
+        MechanismError: of a type that a leg cannot have, or a number that is none.
+    """
     where = f"{path}, line {element.sourceline}"
     name, kind = element.get("name"), element.get("type")
     if not name:
@@ -174,8 +166,15 @@ def _joint(element: etree._Element, path: Path) -> Joint:
     if abs(norm - 1.0) > 1e-12:
         axis = axis / norm
     x, y, z = (float(v) for v in axis)
-    lower, upper = (-np.inf, np.inf) if kind == "continuous" else _limits(element, name, where)
+    turns = kind == "continuous" or (kind == "revolute" and _unlimited(element))
+    lower, upper = (-np.inf, np.inf) if turns else _limits(element, name, where)
     return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
+
+
+def _unlimited(element: etree._Element) -> bool:
+    """Return whether a <limit> says no range, as CAD exporters write for joints that may turn."""
+    limit = element.find("limit")
+    return limit is not None and limit.get("lower") is None and limit.get("upper") is None
 
 
 def _limits(element: etree._Element, name: str, where: str) -> tuple[float, float]:
@@ -190,7 +189,12 @@ def _limits(element: etree._Element, name: str, where: str) -> tuple[float, floa
     return lower, upper
 
 
-def _link(element: etree._Element, key: str, path: Path) -> str:
+def link_of(element: etree._Element, key: str, path: Path) -> str:
+    """Return the parent or child link of a <joint>.
+
+    Raises:
+        MechanismError: there is none.
+    """
     child = element.find(key)
     name = None if child is None else child.get("link")
     if not name:

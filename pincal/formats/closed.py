@@ -1,0 +1,301 @@
+"""A tree with loops becomes a mechanism: legs, platform, drives, and the parameters of its joints.
+
+Every joint that moves, the tip and the platform's point may be displaced in all directions; of
+these displacements each leg keeps those that its closure can tell apart (``independent``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import takewhile
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MechanismError
+from pincal.formats.graph import Way, ways_of
+from pincal.formats.limbs import Limb, limb, point_platform, poses_at_zero
+from pincal.formats.tree import Tree, listed
+from pincal.kinematics.assembly import assembled
+from pincal.kinematics.independent import independent
+from pincal.model.leg import Joint, Leg
+from pincal.model.mechanism import Mechanism
+from pincal.model.placement import Placement, along, placement_of
+from pincal.model.platform import Platform
+from pincal.model.sensor import Sensor
+
+Array = NDArray[np.float64]
+_PARALLEL = 1e-9
+_FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3): "spatial"}
+_SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
+
+
+def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism, tuple[str, ...]]:
+    """Return the mechanism of a tree with loops, and what was left out of it, in words.
+
+    Args:
+        tree: Links, joints and loops.
+        platform: Link whose frame is the platform's; the one in which the legs meet if not given.
+
+    Raises:
+        MechanismError: legs, platform and drives cannot be told apart; the loops do not close.
+    """
+    platform = platform or tree.platform
+    if platform is not None:
+        platform = tree.link(platform, "the platform")
+    found = ways_of(tree, platform)
+    driven = set(tree.active)
+    remarks = [
+        f"{listed(found.left)}: in no loop, left out"
+        + (" (driven)" if driven & set(found.left) else "")
+    ] * bool(found.left)
+    normal = _normal(tree, found.ways)
+    if found.platform is None:
+        if normal is None:
+            raise MechanismError(
+                f"{tree.source}: one loop, which leaves open what the platform is; name it with "
+                "--platform LINK"
+            )
+        limbs: tuple[Limb, ...] = point_platform(tree, found.ways[0], driven, normal)
+        kind, C_platform = "point", np.eye(3)
+    else:
+        legs, own = _legs_and_freedoms(tree, found.ways, driven)
+        kind = own or ("spatial" if normal is None else "planar")
+        limbs = tuple(limb(tree, way, found.platform, driven, normal) for way in legs)
+        at = poses_at_zero(tree)[found.platform][:3, :3]
+        if kind in ("point", "translational"):
+            C_platform = at.T @ (np.eye(3) if normal is None else _onto(normal))
+        else:
+            C_platform = np.eye(3) if normal is None else _onto(at.T @ normal)
+    if normal is not None:
+        limbs = tuple(_in_plane(one, normal, C_platform) for one in limbs)
+        if abs(normal[2]) < 1.0 - _PARALLEL:
+            remarks.append("planar, but not across z: the base frame was turned to have z across")
+    elif not np.array_equal(C_platform, np.eye(3)):
+        limbs = tuple(_turned_platform(one, C_platform) for one in limbs)
+    names = _leg_names(limbs)
+    stems = _stems(names, limbs)
+    made = tuple(
+        _leg(name, one, tree, kind, own) for name, one, own in zip(names, limbs, stems, strict=True)
+    )
+    try:
+        made, placed = assembled(_apart(made), kind)
+    except MechanismError as error:
+        raise MechanismError(f"{tree.source}: {error}") from error
+    for leg in made:
+        remarks += [
+            f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, beyond its limits"
+            for joint in leg.moving
+            if joint.limited and not joint.lower <= joint.home <= joint.upper
+        ]
+    name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
+    kept = tuple(_reduced(leg, placed) for leg in made)
+    return Mechanism(name, placed, kept, f"From {tree.source}."), tuple(remarks)
+
+
+def _legs_and_freedoms(
+    tree: Tree, ways: tuple[Way, ...], driven: set[str]
+) -> tuple[list[Way], str | None]:
+    """Return the ways with a drive, and the kind of platform if another says its freedoms.
+
+    Raises:
+        MechanismError: a way without a drive that is no row of freedoms.
+    """
+    legs = [way for way in ways if any(one.bond.name in driven for one in way)]
+    idle = [way for way in ways if way not in legs]
+    kinds = [_freedoms(way) for way in idle]
+    for way, kind in zip(idle, kinds, strict=True):
+        if kind is None or len(idle) > 1 or not legs:
+            raise MechanismError(
+                f"{tree.source}: no driven joint in the leg {', '.join(p.bond.name for p in way)}; "
+                "each leg needs one whose position is read: name it under name_mot (YAML) or give "
+                "it an actuator (MJCF)"
+            )
+    return legs, kinds[0] if kinds else None
+
+
+def _freedoms(way: Way) -> str | None:
+    """Return the kind of platform that a row of slides and turns frees; None for another."""
+    joints = [one.bond.edge.joint for one in way if one.bond.edge is not None and one.forth]
+    kinds = [joint.kind for joint in joints]
+    counts = kinds.count("prismatic"), kinds.count("revolute")
+    if len(joints) != len(way) or kinds != sorted(kinds):  # slides first
+        return None
+    return _FREEDOMS.get(counts)
+
+
+def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
+    """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
+    at = poses_at_zero(tree)
+    turning: list[Array] = []
+    sliding: list[Array] = []
+    for edge in (one.bond.edge for way in ways for one in way):
+        if edge is not None:
+            axis = at[edge.child][:3, :3] @ edge.joint.axis
+            (turning if edge.joint.kind == "revolute" else sliding).append(axis)
+    if not turning:
+        return None
+    normal = turning[0]
+    parallel = all(np.linalg.norm(np.cross(normal, axis)) < _PARALLEL for axis in turning)
+    if not (parallel and all(abs(normal @ axis) < _PARALLEL for axis in sliding)):
+        return None
+    largest = normal[np.argmax(np.abs(normal))]
+    return np.asarray(normal * np.sign(largest))
+
+
+def _onto(normal: Array) -> Array:
+    """Return the smallest turn of z onto a unit vector, shape (3, 3)."""
+    if normal[2] > 1.0 - _PARALLEL:
+        return np.eye(3)
+    if normal[2] < _PARALLEL - 1.0:
+        return np.diag([1.0, -1.0, -1.0])
+    axis = np.cross((0.0, 0.0, 1.0), normal)
+    angle = np.arctan2(np.linalg.norm(axis), normal[2])
+    return Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+
+
+def _along(normal: Array) -> Array:
+    """Return the smallest turn of z, or of -z, onto a unit vector."""
+    return np.eye(3) if abs(normal[2]) > 1.0 - _PARALLEL else _onto(normal)
+
+
+def _in_plane(one: Limb, normal: Array, C_platform: Array) -> Limb:
+    """Return a leg whose every frame has z across the plane, in a base frame that has."""
+    joints: list[Joint] = []
+    C, R = _onto(normal), np.eye(3)
+    for joint in one.joints:
+        origin = joint.placement.origin()
+        R = R @ origin[:3, :3]
+        last = joint is one.joints[-1] and one.point is None
+        C_child = C_platform if last else _along(R.T @ normal)
+        if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
+            origin[:3] = C.T @ origin[:3]
+            origin[:3, :3] = origin[:3, :3] @ C_child
+            x, y, z = (float(v) for v in np.round(C_child.T @ joint.axis, 12))
+            joint = replace(joint, placement=placement_of(origin), axis=(x, y, z))
+        joints.append(joint)
+        C = C_child
+    return _turned_platform(Limb(tuple(joints), one.point), C_platform)
+
+
+def _turned_platform(one: Limb, C_platform: Array) -> Limb:
+    """Return a leg whose platform point is told in a platform frame that is turned."""
+    if one.point is None or np.array_equal(C_platform, np.eye(3)):
+        return one
+    origin = one.point.placement.origin()
+    origin[:3] = C_platform.T @ origin[:3]
+    return Limb(one.joints, replace(one.point, placement=placement_of(origin)))
+
+
+def _leg_names(limbs: tuple[Limb, ...]) -> list[str]:
+    """Return what the names of each leg's joints begin with, or otherwise numbers."""
+    names = []
+    for one in limbs:
+        own = [joint.name for joint in one.joints if joint.kind != "fixed"]
+        stem = _common(own)
+        if any(len(name) > len(stem) and name[len(stem)] not in "_-./ " for name in own):
+            stem = re.sub(r"[^_\-./ ]*$", "", stem)
+        names.append(re.sub(r"\W", "_", stem).strip("_"))
+    if len(set(names)) == len(names) and all(names) and "platform" not in names:
+        return names
+    return [f"leg_{index + 1}" for index in range(len(limbs))]
+
+
+def _common(names: list[str]) -> str:
+    """Return what all names begin with."""
+    alike = (set(letters) for letters in zip(*names, strict=False))
+    return names[0][: sum(1 for _ in takewhile(lambda letters: len(letters) == 1, alike))]
+
+
+def _stems(names: list[str], limbs: tuple[Limb, ...]) -> list[list[str]]:
+    """Return for each leg what its moving joints' parameters begin with.
+
+    The joints' names less the leg's, if all legs have the same; else joint_1, joint_2, and so on.
+    """
+    stems = []
+    for name, one in zip(names, limbs, strict=True):
+        own = [joint.name.removeprefix(name) for joint in one.joints if joint.kind != "fixed"]
+        stems.append([re.sub(r"\W", "_", s).strip("_").removesuffix("_joint") for s in own])
+    first = stems[0]
+    if all(own == first for own in stems) and all(first) and len(set(first)) == len(first):
+        return stems
+    return [[f"joint_{index + 1}" for index in range(len(own))] for own in stems]
+
+
+def _leg(name: str, one: Limb, tree: Tree, kind: str, stems: list[str]) -> Leg:
+    """Return a leg with displacements of all its joints as parameters."""
+    axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
+    joints = one.joints
+    if joints[-1].kind != "fixed":
+        joints = (*joints, Joint("tip", "fixed"))
+    parameters: dict[str, float] = {}
+    placed, stem_of = [], iter(stems)
+    for joint in joints:
+        if joint.kind == "fixed" and joint is not joints[-1]:
+            placed.append(joint)
+            continue
+        stem = "tip" if joint is joints[-1] else next(stem_of)
+        placed.append(replace(joint, placement=_displaced(joint.placement, stem, axes, parameters)))
+    point = one.point or Joint("point", "fixed")
+    if one.point is not None:
+        shifts = axes[: len(axes) // 2 + len(axes) % 2]
+        point = replace(point, placement=_displaced(point.placement, "point", shifts, parameters))
+    if point.name == "point":
+        point = replace(point, name=f"{name}_point")
+    sensors = tuple(
+        Sensor(joint.name, offset=-tree.zeros.get(joint.name, 0.0) or 0.0)
+        for joint in joints
+        if joint.name in tree.active
+    )
+    if not sensors:
+        raise MechanismError(f"{tree.source}: {name} has no driven joint")
+    closes = "frame" if one.point is None else "point"
+    return Leg(name, tuple(placed), sensors, tuple(parameters.items()), point, "tip", closes)  # type: ignore[arg-type]
+
+
+def _displaced(
+    placement: Placement, stem: str, axes: Iterable[str], parameters: dict[str, float]
+) -> Placement:
+    """Return a placement with small displacements, and enter their names."""
+    own = {axis: f"{stem}_{axis}" for axis in axes}
+    parameters |= dict.fromkeys(own.values(), 0.0)
+    steps = tuple(along(axis, name) for axis, name in own.items())
+    steps += tuple(along(*one) for one in zip("xyz", placement.xyz, strict=True) if one[1])
+    return Placement(steps, placement.xyz, placement.rpy)
+
+
+def _apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
+    """Return legs of which each has its own platform point."""
+    names = [leg.point.name for leg in legs]
+    return tuple(
+        replace(leg, point=replace(leg.point, name=f"{leg.name}_point"))
+        if names.count(leg.point.name) > 1
+        else leg
+        for leg in legs
+    )
+
+
+def _reduced(leg: Leg, platform: Platform) -> Leg:
+    """Return a leg with the parameters that its closure can tell apart; shifts come first."""
+    order = sorted(leg.parameter_names, key=lambda name: leg.units[name] != "m")
+    kept = set(independent(leg, platform, tuple(order)))
+
+    def with_kept(joint: Joint) -> Joint:
+        coordinates = tuple(
+            c
+            for c in joint.placement.coordinates
+            if not isinstance(c.values[0], str) or c.values[0] in kept
+        )
+        if not any(isinstance(c.values[0], str) for c in coordinates):
+            coordinates = ()
+        return replace(joint, placement=replace(joint.placement, coordinates=coordinates))
+
+    return replace(
+        leg,
+        joints=tuple(with_kept(joint) for joint in leg.joints),
+        point=with_kept(leg.point),
+        parameters=tuple(one for one in leg.parameters if one[0] in kept),
+    )

@@ -1,0 +1,126 @@
+"""A mechanism as a tree with loops, as it is written for neighbours.
+
+The platform hangs on the base by its own freedoms, all passive, and each leg ends in a loop with
+it: so legs of any number of joints, and platforms of any kind, come out alike, and come in again.
+A serial arm has no loop, and its tip is the platform.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MechanismError
+from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, turns
+from pincal.kinematics.assembly import assembled
+from pincal.kinematics.closure import LegClosure
+from pincal.model.leg import Joint, Leg
+from pincal.model.mechanism import Mechanism
+from pincal.model.placement import Placement
+
+BASE, PLATFORM = "base", "platform"
+_FREEDOMS = {"point": "XY", "planar": "XYz", "translational": "XYZ", "spatial": "XYZxyz"}
+
+
+def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
+    """Return the tree of a mechanism at its nominal parameters, and what it cannot hold, in words.
+
+    Joints keep their names if all legs' differ; else they are ``leg_joint``. Home closes the loops
+    if it can.
+    """
+    with suppress(MechanismError):
+        closing, platform = assembled(mechanism.legs, mechanism.platform.kind)
+        mechanism = replace(mechanism, legs=closing, platform=platform)
+    names = [joint.name for leg in mechanism.legs for joint in leg.joints]
+    shared = len(set(names)) != len(names) or PLATFORM in names
+    legs = tuple(_named(leg) if shared else leg for leg in mechanism.legs)
+    edges: tuple[Edge, ...] = ()
+    loops: list[Loop] = []
+    only = legs[0]
+    serial = len(legs) == 1 and only.closes == "frame" and not only.passive
+    serial = serial and np.array_equal(only.point.placement.origin(), np.eye(4))
+    if not serial:
+        edges += _floating(mechanism)
+    for leg in legs:
+        link = BASE
+        for index, joint in enumerate(leg.joints):
+            last = index == len(leg.joints) - 1
+            child = PLATFORM if serial and last else f"{leg.name}_link_{index + 1}"
+            edges += (Edge(joint, link, child),)
+            link = child
+        if not serial:
+            point = f"{leg.name}_{leg.point.name}" if shared else leg.point.name
+            edges += (Edge(_point(leg, mechanism, point), PLATFORM, f"{leg.name}_end"),)
+            loops.append(Loop(leg.name, Spot(link), Spot(f"{leg.name}_end"), leg.closes))
+    tree = Tree(
+        name=mechanism.name,
+        source=mechanism.name,
+        root=BASE,
+        edges=edges,
+        loops=tuple(loops),
+        active=tuple(sensor.joint for leg in legs for sensor in leg.sensors),
+        platform=PLATFORM,
+        homed=True,
+    )
+    return tree, unwritten(mechanism)
+
+
+def _named(leg: Leg) -> Leg:
+    """Return a leg whose joints' names begin with its own."""
+    joints = tuple(replace(joint, name=f"{leg.name}_{joint.name}") for joint in leg.joints)
+    sensors = tuple(replace(one, joint=f"{leg.name}_{one.joint}") for one in leg.sensors)
+    return replace(leg, joints=joints, sensors=sensors)
+
+
+def _floating(mechanism: Mechanism) -> tuple[Edge, ...]:
+    """Return the platform's freedoms as joints, at home."""
+    platform = mechanism.platform
+    edges = turns(Joint(PLATFORM, "fixed"), BASE, PLATFORM, _FREEDOMS[platform.kind])
+    at = platform.home_pose.as_matrix()[0]
+    x, y, z = Rotation.from_matrix(at[:3, :3]).as_euler("XYZ")
+    values = dict(zip(("px", "py", "pz", "x", "y", "z"), (*at[:3, 3], x, y, z), strict=True))
+    reach = sum(LegClosure(leg, platform).reach for leg in mechanism.legs)
+    limited = tuple(
+        replace(edge, joint=replace(edge.joint, lower=-reach, upper=reach))
+        if edge.joint.kind == "prismatic"
+        else edge
+        for edge in edges
+    )
+    return at_home(limited, {f"{PLATFORM}_{key}": float(value) for key, value in values.items()})
+
+
+def _point(leg: Leg, mechanism: Mechanism, name: str) -> Joint:
+    """Return a platform point; in the plane at the height of the leg's tip."""
+    placement = Placement((), leg.point.placement.xyz, leg.point.placement.rpy)
+    if mechanism.platform.space == 2:
+        closure = LegClosure(leg, mechanism.platform)
+        tip = _height(leg) if leg.closes == "point" else closure.frame(leg.home[None])[0, 2, 3]
+        placement = replace(placement, xyz=(*placement.xyz[:2], float(tip)))
+    return Joint(name, "fixed", placement)
+
+
+def _height(leg: Leg) -> float:
+    """Return the height of a planar leg's tip, which no joint changes, [m]."""
+    here = np.eye(4)
+    for joint in leg.joints:
+        here = here @ joint.placement.origin()
+    return float(here[2, 3])
+
+
+def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return what neighbours' files have no place for."""
+    other = [
+        leg.name
+        for leg in mechanism.legs
+        for sensor in leg.sensors
+        if sensor.constants(leg.nominal_by_name) != (1.0, 0.0) or sensor.zero != 0.0
+    ]
+    if not other:
+        return ()
+    return (
+        f"the file holds joint positions, not readings: gains, offsets and zeros of the sensors of "
+        f"{', '.join(dict.fromkeys(other))} have no place in it",
+    )

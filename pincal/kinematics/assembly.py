@@ -1,0 +1,101 @@
+"""A home configuration in which all legs close, near one in which they need not.
+
+Files of neighbours say how bodies hang together, and at which joint positions they were drawn; that
+the loops are closed there is not said. Newton's method on the platform's pose and all joints
+takes the shortest steps that close them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MechanismError
+from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.model.leg import Leg
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+_STEPS = 100
+_LARGEST = 0.3  # of the size, and [rad]
+_SMALL = 1e-12  # of the size
+_CLOSED = 1e-10  # of the size
+
+
+def assembled(legs: Sequence[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform]:
+    """Return the legs with home positions that close them, and the platform at its home pose.
+
+    Args:
+        legs: The legs; their home positions are where to start.
+        kind: Of the platform.
+
+    Raises:
+        MechanismError: no such configuration was found.
+    """
+    free = Platform(kind, (0.0,) * Platform.dof_of(kind))
+    closures = [LegClosure(leg, free) for leg in legs]
+    joints = [leg.home[None].copy() for leg in legs]
+    size = largest_size(legs, free) or 1.0
+    pose = _fitted(closures, joints, free)
+    gap = np.inf
+    for _ in range(_STEPS):
+        parts = [one.evaluate(q, pose) for one, q in zip(closures, joints, strict=True)]
+        gaps = np.concatenate([part.gap[0] for part in parts])
+        gap = float(np.abs(gaps).max())
+        if gap <= _SMALL * size:
+            break
+        widths = [len(leg.moving) for leg in legs]
+        J = np.zeros((len(gaps), free.dof + sum(widths)))
+        row, column = 0, free.dof
+        for leg, part, width in zip(legs, parts, widths, strict=True):
+            rows = slice(row, row + part.gap.shape[1])
+            J[rows, : free.dof] = part.pose[0]
+            J[rows, [column + i for i in leg.active]] = part.active[0]
+            J[rows, [column + i for i in leg.passive]] = part.passive[0]
+            row, column = rows.stop, column + width
+        step = np.linalg.lstsq(J, -gaps, rcond=1e-10)[0]
+        step *= min(1.0, _LARGEST * max(1.0, size) / (float(np.abs(step).max()) or 1.0))
+        pose = free.displaced(pose, step[None, : free.dof])
+        column = free.dof
+        for q, width in zip(joints, widths, strict=True):
+            q[0] += step[column : column + width]
+            column += width
+    if not gap <= _CLOSED * size:
+        raise MechanismError(
+            f"the loops do not close near the joint positions that the file draws: {gap:.3g} m "
+            "stay open. Give positions that close them (keyframe of MJCF, 'home' of the YAML "
+            "file), or look at the frames of the loops"
+        )
+    home = free.from_matrices(pose)[0]
+    placed = tuple(leg.with_home(q[0]) for leg, q in zip(legs, joints, strict=True))
+    return placed, Platform(kind, tuple(home.tolist()))
+
+
+def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: Platform) -> Array:
+    """Return the pose in which the platform's points are nearest to the tips, shape (1, 4, 4)."""
+    for one, q in zip(closures, joints, strict=True):
+        if one.leg.closes == "frame":
+            return one.frame(q)
+    matrix = np.eye(4)
+    tips = np.concatenate([one.tips(q) for one, q in zip(closures, joints, strict=True)])
+    points = np.concatenate([one.targets(np.eye(4)[None]) for one in closures])
+    if platform.space == 2:
+        tips[:, 2] = points[:, 2] = 0.0
+    if "rad" in platform.units and len(closures) > 1:
+        turn = _turn(tips - tips.mean(axis=0), points - points.mean(axis=0), platform.space)
+        matrix[:3, :3] = turn
+    matrix[:3, 3] = tips.mean(axis=0) - matrix[:3, :3] @ points.mean(axis=0)
+    return matrix[None]
+
+
+def _turn(tips: Array, points: Array, space: int) -> Array:
+    """Return the rotation that takes points to tips best, shape (3, 3) (Kabsch 1976)."""
+    if space == 2:
+        a, b = points[:, :2] @ (1.0, 1j), tips[:, :2] @ (1.0, 1j)
+        return Rotation.from_rotvec([0.0, 0.0, float(np.angle(np.vdot(a, b)))]).as_matrix()
+    u, _, vt = np.linalg.svd(points.T @ tips)
+    straight = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(vt.T @ u.T))) or 1.0])
+    return vt.T @ straight @ u.T

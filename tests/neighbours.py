@@ -1,0 +1,166 @@
+"""Files in the conventions of neighbours, written by hand: URDF trees, robot.yaml, MJCF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+LIMIT = '<limit effort="1" velocity="20"/>'
+
+
+def joint(
+    name: str,
+    parent: str,
+    child: str,
+    xyz: str = "0 0 0",
+    kind: str = "revolute",
+    *,
+    axis: str = "0 0 1",
+    rpy: str = "0 0 0",
+    limit: str = LIMIT,
+) -> str:
+    """Return a <joint> of a URDF."""
+    limit = "" if kind == "fixed" else limit
+    return (
+        f'<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="{rpy}"/>'
+        f'<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>{limit}</joint>'
+    )
+
+
+def urdf(name: str, joints: list[str], root: str) -> str:
+    """Return a URDF of joints, its links in their order."""
+    links = [root, *(one.split('<child link="')[1].split('"')[0] for one in joints)]
+    every = "\n".join([*(f'<link name="{link}"/>' for link in links), *joints])
+    return f'<?xml version="1.0"?>\n<robot name="{name}">\n{every}\n</robot>\n'
+
+
+def written(folder: Path, robot: str, yaml: str) -> Path:
+    """Write robot.urdf and robot.yaml, and return the former."""
+    folder.mkdir(exist_ok=True)
+    (folder / "robot.yaml").write_text(yaml)
+    (folder / "robot.urdf").write_text(robot)
+    return folder / "robot.urdf"
+
+
+FIVE_BAR = [
+    joint("mot1", "base", "a1", "-0.1 0 0"),
+    joint("free1", "a1", "a2", "-0.1 0.2 0"),
+    joint("mot2", "base", "b1", "0.1 0 0"),
+    joint("free2", "b1", "b2", "0.1 0.2 0"),
+    joint("closedloop1_A", "a2", "ca", "0.2 0.2 0", "fixed"),
+    joint("closedloop1_B", "b2", "cb", "-0.2 0.2 0", "fixed"),
+]
+FIVE_BAR_YAML = """\
+closed_loop: [['closedloop1_A', 'closedloop1_B']]
+type: ['3d']
+name_mot: ['mot1', 'mot2']
+rotor_inertia: [0.1, 0.1]
+"""
+
+
+def five_bar(folder: Path) -> Path:
+    """Write a five-bar whose loop is closed by a point."""
+    return written(folder, urdf("fivebar", FIVE_BAR, "base"), FIVE_BAR_YAML)
+
+
+def five_bar_angles(points: np.ndarray) -> np.ndarray:
+    """Return the drives' angles of FIVE_BAR at points, shape (N, 2), by the cosine law."""
+    found = []
+    for foot, knee, tip in ((-0.1, -0.1 + 0.2j, 0.2 + 0.2j), (0.1, 0.1 + 0.2j, -0.2 + 0.2j)):
+        reach = points[:, 0] + 1j * points[:, 1] - foot
+        a, b = abs(knee), abs(tip)
+        bend = np.arccos((np.abs(reach) ** 2 - a**2 - b**2) / (2 * a * b))
+        side = np.sign((np.conj(knee) * tip).imag)
+        link = np.angle(reach) - np.angle(a + b * np.exp(1j * side * bend))
+        found.append(link - np.angle(knee))
+    return np.stack(found, axis=1)
+
+
+def hexapod_points(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return base and platform points of a hexapod, the first platform point in its origin."""
+    rng = np.random.default_rng(seed)
+    turns = np.radians([10, 50, 130, 170, 250, 290])
+    base = np.column_stack((np.cos(turns), np.sin(turns), np.zeros(6)))
+    top = 0.5 * np.column_stack((np.cos(turns + 0.3), np.sin(turns + 0.3), np.zeros(6)))
+    base, top = base + rng.normal(0, 0.02, (6, 3)), top + rng.normal(0, 0.02, (6, 3))
+    return base, top - top[0]
+
+
+def hexapod(folder: Path) -> Path:
+    """Write a 6-UPS as a tree: leg 1 carries the platform, the others close a point on it.
+
+    U and S are joints that the YAML file replaces. Slides are at zero where legs are 0.8 m long.
+    """
+    base, top = hexapod_points()
+    joints, pairs, names, kinds = [], [], [], []
+    for i, (A, B) in enumerate(zip(base, top, strict=True)):
+        text = " ".join(map(repr, A.tolist()))
+        leg = f"leg{i}"
+        joints += [
+            joint(f"{leg}_u", "base", f"{leg}_arm", text),
+            joint(
+                f"{leg}_mot",
+                f"{leg}_arm",
+                f"{leg}_rod",
+                "0 0 0.8",
+                "prismatic",
+                limit='<limit lower="-0.3" upper="0.8" effort="1" velocity="1"/>',
+            ),
+        ]
+        names.append(f"{leg}_u")
+        kinds.append("UJOINT_XY")
+        if i == 0:
+            joints.append(joint(f"{leg}_ball", f"{leg}_rod", "top"))
+            names.append(f"{leg}_ball")
+            kinds.append("SPHERICAL")
+        else:
+            end = " ".join(map(repr, B.tolist()))
+            joints += [
+                joint(f"{leg}_A", f"{leg}_rod", f"{leg}_end", kind="fixed"),
+                joint(f"{leg}_B", "top", f"{leg}_point", end, "fixed"),
+            ]
+            pairs.append([f"{leg}_A", f"{leg}_B"])
+    yaml = f"closed_loop: {pairs}\ntype: {['3D'] * 5}\nname_mot: ['mot']\n"
+    yaml += f"joint_name: {names}\njoint_type: {kinds}\n"
+    return written(folder, urdf("hexapod", joints, "base"), yaml)
+
+
+ARM = [
+    joint("shoulder_pan_joint", "base_link", "shoulder", "0 0 0.128"),
+    joint("shoulder_lift_joint", "shoulder", "upper_arm", "0 0.176 0", axis="0 1 0"),
+    joint("elbow_joint", "upper_arm", "forearm", "0 -0.128 0.612", axis="0 1 0"),
+    joint("wrist_1_joint", "forearm", "wrist_1", "0 0 0.572", axis="0 1 0", rpy="0 1.5708 0"),
+    joint("wrist_2_joint", "wrist_1", "wrist_2", "0 0.115 0"),
+    joint("wrist_3_joint", "wrist_2", "wrist_3", "0 0 0.116", axis="0 1 0"),
+    joint("flange", "wrist_3", "tool0", "0 0.092 0", "fixed", rpy="0 0 1.5707963"),
+]
+
+MJCF = """\
+<mujoco model="two_legs">
+  <compiler angle="degree" eulerseq="xYz"/>
+  <default>
+    <joint damping="1" axis="0 0 1"/>
+    <default class="lift"><joint type="slide" axis="0 1 2" range="-0.4 0.4"/></default>
+  </default>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <frame pos="0.1 0.2 0.3" euler="10 20 30">
+      <body name="a" pos="0.1 0 0" axisangle="1 1 0 30">
+        <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+        <joint name="a1" pos="0.05 0.02 0.01" range="-90 90"/>
+        <joint name="a2" class="lift" pos="0.01 0 0.03"/>
+        <body name="b" pos="0.3 0.1 0" xyaxes="0 1 0 -1 0.2 0.1" childclass="lift">
+          <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+          <joint name="b1" ref="0.1"/>
+          <body name="c" pos="0.2 0 0.1" zaxis="1 0 1">
+            <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+            <joint name="c1" type="hinge" axis="1 2 3" pos="0 0.1 0" ref="20"/>
+            <site name="end" pos="0.1 0.2 0.3" quat="1 2 3 4"/>
+          </body>
+        </body>
+      </body>
+    </frame>
+  </worldbody>
+</mujoco>
+"""

@@ -1,0 +1,724 @@
+"""Trees with loops: URDF with robot.yaml, MJCF, out, in, and back into the user's own URDF."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yourdfpy
+from command_line import done, run
+from neighbours import (
+    ARM,
+    FIVE_BAR,
+    FIVE_BAR_YAML,
+    MJCF,
+    five_bar,
+    five_bar_angles,
+    hexapod,
+    hexapod_points,
+    joint,
+    urdf,
+    written,
+)
+from scipy.spatial.transform import Rotation
+
+import pincal
+from pincal.formats.calibrated_urdf import calibrated_urdf
+from pincal.formats.closed import closed_mechanism
+from pincal.formats.loops_yaml import read_loops
+from pincal.formats.mjcf import read_mjcf
+from pincal.formats.serial import serial_arm
+from pincal.formats.tree_mjcf import mjcf
+from pincal.formats.tree_of import tree_of
+from pincal.formats.tree_urdf import loops_urdf, loops_yaml
+from pincal.kinematics.closed_forms import closed_form, pointing_slide
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.forest import cross
+from pincal.kinematics.links import link_placements
+from pincal.kinematics.reach import reach_of
+from pincal.model.leg import Leg
+
+FAMILIES = ("5R", "3RRR", "6UPS", "3RPS", "linear_delta", "4cable")
+
+
+def read(file: Path, platform: str | None = None) -> pincal.Mechanism:
+    """Return the mechanism of a URDF with robot.yaml beside it, or of an MJCF file."""
+    beside = file.with_name("robot.yaml")
+    tree = read_mjcf(file) if file.suffix == ".xml" else read_loops(file, beside)
+    return closed_mechanism(tree, platform)[0]
+
+
+def exported(mechanism: pincal.Mechanism, folder: Path, form: str) -> Path:
+    """Write a mechanism in a neighbour's form."""
+    tree, _ = tree_of(mechanism)
+    if form == "urdf":
+        return written(folder, loops_urdf(tree), loops_yaml(tree))
+    (folder / "robot.xml").write_text(mjcf(tree))
+    return folder / "robot.xml"
+
+
+def some_joints(mechanism: pincal.Mechanism, count: int) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return poses that all legs reach, as matrices, and the joints of each leg there."""
+    if not mechanism.by_readings:
+        rng = np.random.default_rng(0)
+        home = np.tile(mechanism.platform.home, (count, 1))
+        poses = mechanism.platform.moved(home, rng.normal(0, 0.05, home.shape))
+        solution = pincal.inverse(mechanism, poses)
+        assert solution.reached.all()
+        joints = [solution.joints[leg.name] for leg in mechanism.legs]
+        return mechanism.platform.transforms(poses).as_matrix(), joints
+    rng = np.random.default_rng(0)
+    home = pincal.inverse(mechanism, np.array([mechanism.platform.home])).readings
+    found = pincal.forward(mechanism, home + rng.uniform(-0.08, 0.08, (count, home.shape[1])))
+    assert found.converged.all()
+    solution = pincal.inverse(mechanism, found.poses)
+    joints = [solution.joints[leg.name] for leg in mechanism.legs]
+    return mechanism.platform.transforms(found.poses).as_matrix(), joints
+
+
+@pytest.mark.parametrize("form", ["urdf", "mjcf"])
+@pytest.mark.parametrize("name", FAMILIES)
+def test_what_is_written_is_read(name: str, form: str, tmp_path: Path) -> None:
+    """A mechanism, out and in again, has the same platform, legs, home and joint positions."""
+    mechanism = pincal.load_mechanism(name)
+    again = read(exported(mechanism, tmp_path, form))
+    assert again.platform.kind == mechanism.platform.kind
+    assert again.leg_names == mechanism.leg_names
+    np.testing.assert_allclose(again.platform.home, mechanism.platform.home, atol=1e-11)
+    poses, joints = some_joints(mechanism, 40)
+    for one, other, expected in zip(again.legs, mechanism.legs, joints, strict=True):
+        assert one.closes == other.closes
+        assert one.active == other.active
+        closure = LegClosure(one, again.platform).evaluate(expected, poses)
+        assert np.abs(closure.gap).max() < 1e-11
+    if not mechanism.by_readings:
+        solution = pincal.inverse(again, again.platform.from_matrices(poses))
+        for leg, expected in zip(again.legs, joints, strict=True):
+            np.testing.assert_allclose(solution.joints[leg.name], expected, atol=1e-11)
+
+
+def configured(
+    model: pin.Model, mechanism: pincal.Mechanism, pose: np.ndarray, joints: list[np.ndarray]
+) -> np.ndarray:
+    """Return Pinocchio's configuration of a mechanism that was written as MJCF."""
+    values: dict[str, np.ndarray] = {}
+    for leg, q in zip(mechanism.legs, joints, strict=True):
+        values |= {f"{leg.name}_{one.name}": v for one, v in zip(leg.moving, q, strict=True)}
+    values |= {f"platform_p{axis}": pose[i, 3] for i, axis in enumerate("xyz")}
+    values["platform_z"] = np.arctan2(pose[1, 0], pose[0, 0])
+    values["platform"] = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    q = pin.neutral(model)
+    for name in list(model.names)[1:]:
+        entry = model.joints[model.getJointId(name)]
+        value = np.atleast_1d(values[name])
+        if entry.nq == 2:
+            value = np.array([np.cos(value[0]), np.sin(value[0])])
+        q[entry.idx_q : entry.idx_q + entry.nq] = value
+    return q
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_pinocchio_closes_the_loops_where_pincal_does(name: str, tmp_path: Path) -> None:
+    """At poses of pincal's the constraints of Pinocchio's own MJCF parser hold to 1e-9 m.
+
+    Off by 1 mm or mrad in one joint they do not.
+    """
+    mechanism = pincal.load_mechanism(name)
+    file = exported(mechanism, tmp_path, "mjcf")
+    model, points, frames = pin.buildModelAndConstraintsFromMJCF(str(file))
+    assert (len(points), len(frames)) == (len(mechanism.legs), 0)
+    data = model.createData()
+    poses, joints = some_joints(mechanism, 8)
+
+    def widest(q: np.ndarray) -> float:
+        pin.forwardKinematics(model, data, q)
+        return max(
+            float(
+                np.linalg.norm(
+                    data.oMi[one.joint1_id].act(one.joint1_placement).translation
+                    - data.oMi[one.joint2_id].act(one.joint2_placement).translation
+                )
+            )
+            for one in points
+        )
+
+    for row, pose in enumerate(poses):
+        assert widest(configured(model, mechanism, pose, [q[row] for q in joints])) < 1e-9
+        off = [q[row] + 1e-3 * (leg == 0) for leg, q in enumerate(joints)]
+        assert widest(configured(model, mechanism, pose, off)) > 1e-5
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_mujoco_loads_what_is_written(name: str, tmp_path: Path) -> None:
+    """In MuJoCo the keyframe closes the loops, and each drive has an actuator."""
+    mujoco = pytest.importorskip("mujoco")
+    mechanism = pincal.load_mechanism(name)
+    model = mujoco.MjModel.from_xml_path(str(exported(mechanism, tmp_path, "mjcf")))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    assert model.nu == len(mechanism.reading_names)
+    assert model.neq == len(mechanism.legs)
+    assert np.abs(data.efc_pos[: data.ne]).max() < 1e-9
+
+
+def sites_at(file: Path, q: np.ndarray) -> np.ndarray:
+    """Return the site 'end' of the chain in an MJCF file, shape (N, 4, 4), by pincal."""
+    tree = read_mjcf(file)
+    carrying = {edge.child: edge for edge in tree.edges}
+    link, joints = "c", []
+    while link in carrying:
+        joints.insert(0, carrying[link].joint)
+        link = carrying[link].parent
+    moving = [one.name for one in joints if one.kind != "fixed"]
+    zeros = [tree.zeros.get(name, 0.0) for name in moving]
+    leg = Leg("leg", tuple(joints), (pincal.Sensor(moving[0]),), (), pincal.Joint("b", "fixed"))
+    site = np.eye(4)
+    site[:3, 3] = (0.1, 0.2, 0.3)
+    site[:3, :3] = Rotation.from_quat([2, 3, 4, 1]).as_matrix()
+    return link_placements(leg, q - zeros)[:, -1] @ site
+
+
+def bounded(text: str) -> str:
+    """Return the model with limits for its last joints, which a leg needs of slides only."""
+    return text.replace('name="c1"', 'name="c1" range="-170 170"')
+
+
+def test_mjcf_is_understood_as_mujoco_does(tmp_path: Path) -> None:
+    """Poses, classes, frames, units, several joints a body and references: as in MuJoCo."""
+    mujoco = pytest.importorskip("mujoco")
+    file = tmp_path / "robot.xml"
+    file.write_text(bounded(MJCF))
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    q = np.random.default_rng(0).uniform(-0.4, 0.4, (20, model.nq))
+    own = sites_at(file, q)
+    for row, expected in zip(q, own, strict=True):
+        data.qpos[:] = row
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(data.site_xpos[0], expected[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(data.site_xmat[0].reshape(3, 3), expected[:3, :3], atol=1e-12)
+    limits = {e.joint.name: (e.joint.lower, e.joint.upper) for e in read_mjcf(file).edges}
+    assert limits["a1"] == pytest.approx((-np.pi / 2, np.pi / 2))
+    assert limits["b1"] == pytest.approx((-0.5, 0.3))  # counted from where it is drawn
+
+
+LOOPED = """\
+<mujoco model="looped">
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="base">
+      <body name="a1" pos="-0.1 0 0"><joint name="m1"/>
+        <body name="a2" pos="-0.1 0.2 0"><joint name="f1"/><site name="sa" pos="0.2 0.2 0"/></body>
+      </body>
+      <body name="b1" pos="0.1 0 0"><joint name="m2"/>
+        <body name="b2" pos="0.1 0.2 0"><joint name="f2"/><site name="sb" pos="-0.2 0.2 0"/></body>
+      </body>
+    </body>
+  </worldbody>
+  <equality>EQUALITY</equality>
+  <actuator><motor joint="m1"/><position joint="m2"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    "equality",
+    [
+        '<connect site1="sa" site2="sb"/>',
+        '<connect body1="a2" body2="b2" anchor="0.2 0.2 0"/>',
+        '<connect body1="b2" body2="a2" anchor="-0.2 0.2 0" solref="0.01 1"/>',
+    ],
+)
+def test_mjcf_loops_by_sites_and_bodies(equality: str, tmp_path: Path) -> None:
+    """A five-bar in MJCF is that of the closed form; anchors are where MuJoCo has them."""
+    file = tmp_path / "robot.xml"
+    file.write_text(LOOPED.replace("EQUALITY", equality))
+    mechanism = read(file)
+    points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.45), (30, 2))
+    readings = pincal.inverse(mechanism, points).readings
+    np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)
+
+
+def test_welds_are_where_pinocchio_has_them(tmp_path: Path) -> None:
+    """Relpose of a weld is the pose of the second body in the first."""
+    text = LOOPED.replace("EQUALITY", '<weld body1="a2" body2="b2" relpose="1 2 3 1 2 3 4"/>')
+    file = tmp_path / "robot.xml"
+    file.write_text(
+        text.replace("<joint", '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint')
+    )
+    (weld,) = pin.buildModelAndConstraintsFromMJCF(str(file))[2]
+    (loop,) = read_mjcf(file).loops
+    own = np.linalg.inv(loop.second.placement.origin()) @ np.linalg.inv(
+        loop.first.placement.origin()
+    )
+    theirs = weld.joint2_placement.homogeneous @ np.linalg.inv(weld.joint1_placement.homogeneous)
+    np.testing.assert_allclose(np.linalg.inv(own), loop.first.placement.origin(), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(theirs), loop.first.placement.origin(), atol=1e-12)
+
+
+def test_a_five_bar_is_the_closed_form(tmp_path: Path) -> None:
+    """Two drives, a loop closed by a point: the platform is that point, and the angles right."""
+    mechanism = read(five_bar(tmp_path))
+    assert mechanism.platform.kind == "point"
+    np.testing.assert_allclose(mechanism.platform.home, (0.0, 0.4), atol=1e-12)
+    points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.45), (50, 2))
+    readings = pincal.inverse(mechanism, points).readings
+    np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)
+    assert [len(leg.parameters) for leg in mechanism.legs] == [5, 5]
+
+
+def test_frames_that_meet_are_one_body(tmp_path: Path) -> None:
+    """Closed as a whole frame ('6d') behind one more joint, the five-bar is the same."""
+    joints = [*FIVE_BAR[:5], joint("free3", "b2", "cb", "-0.2 0.2 0")]
+    yaml = FIVE_BAR_YAML.replace("3d", "6d").replace("closedloop1_B", "cb")
+    mechanism = read(written(tmp_path, urdf("fivebar", joints, "base"), yaml))
+    points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.45), (50, 2))
+    readings = pincal.inverse(mechanism, points).readings
+    np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)
+
+
+def test_a_plane_may_lie_anywhere(tmp_path: Path) -> None:
+    """Drawn in the x-z plane, axes along y, links turned: readings are the same, which is said."""
+    lie = "1.5707963267948966 0 0"
+    first = [one.replace('rpy="0 0 0"', f'rpy="{lie}"', 1) for one in FIVE_BAR]
+    joints = [first[0], FIVE_BAR[1], first[2], *FIVE_BAR[3:]]
+    file = written(tmp_path, urdf("fivebar", joints, "base"), FIVE_BAR_YAML)
+    mechanism, remarks = closed_mechanism(read_loops(file, file.with_name("robot.yaml")))
+    assert any("turned" in one for one in remarks)
+    points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.45), (20, 2))
+    home = np.array(mechanism.platform.home)
+    np.testing.assert_allclose(home, (0.0, -0.4), atol=1e-12)  # across +y: y is drawn -z
+    readings = pincal.inverse(mechanism, points * (1, -1)).readings
+    np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)
+
+
+def test_a_hexapod_carried_by_its_first_leg(tmp_path: Path) -> None:
+    """Readings are the legs' lengths less 0.8 m, and the platform's frame is its link's.
+
+    U and S are joints by joint_type, five points are closed, motors meant by part of their names.
+    """
+    mechanism = read(hexapod(tmp_path))
+    assert [leg.closes for leg in mechanism.legs] == ["point"] * 6
+    assert [leg.sensors[0].joint for leg in mechanism.legs] == [f"leg{i}_mot" for i in range(6)]
+    base, top = hexapod_points()
+    poses = np.column_stack(
+        (
+            np.random.default_rng(1).normal(mechanism.platform.home[:3], 0.05, (30, 3)),
+            np.random.default_rng(2).uniform((-3, 0, -0.2), (3, 0.2, 0.2), (30, 3)),
+        )
+    )
+    matrices = mechanism.platform.transforms(poses).as_matrix()
+    points = matrices[:, None, :3, 3] + np.einsum("nij,kj->nki", matrices[:, :3, :3], top)
+    lengths = np.linalg.norm(points - base, axis=2)
+    solution = pincal.inverse(mechanism, poses)
+    np.testing.assert_allclose(solution.readings, lengths - 0.8, atol=1e-11)
+    for leg, length in zip(mechanism.legs, lengths.T, strict=True):  # slides count from 0.8 m
+        closure = LegClosure(leg, mechanism.platform)
+        assert closed_form(closure) is pointing_slide
+        reach = reach_of(closure)
+        assert reach is not None
+        np.testing.assert_array_equal(reach.holds(matrices), (length > 0.5) & (length < 1.6))
+    none = closure.evaluate(np.empty((0, 3)), np.empty((0, 4, 4)))
+    assert none.gap.shape == (0, 3)
+
+
+def test_a_leg_may_be_cut_anywhere(tmp_path: Path) -> None:
+    """A planar 3-RRR cut at platform, elbow, and whole: the same readings as each leg's dyad."""
+    feet = np.array([[-0.5, -0.3], [0.5, -0.3], [0.0, 0.6]])
+    ends = np.array([[0.0, 0.0], [0.1, 0.0], [0.05, 0.08]])
+    knees = np.array([[-0.5, 0.2], [0.6, 0.2], [0.5, 0.6]])
+    text = lambda v: f"{float(v[0])!r} {float(v[1])!r} 0"  # noqa: E731
+    joints = [
+        joint("mot_a", "base", "a1", text(feet[0])),
+        joint("elbow_a", "a1", "a2", text(knees[0] - feet[0])),
+        joint("wrist_a", "a2", "top", text(ends[0] - knees[0])),
+        joint("mot_b", "base", "b1", text(feet[1])),
+        joint("knee_b", "b1", "b1_end", text(knees[1] - feet[1]), "fixed"),
+        joint("wrist_b", "top", "b2", text(ends[1])),  # hangs on the platform
+        joint("half_b", "b2", "b2_end", text(knees[1] - ends[1]), "fixed"),
+        joint("mot_c", "base", "c1", text(feet[2])),
+        joint("elbow_c", "c1", "c2", text(knees[2] - feet[2])),
+        joint("end_c", "c2", "c2_end", text(ends[2] - knees[2]), "fixed"),
+        joint("point_c", "top", "c_point", text(ends[2]), "fixed"),
+    ]
+    yaml = "closed_loop: [[knee_b, half_b], [point_c, end_c]]\ntype: [3d, 3d]\nname_mot: [mot]\n"
+    mechanism = read(written(tmp_path, urdf("rrr", joints, "base"), yaml))
+    assert mechanism.platform.kind == "planar"
+    rng = np.random.default_rng(0)
+    poses = rng.normal(0, 0.05, (30, 3))
+    turned = np.exp(1j * poses[:, 2, None]) * (ends @ (1, 1j))
+    points = (poses[:, 0] + 1j * poses[:, 1])[:, None] + turned
+    solution = pincal.inverse(mechanism, poses)
+    assert solution.reached.all()
+    for leg, (foot, knee, end) in enumerate(zip(feet, knees, ends, strict=True)):
+        first, second = (knee - foot) @ (1, 1j), (end - knee) @ (1, 1j)
+        reach = points[:, leg] - foot @ (1, 1j)
+        a, b = abs(first), abs(second)
+        bend = np.arccos((np.abs(reach) ** 2 - a**2 - b**2) / (2 * a * b))
+        side = np.sign((np.conj(first) * second).imag)
+        link = np.angle(reach) - np.angle(a + b * np.exp(1j * side * bend)) - np.angle(first)
+        np.testing.assert_allclose(solution.readings[:, leg], link, atol=1e-12)
+
+
+def test_parameters_are_all_that_closures_tell(tmp_path: Path) -> None:
+    """As many as the rank of all displacements of the leg, at other configurations; complete.
+
+    Of a U-P-S leg eight: base and platform point, the slide's zero, and the offset of the two axes.
+    """
+    mechanism = read(hexapod(tmp_path))
+    leg = mechanism.legs[2]
+    assert len(leg.parameters) == 8
+    every = replace_all_displacements(leg)
+    closure = LegClosure(every, mechanism.platform)
+    rng = np.random.default_rng(5)
+    joints = rng.uniform(-0.3, 0.6, (200, 3))
+    R = Rotation.random(200, rng=rng).as_matrix()
+    matrices = np.tile(np.eye(4), (200, 1, 1))
+    matrices[:, :3, :3] = R
+    matrices[:, :3, 3] = closure.tips(joints) - closure.targets(matrices)
+    part = closure.evaluate(joints, matrices)
+    across = cross(part.passive[:, :, 0], part.passive[:, :, 1])
+    rows = np.einsum("ni,nip->np", across, part.parameter)
+    assert rows.shape[1] == 3 * 6 + 6 + 3
+    assert np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows)) == 8
+
+
+def replace_all_displacements(leg: Leg) -> Leg:
+    """Return a leg with six displacements at each joint and the tip, three at the point."""
+    parameters: list[tuple[str, float]] = []
+
+    def displaced(one: pincal.Joint, axes: tuple[str, ...]) -> pincal.Joint:
+        names = [f"{one.name}_{axis}" for axis in axes]
+        parameters.extend((name, 0.0) for name in names)
+        steps = [pincal.along(axis, name) for axis, name in zip(axes, names, strict=True)]
+        steps += [pincal.along(a, v) for a, v in zip("xyz", one.placement.xyz, strict=True) if v]
+        placement = pincal.Placement(tuple(steps), one.placement.xyz, one.placement.rpy)
+        return replace(one, placement=placement)
+
+    six = ("x", "y", "z", "rx", "ry", "rz")
+    joints = tuple(
+        displaced(one, six) if one.kind != "fixed" or one is leg.joints[-1] else one
+        for one in leg.joints
+    )
+    point = displaced(leg.point, six[:3])
+    return replace(leg, joints=joints, point=point, parameters=tuple(parameters))
+
+
+def test_a_file_says_where_home_is(tmp_path: Path) -> None:
+    """From stretched legs nothing closes; joint positions under 'home' do, on their side."""
+    straight = [
+        joint("mot1", "base", "a1", "-0.1 0 0"),
+        joint("free1", "a1", "a2", "0.25 0 0"),
+        joint("mot2", "base", "b1", "0.1 0 0"),
+        joint("free2", "b1", "b2", "0.25 0 0"),
+        joint("closedloop1_A", "a2", "ca", "0.25 0 0", "fixed"),
+        joint("closedloop1_B", "b2", "cb", "0.25 0 0", "fixed"),
+    ]
+    yaml = FIVE_BAR_YAML + "home: {mot1: 2.3, free1: -1.6, mot2: 0.8, free2: 1.6}\n"
+    mechanism = read(written(tmp_path, urdf("fivebar", straight, "base"), yaml))
+    assert [np.sign(leg.home[1]) for leg in mechanism.legs] == [-1, 1]
+    points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.4), (20, 2))
+    solution = pincal.inverse(mechanism, points)
+    assert solution.reached.all()
+    for leg, foot in zip(mechanism.legs, (-0.1, 0.1), strict=True):
+        q = solution.joints[leg.name]
+        z = foot + 0.25 * np.exp(1j * q[:, 0]) * (1 + np.exp(1j * q[:, 1]))
+        np.testing.assert_allclose(np.stack((z.real, z.imag), axis=1), points, atol=1e-12)
+
+
+def test_an_arm_out_and_in(tmp_path: Path) -> None:
+    """An arm from URDF, written as MJCF and URDF and read again, has the same tip."""
+    (tmp_path / "arm.urdf").write_text(urdf("arm", ARM, "base_link"))
+    arm = pincal.load_arm(tmp_path / "arm.urdf", "tool0")
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6))
+    expected = pincal.forward(arm, q).poses
+    tree, remarks = tree_of(arm)
+    assert remarks == ()
+    (tmp_path / "out.xml").write_text(mjcf(tree))
+    (tmp_path / "out.urdf").write_text(loops_urdf(tree))
+    for again in (
+        serial_arm(read_mjcf(tmp_path / "out.xml"), "platform"),
+        pincal.load_arm(tmp_path / "out.urdf", "platform"),
+    ):
+        np.testing.assert_allclose(pincal.forward(again, q).poses, expected, atol=1e-11)
+
+
+COMMENTED = """<?xml version='1.0' encoding="UTF-8"?>\r
+<!-- made by hand: é -->\r
+<robot  name='arm' >\r
+"""
+
+
+def messy(joints: list[str], root: str) -> bytes:
+    """Return a URDF as people write it: quotes, comments, lines ends, joints without origin."""
+    text = urdf("arm", joints, root).split("\n", 2)[2]
+    text = COMMENTED + text.replace("\n", "\r\n").replace("<origin xyz", "<origin\n  xyz")
+    text = text.replace("<axis", "<!-- <origin xyz='9 9 9'/> --><axis")
+    return text.replace('rpy="0 0 0"/>', "rpy = '0 0 0' />").encode()
+
+
+def test_calibrated_origins_go_into_the_users_urdf(tmp_path: Path) -> None:
+    """A calibrated arm's URDF moves as it does; nothing but the origins' numbers is other."""
+    file = tmp_path / "arm.urdf"
+    data = messy(ARM, "base_link").replace(b"<origin\n  xyz=\"0 0 0.128\" rpy = '0 0 0' />", b"", 1)
+    file.write_bytes(data)
+    arm = pincal.load_arm(file, "tool0")
+    true = pincal.disturb(arm, 1e-2, seed=0)
+    (tmp_path / "out.urdf").write_bytes(calibrated_urdf(file, true))
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6))
+    again = pincal.load_arm(tmp_path / "out.urdf", "tool0")
+    np.testing.assert_allclose(
+        pincal.forward(again, q).poses, pincal.forward(true, q).poses, atol=1e-12
+    )
+    origin = rb"<origin\s+xyz=\"[^\"]*\" rpy\s?=\s?(['\"])[^'\"]*\1\s?/>"
+    made = (tmp_path / "out.urdf").read_bytes()
+    assert re.sub(origin, b"", made) == re.sub(origin, b"", data)
+    assert calibrated_urdf(file, arm) == data
+
+
+@pytest.mark.parametrize("write", [five_bar, hexapod])
+def test_calibrated_loops_go_into_the_users_urdf(write, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """A tree with calibrated origins, read with the same loops, is the calibrated mechanism."""
+    file = write(tmp_path)
+    mechanism = read(file)
+    true = pincal.disturb(mechanism, 1e-3, seed=0)
+    if write is hexapod:
+        with pytest.raises(pincal.MechanismError, match=r"no joint 'leg0_u_y', .*u_y_z"):
+            calibrated_urdf(file, true)  # a universal joint has no place for its axes' distance
+        true = true.with_parameters({name: {"u_y_z": 0.0} for name in true.leg_names})
+    file.write_bytes(calibrated_urdf(file, true))
+    again = read(file)
+    rng = np.random.default_rng(0)
+    spread = [0.03 if unit == "m" else 0.0 for unit in true.platform.units]
+    poses = rng.normal(true.platform.home, spread, (20, true.platform.dof))
+    expected, found = pincal.inverse(true, poses), pincal.inverse(again, poses)
+    assert expected.reached.all()
+    carried = "leg0" in again.leg_names
+    if carried:  # the platform's frame is the link's: its first point stays in its origin
+        shift = true.legs[0].point.placement.origin()[:3, 3]
+        assert np.linalg.norm(shift) > 1e-4
+        turned = true.platform.transforms(poses).as_matrix()
+        turned[:, :3, 3] += turned[:, :3, :3] @ shift
+        found = pincal.inverse(again, again.platform.from_matrices(turned))
+    np.testing.assert_allclose(found.readings, expected.readings, atol=1e-11)
+    np.testing.assert_allclose(
+        pincal.inverse(mechanism, poses).readings, expected.readings, atol=2e-2
+    )
+    assert np.abs(pincal.inverse(mechanism, poses).readings - expected.readings).max() > 1e-4
+
+
+def replaced(text: str, *pairs: tuple[str, str]) -> str:
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+LOOP, OWN = "[['closedloop1_A', 'closedloop1_B']]", "rotor_inertia: [0.1, 0.1]"
+CUBIC = "joint_name: [mot1]\njoint_type: [CUBIC]"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ((("name_mot: ['mot1', 'mot2']", "name_mot: ['mot1']"),), "no platform that can be"),
+        ((("'mot2'", "'motor'"),), "'name_mot' has 'motor'"),
+        ((("closedloop1_B", "loop_B"),), "no frame named 'loop_B'"),
+        ((("'3d'", "'4d'"),), "type.0"),
+        ((("['3d']", "['3d', '3d']"),), "1 entries of 'closed_loop', but 2"),
+        (((LOOP, "[[a2, b2, ca]]"),), "at most 2"),
+        (((LOOP, "[]"), ("['3d']", "[]")), "form no loop"),
+        (((OWN, "platform: nowhere"),), "no frame named 'nowhere'"),
+        (((OWN, "home: {mot9: 1.0}"),), "'home' has 'mot9'"),
+        (((OWN, "platform: base"),), "fixed to the base"),
+        (((OWN, CUBIC),), "joint_type.0"),
+        ((("closedloop1_B'", "a1'"),), "closedloop1_A_a1 lie on no way"),
+    ],
+)
+def test_yaml_that_does_not_fit(
+    changes: tuple[tuple[str, str], ...], message: str, tmp_path: Path
+) -> None:
+    """What is wrong in a YAML file is said in one message that names it; nothing is written."""
+    file = written(
+        tmp_path / "in", urdf("fivebar", FIVE_BAR, "base"), replaced(FIVE_BAR_YAML, *changes)
+    )
+    outcome = run("import", file, "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert message in outcome.trouble
+    assert not (tmp_path / "out").exists()
+
+
+def test_legs_and_platform_must_be_told_apart(tmp_path: Path) -> None:
+    """Loops within a leg, a leg without drive, loops that do not close: refused with the place."""
+    coupled = [*FIVE_BAR, joint("x", "a1", "x1", "0 0.1 0"), joint("xe", "x1", "x2", kind="fixed")]
+    coupled.append(joint("xb", "b1", "x3", "0 0.1 0", "fixed"))
+    yaml = FIVE_BAR_YAML.replace("']]", "'], [xe, xb]]").replace("['3d']", "['3d', '3d']")
+    with pytest.raises(pincal.MechanismError, match="ways meet in 2 bodies"):
+        read(written(tmp_path, urdf("r", coupled, "base"), yaml))
+    third = [
+        *FIVE_BAR,
+        joint("free4", "base", "c1", "0 0.1 0"),
+        joint("free5", "c1", "c2", "0.1 0.1 0"),
+        joint("c", "c2", "c3", "0 0.1 0", "fixed"),
+        joint("ac", "a2", "c4", "0.1 0 0", "fixed"),
+    ]
+    yaml = FIVE_BAR_YAML.replace("']]", "'], [c, ac]]").replace("['3d']", "['3d', '3d']")
+    with pytest.raises(pincal.MechanismError, match=r"no driven joint in the leg free4, free5"):
+        read(written(tmp_path, urdf("r", third, "base"), yaml))
+    apart = [one.replace('xyz="0.1 0 0"', 'xyz="9 0 0"') for one in FIVE_BAR]
+    with pytest.raises(pincal.MechanismError, match="do not close"):
+        read(written(tmp_path, urdf("r", apart, "base"), FIVE_BAR_YAML))
+    double = [*FIVE_BAR, joint("again", "base", "b2")]
+    with pytest.raises(pincal.MechanismError, match="hangs on two joints"):
+        read(written(tmp_path, urdf("r", double, "base"), FIVE_BAR_YAML))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ((("<motor joint", "<motor site"), ("<position joint", "<motor site")), "platform"),
+        ((('joint="m2"', 'joint="m3"'),), "drives 'm3'"),
+        ((("EQUALITY", '<joint joint1="f1" joint2="f2"/>'),), "<joint> couples joints"),
+        ((("EQUALITY", '<connect site1="sa" site2="sc"/>'),), "no site named 'sc'"),
+        ((("EQUALITY", '<connect body1="a2" body2="z" anchor="0 0 0"/>'),), "no body named 'z'"),
+        ((("EQUALITY", '<connect body1="a2" body2="b2"/>'),), "needs anchor"),
+        ((("EQUALITY", ""),), "form no loop"),
+        ((('<joint name="f1"/>', '<joint name="f1" type="screw"/>'),), "joint of type 'screw'"),
+        ((('<joint name="m1"/>', '<joint name="m1" type="ball"/>'),), "no hinge or slide"),
+        ((('<joint name="f1"/>', '<joint name="m1"/>'),), "joint 'm1' twice"),
+        ((('pos="-0.1 0 0"', 'pos="-0.1 0"'),), "should hold 3 finite numbers"),
+        ((('pos="-0.1 0 0"', 'pos="nan 0 0"'),), "should hold 3 finite numbers"),
+        ((("<worldbody>", '<include file="/etc/passwd"/><worldbody>'),), "<include> is not read"),
+        ((('<joint name="f1"/>', '<joint name="f1" class="k"/>'),), "no default class 'k'"),
+        ((("mujoco", "muyoco"),), "expected a <mujoco>"),
+    ],
+)
+def test_mjcf_that_does_not_fit(
+    changes: tuple[tuple[str, str], ...], message: str, tmp_path: Path
+) -> None:
+    """What is wrong in MJCF is said in one message that names it; nothing is written."""
+    file = tmp_path / "robot.xml"
+    text = replaced(LOOPED, *changes)
+    file.write_text(text.replace("EQUALITY", '<connect site1="sa" site2="sb"/>'))
+    outcome = run("import", file, "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert message in outcome.trouble
+    assert not (tmp_path / "out").exists()
+
+
+BOMB = """<?xml version="1.0"?>
+<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
+<!ENTITY f SYSTEM "file:///etc/passwd">]>
+"""
+
+
+@pytest.mark.parametrize("suffix", ["urdf", "xml"])
+def test_hostile_xml_is_refused(suffix: str, tmp_path: Path) -> None:
+    """Entities, files of many MiB and nesting without end are refused, not resolved."""
+    (tmp_path / "robot.yaml").write_text(FIVE_BAR_YAML)
+    file = tmp_path / f"robot.{suffix}"
+    plain = urdf("r", FIVE_BAR, "base").split("\n", 1)[1] if suffix == "urdf" else LOOPED
+    file.write_text(BOMB + plain.replace("-0.1 0 0", "&b; 0 0", 1))
+    assert "entities" in run("import", file, "-o", tmp_path / "out").trouble
+    file.write_text(plain + "<!--" + "x" * (17 * 2**20) + "-->")
+    assert "larger than 16 MiB" in run("import", file, "-o", tmp_path / "out").trouble
+    file.write_text("<robot>" + "<link>" * 100_000)
+    assert "does not parse" in run("import", file, "-o", tmp_path / "out").trouble
+
+
+def test_what_a_urdf_has_no_place_for(tmp_path: Path) -> None:
+    """Another robot's URDF, a joint moved elsewhere, a tool on no frame: said, nothing written."""
+    file = five_bar(tmp_path)
+    mechanism = pincal.disturb(read(file), 1e-3, seed=0)
+    other = tmp_path / "arm.urdf"
+    other.write_text(urdf("arm", ARM, "base_link"))
+    with pytest.raises(pincal.MechanismError, match="has none of the joints"):
+        calibrated_urdf(other, mechanism)
+    elsewhere = [one.replace('parent link="b1"', 'parent link="a1"') for one in FIVE_BAR]
+    other.write_text(urdf("fivebar", elsewhere, "base"))
+    with pytest.raises(pincal.MechanismError, match="'free2' cannot be placed: it hangs on"):
+        calibrated_urdf(other, mechanism)
+    other.write_text(urdf("fivebar", FIVE_BAR[:-1], "base"))
+    with pytest.raises(pincal.MechanismError, match="has no joint 'closedloop1_B'"):
+        calibrated_urdf(other, mechanism)
+    other.write_text(urdf("arm", ARM[:-1], "base_link"))
+    arm = pincal.disturb(pincal.load_arm(other, "wrist_3"), 1e-3, seed=0)
+    with pytest.raises(pincal.MechanismError, match="no fixed joint of the URDF is there"):
+        calibrated_urdf(other, arm)
+
+
+def test_legs_of_a_folder_are_their_own_urdfs(tmp_path: Path) -> None:
+    """A leg's URDF is found by its name, or --leg; the platform's points are in its own."""
+    folder = pincal.load_mechanism("3RRR").save(tmp_path / "rrr")
+    true = pincal.disturb(pincal.load_mechanism(folder), 1e-3, seed=0)
+    true.save(tmp_path / "true")
+    for name in ("leg_1", "leg_3", "platform"):
+        made = calibrated_urdf(folder / f"{name}.urdf", true)
+        joints = origins_of(made)
+        for key, expected in origins_of((tmp_path / "true" / f"{name}.urdf").read_bytes()).items():
+            np.testing.assert_allclose(joints[key], expected, atol=1e-11)
+    (folder / "leg_2.urdf").rename(tmp_path / "mine.urdf")
+    with pytest.raises(pincal.MechanismError, match=r"say whose URDF it is \(--leg\)"):
+        calibrated_urdf(tmp_path / "mine.urdf", true)
+    expected = origins_of((tmp_path / "true" / "leg_2.urdf").read_bytes())
+    found = origins_of(calibrated_urdf(tmp_path / "mine.urdf", true, "leg_2"))
+    for key, value in expected.items():
+        np.testing.assert_allclose(found[key], value, atol=1e-11)
+
+
+def origins_of(text: bytes) -> dict[str, np.ndarray]:
+    """Return the joints' origins of a URDF by yourdfpy, (4, 4)."""
+    robot = yourdfpy.URDF.load(BytesIO(text), load_meshes=False)
+    return {name: one.origin for name, one in robot.joint_map.items()}
+
+
+def test_from_cad_urdf_to_calibrated_urdf(tmp_path: Path) -> None:
+    """On the command line: import, plan, measure, calibrate, export, and the error is gone."""
+    file = five_bar(tmp_path / "robot")
+    folder, plan, truth = tmp_path / "bar", tmp_path / "plan.csv", tmp_path / "truth"
+    assert "mot1*, free1; closes a point" in done("import", file, "-o", folder).out
+    done("select", folder, "--count", 8, "--independent", "-o", plan)
+    rows = tmp_path / "rows.csv"
+    noise = ("--noise-position", "0", "--disturb", "1e-3")
+    done("simulate", folder, plan, *noise, "--truth", truth, "-o", rows)
+    done("calibrate", folder, rows, "--noise-position", "1e-6", "-o", tmp_path / "result")
+    out = tmp_path / "out.urdf"
+    done("export", tmp_path / "result", "--original", file, "-o", out)
+    again, _ = closed_mechanism(read_loops(out, file.with_name("robot.yaml")))
+    points = np.random.default_rng(0).uniform((-0.05, 0.35), (0.05, 0.42), (20, 2))
+    exact = pincal.inverse(pincal.load_mechanism(truth), points).readings
+    found = pincal.inverse(again, points).readings
+    np.testing.assert_allclose(found, exact, atol=1e-9)
+    assert np.abs(five_bar_angles(points) - exact).max() > 1e-4
+
+
+def test_options_that_do_not_go_together(tmp_path: Path) -> None:
+    """What a command cannot do with a file is said, and which option does."""
+    file = five_bar(tmp_path)
+    out = tmp_path / "out"
+    (tmp_path / "robot.yaml").rename(tmp_path / "loops.yml")
+    assert "--loops" in run("import", file, "-o", out).trouble
+    done("import", file, "--loops", tmp_path / "loops.yml", "-o", out)
+    again = ("-o", tmp_path / "other")
+    assert "--base goes with --tip" in run("import", file, "--base", "base", *again).trouble
+    both = ("--tip", "a2", "--platform", "a2")
+    assert "--tip is for serial arms" in run("import", file, *both, *again).trouble
+    assert "--mech" in run("import", file, "--mech", "5R", *again).trouble
+    (tmp_path / "printer.cfg").write_text("")
+    told = run("import", tmp_path / "printer.cfg", "--tip", "a", *again).trouble
+    assert "--tip goes with URDF or MJCF" in told
+    done("import", file, "--tip", "a2", *again)
+    assert len(pincal.load_mechanism(tmp_path / "other").reading_names) == 2
+    done("export", out, "-o", tmp_path / "new.urdf")
+    assert (tmp_path / "new.yaml").is_file()
+    assert "exists" in run("export", out, "-o", tmp_path / "new.urdf").trouble
+    assert "does not say what to write" in run("export", out, "-o", tmp_path / "new.txt").trouble
+    original = ("--original", file)
+    told = run("export", out, *original, "-o", tmp_path / "new.xml").trouble
+    assert "--original goes with URDF" in told
