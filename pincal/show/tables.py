@@ -199,9 +199,9 @@ def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group
         lines.append(f"not determined: {rank.in_words()}")
     if count := found.gauge.shape[1]:
         lines.append(
-            f"{count} freedom{'s' if count > 1 else ''} of frames or redundant parameters cannot be "
-            "told by such measurements: of equal parameters those nearest to nominal are meant, and errors of "
-            "the platform are what no motion of the base or platform frame explains"
+            f"{count} freedom{'s' if count > 1 else ''} of frames or redundant parameters cannot "
+            "be told by such measurements: of equal parameters those nearest to nominal are meant, "
+            "and errors of the platform are what no motion of the base or platform frame explains"
         )
     if found.lost.shape[1]:
         lines.append("— : not determined")
