@@ -38,14 +38,8 @@ from pincal.kinematics.inverse import InverseSolution, inverse
 from pincal.kinematics.singularity import margins
 from pincal.model.files import bundled, load_mechanism
 from pincal.model.leg import Joint, Leg
-from pincal.model.measurement_files import (
-    read_measurements,
-    read_poses,
-    read_readings,
-    write_measurements,
-    write_poses,
-    write_readings,
-)
+from pincal.model.measurement_files import read_measurements, read_poses, read_readings
+from pincal.model.measurement_writing import write_measurements, write_poses, write_readings
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical

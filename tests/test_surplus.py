@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import pincal
 from pincal.experiment.forecast import forecast
+from pincal.model.measurement_files import read_poses
+from pincal.model.measurement_writing import write_poses
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
@@ -124,20 +128,21 @@ def test_standard_errors_are_the_spread(
 
 
 def test_files_keep_readings(
-    mechanism: pincal.Mechanism, plan: pincal.Plan, tmp_path: object
+    mechanism: pincal.Mechanism, plan: pincal.Plan, tmp_path: Path
 ) -> None:
     """A plan of such a mechanism is written and read with its readings, bit for bit."""
     from pathlib import Path
 
-    from pincal.model.measurement_files import read_poses, write_poses
+    from pincal.model.measurement_files import read_poses
+from pincal.model.measurement_writing import write_poses
 
-    path = Path(str(tmp_path)) / "plan.csv"
+    path = tmp_path / "plan.csv"
     write_poses(path, mechanism, plan)
     read = read_poses(path, mechanism)
     np.testing.assert_array_equal(read.readings, plan.readings)
     np.testing.assert_array_equal(read.poses, plan.poses)
-    mechanism.save(Path(str(tmp_path)) / "m")
-    assert pincal.load_mechanism(Path(str(tmp_path)) / "m") == mechanism
+    mechanism.save(tmp_path / "m")
+    assert pincal.load_mechanism(tmp_path / "m") == mechanism
 
 
 def test_chosen_configurations_beat_random_ones(mechanism: pincal.Mechanism) -> None:

@@ -25,7 +25,6 @@ from pincal.cli.app import (
 )
 from pincal.cli.setups import SetupFile, UnknownFrame, UnknownTarget, setup_from
 from pincal.errors import MeasurementError, PincalError
-from pincal.experiment.angles import ANGLES
 from pincal.identification.calibrate import calibrate as identify
 from pincal.identification.result import CalibrationResult
 from pincal.identification.result_files import as_json
@@ -35,6 +34,7 @@ from pincal.model.files import load_mechanism, mechanism_files
 from pincal.model.measurement_files import read_measurements
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.output import refuse_existing
 from pincal.show.calibration import calibration_summary, calibration_tables, warnings_of
 from pincal.show.report import report
@@ -239,8 +239,12 @@ def _noise(
     if position is None and orientation is None and reading is None:
         return None
     angles = np.array([unit == "rad" for unit in mechanism.platform.units])
-    turned = bool(np.isfinite(data.poses[:, angles]).any()) or bool(set(data.extra) & set(ANGLES))
-    placed = bool(np.isfinite(data.poses[:, ~angles]).any()) or bool(set(data.extra) - set(ANGLES))
+    turned = bool(np.isfinite(data.poses[:, angles]).any()) or bool(
+        set(data.extra) & set(SINGLE_ANGLES)
+    )
+    placed = bool(np.isfinite(data.poses[:, ~angles]).any()) or bool(
+        set(data.extra) - set(SINGLE_ANGLES)
+    )
     needed = {"--noise-position": position} if placed else {}
     needed |= {"--noise-orientation": orientation} if turned else {}
     if None in needed.values():

@@ -19,7 +19,8 @@ from pincal.formats.klipper import read_klipper, write_klipper
 from pincal.formats.reprap import read_reprap, write_reprap
 from pincal.kinematics.inverse import inverse
 from pincal.model.files import load_mechanism, write_mechanism
-from pincal.model.measurement_files import read_poses, write_measurements
+from pincal.model.measurement_files import read_poses
+from pincal.model.measurement_writing import write_measurements
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing, writing

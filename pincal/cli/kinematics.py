@@ -25,7 +25,8 @@ from pincal.errors import MeasurementError
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.model.files import load_mechanism
-from pincal.model.measurement_files import read_poses, read_readings, write_poses, write_readings
+from pincal.model.measurement_files import read_poses, read_readings
+from pincal.model.measurement_writing import write_poses, write_readings
 from pincal.model.measurements import Plan
 from pincal.model.output import refuse_existing
 from pincal.workspace.criteria import Margins

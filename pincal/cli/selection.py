@@ -38,7 +38,8 @@ from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.collision import free_of_collision
 from pincal.kinematics.inverse import sensor_law
 from pincal.model.files import load_mechanism
-from pincal.model.measurement_files import read_poses, write_poses
+from pincal.model.measurement_files import read_poses
+from pincal.model.measurement_writing import write_poses
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing

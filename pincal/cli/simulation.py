@@ -25,7 +25,8 @@ from pincal.errors import FileError, MeasurementError
 from pincal.experiment.simulation import disturb as disturbed
 from pincal.experiment.simulation import simulate as simulated
 from pincal.model.files import load_mechanism, write_mechanism
-from pincal.model.measurement_files import read_poses, write_measurements
+from pincal.model.measurement_files import read_poses
+from pincal.model.measurement_writing import write_measurements
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing, writing

@@ -24,7 +24,7 @@ from pincal.cli.app import (
 from pincal.cli.workspace_answers import articular_answer, poses_answer, region_answer
 from pincal.errors import WorkspaceError
 from pincal.model.files import load_mechanism
-from pincal.model.measurement_files import write_poses
+from pincal.model.measurement_writing import write_poses
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing

@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: Angles that may be measured one by one beside those of tilt and torsion.
-ANGLES = ("yaw", "pitch", "roll")
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # matrices of e_a ×
 
 

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.experiment.angles import ANGLES, angle
+from pincal.experiment.angles import angle
 from pincal.experiment.external import External, ExternalUnknowns
 from pincal.kinematics.closure import point_velocity
 from pincal.kinematics.rotations import inverse_left_jacobian, turn_between
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
 from pincal.model.setup import Setup
 
@@ -66,7 +67,7 @@ class Observation:
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
         whole = _whole(self.orientations)
-        single = {name: data.extra[name] for name in ANGLES if name in data.extra}
+        single = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
         if platform.kind == "spatial":
             part = np.where(whole[:, None], np.nan, data.poses[:, 3:])
             single |= dict(zip(platform.coordinates[3:], part.T, strict=True))

@@ -13,7 +13,7 @@ from pincal.errors import MeasurementError
 from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult, Page
 from pincal.identification.trust import RunConsistency
 from pincal.model.input import read_text
-from pincal.model.measurement_files import write_poses
+from pincal.model.measurement_writing import write_poses
 from pincal.model.measurements import Plan
 from pincal.model.table import write_table
 

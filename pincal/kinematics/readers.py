@@ -9,7 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pincal.model.leg import Leg
-from pincal.model.urdf import leg_urdf
+from pincal.model.urdf_writing import leg_urdf
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,8 @@ from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
 from pincal.model.schema import FORMAT, LegSpec, MechanismSpec, read_spec
 from pincal.model.sensor import Sensor
-from pincal.model.urdf import leg_urdf, platform_urdf, read_chain, read_points
+from pincal.model.urdf import read_chain, read_points
+from pincal.model.urdf_writing import leg_urdf, platform_urdf
 
 _YAML = "mechanism.yaml"
 

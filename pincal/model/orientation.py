@@ -10,6 +10,8 @@ from pincal.errors import MeasurementError
 
 Array = NDArray[np.float64]
 
+#: Angles that may be measured one by one.
+SINGLE_ANGLES = ("yaw", "pitch", "roll")
 #: For each way: columns and their unit.
 WAYS: dict[str, tuple[tuple[str, ...], str]] = {
     "tilt-torsion": (("azimuth", "tilt", "torsion"), "rad"),

@@ -16,7 +16,7 @@ from pincal.kinematics.links import link_placements
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.urdf import leg_urdf, platform_urdf
+from pincal.model.urdf_writing import leg_urdf, platform_urdf
 from pincal.show.shapes import Shape, urdf_shapes
 
 Array = NDArray[np.float64]
