@@ -131,11 +131,6 @@ def test_files_keep_readings(
     mechanism: pincal.Mechanism, plan: pincal.Plan, tmp_path: Path
 ) -> None:
     """A plan of such a mechanism is written and read with its readings, bit for bit."""
-    from pathlib import Path
-
-    from pincal.model.measurement_files import read_poses
-from pincal.model.measurement_writing import write_poses
-
     path = tmp_path / "plan.csv"
     write_poses(path, mechanism, plan)
     read = read_poses(path, mechanism)
