@@ -239,12 +239,9 @@ def _noise(
     if position is None and orientation is None and reading is None:
         return None
     angles = np.array([unit == "rad" for unit in mechanism.platform.units])
-    turned = bool(np.isfinite(data.poses[:, angles]).any()) or bool(
-        set(data.extra) & set(SINGLE_ANGLES)
-    )
-    placed = bool(np.isfinite(data.poses[:, ~angles]).any()) or bool(
-        set(data.extra) - set(SINGLE_ANGLES)
-    )
+    single, told = set(data.extra) & set(SINGLE_ANGLES), np.isfinite(data.poses)
+    turned = bool(told[:, angles].any() or single)
+    placed = bool(told[:, ~angles].any() or set(data.extra) - single)
     needed = {"--noise-position": position} if placed else {}
     needed |= {"--noise-orientation": orientation} if turned else {}
     if None in needed.values():
