@@ -42,18 +42,31 @@ for command in sys.argv[1].split(";"):
 """
 
 
-def test_the_whole_demo_needs_no_network_and_warns_of_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("commands", "made"),
+    [
+        pytest.param(["check 5R", "view 5R --html {}/a.html"], ["a.html"], id="view"),
+        pytest.param(
+            ["demo 3RRR -o {}/demo", "view 3RRR {}/demo/plan.csv {}/demo/result --html {}/a.html"],
+            ["demo/result/report.html", "a.html"],
+            id="demo",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_commands_need_no_network_and_warn_of_nothing(
+    commands: list[str], made: list[str], tmp_path: Path
+) -> None:
     """Workspace, selection, simulation, calibration, report and view: no socket, no warning."""
-    commands = f"demo 5R -o {tmp_path}/demo;view 5R --html {tmp_path}/view.html"
+    line = ";".join(commands).replace("{}", str(tmp_path))
     run = subprocess.run(
-        [sys.executable, "-W", "error", "-c", _ALONE, commands], capture_output=True, text=True
+        [sys.executable, "-W", "error", "-c", _ALONE, line], capture_output=True, text=True
     )
     assert run.returncode == 0, run.stderr
     watched, _, rest = run.stderr.partition("WATCHED")
     assert watched.count("NETWORK") == 1  # the test's own
     assert "NETWORK" not in rest
-    assert (tmp_path / "demo" / "result" / "report.html").is_file()
-    assert (tmp_path / "view.html").is_file()
+    assert all((tmp_path / name).is_file() for name in made)
 
 
 @pytest.fixture(scope="module")
