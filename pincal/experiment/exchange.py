@@ -69,7 +69,7 @@ def _improve(blocks: Array, chosen: Index) -> tuple[Index, float]:
     members[chosen] = True
     inverse = _inverse(blocks[members])
     identity = np.eye(r)
-    for step in range(_EXCHANGES):
+    for step in range(0 if members.all() else _EXCHANGES):
         if step % 25 == 24:  # rounding
             inverse = _inverse(blocks[members])
         gain = _det(identity + _inner(flat @ inverse, blocks))

@@ -15,12 +15,14 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.experiment.certificate import continuous_design
 from pincal.experiment.exchange import exchange
 from pincal.experiment.observability import Indices, identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import Demand, leg_demand
+from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
@@ -54,7 +56,7 @@ class Selection:
     protocol: Protocol
     legs: tuple[LegDesign, ...]
     candidates: int
-    """Candidate poses that all searched legs reach."""
+    """Candidate poses that all legs reach."""
     unreachable: int
     """Candidate poses that were left out, not being reached."""
 
@@ -106,7 +108,8 @@ def select_poses(
 
     Args:
         mechanism: The mechanism.
-        candidates: Poses to choose from, coordinates of shape (M, dof), [m] and [rad].
+        candidates: Poses to choose from, coordinates of shape (M, dof), [m] and [rad]; one that
+            is there twice counts once.
         count: Poses for each leg; with ``orbits``, number of orbits; with ``common``, poses.
         protocol: See the module.
         noise: Standard deviations of the measurements to come; only their ratios matter.
@@ -123,6 +126,7 @@ def select_poses(
     rng = np.random.default_rng(seed)
     tell = progress or (lambda _: None)
     poses = np.asarray(candidates, dtype=np.float64)
+    poses = poses[np.sort(np.unique(poses, axis=0, return_index=True)[1])]
     search = _Search(mechanism, poses, noise, rng, starts, tell)
     names = mechanism.leg_names
     if protocol == "independent":
@@ -168,6 +172,7 @@ class _Search:
     ) -> None:
         self.mechanism = mechanism
         self.candidates = candidates
+        self.reached = inverse(mechanism, candidates).reached.all(axis=1)
         self.noise = noise
         self.rng = rng
         self.starts = starts
@@ -194,8 +199,10 @@ class _Search:
         orbits = [g.poses(platform, self.candidates) for g in elements]
         blocks = np.concatenate([self.rows(leg, poses) for poses in orbits], axis=1)
         span = np.ptp(self.candidates, axis=0).max()
-        for other in orbits[1:]:  # a pose that is its own image would be measured twice
-            blocks[np.abs(other - orbits[0]).max(axis=1) <= 1e-6 * span] = np.nan
+        tree, own = KDTree(self.candidates), np.arange(len(self.candidates))
+        for image in orbits[1:]:  # of itself or of an earlier one: it would be measured twice
+            distance, other = tree.query(image, p=np.inf)
+            blocks[(distance <= 1e-6 * span) & (other <= own)] = np.nan
         return self._choose(blocks, count, self.mechanism.leg(leg).parameter_names, leg)
 
     def common(self, count: int) -> tuple[NDArray[np.intp], float]:
@@ -216,7 +223,7 @@ class _Search:
         self, blocks: Array, count: int, names: tuple[str, ...], where: str
     ) -> tuple[NDArray[np.intp], float]:
         n = len(names)
-        usable = np.flatnonzero(np.isfinite(blocks).all(axis=(1, 2)))
+        usable = np.flatnonzero(np.isfinite(blocks).all(axis=(1, 2)) & self.reached)
         self.usable = min(self.usable, len(usable))
         self.unreachable = max(self.unreachable, len(self.candidates) - len(usable))
         if count * blocks.shape[1] < n:
@@ -227,8 +234,8 @@ class _Search:
             )
         if len(usable) < count:
             raise ObservabilityError(
-                f"{where} reaches {len(usable)} of {len(self.candidates)} candidate poses; "
-                f"{count} are to be chosen"
+                f"{self.mechanism.name} reaches {len(usable)} of {len(self.candidates)} candidate "
+                f"poses; {count} are to be chosen"
             )
         blocks = blocks[usable]
         found = identifiability(blocks.reshape(-1, n), names)

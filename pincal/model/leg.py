@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.model.input import LARGEST
 from pincal.model.placement import Placement
 from pincal.model.sensor import Sensor
 
@@ -106,8 +107,11 @@ class Leg:
             raise MechanismError(f"{self.name}: a nominal parameter is not a finite number")
         for sensor in self.sensors:
             gain, _ = sensor.constants(self.nominal_by_name)
-            if gain == 0.0:
-                raise MechanismError(f"{self.name}: the sensor's gain is zero; it must not be")
+            if not 1.0 / LARGEST <= abs(gain) <= LARGEST:
+                raise MechanismError(
+                    f"{self.name}: the sensor's gain is {gain:g}; expected one that is neither zero "
+                    f"nor so small or large (beyond {LARGEST:g}) that nothing can be read by it"
+                )
         for joint in (*self.joints, self.point):
             joint.placement.rest(self.nominal_by_name, f"{self.name}, joint {joint.name!r}")
 
