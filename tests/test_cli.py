@@ -432,12 +432,17 @@ BAD = {
         "inverse 3RRR t.csv", ["t.csv", "row 2", "leg_1", "reach"], table(POSES, "0,0,0", "9,0,0")
     ),
     "pose-far-beyond": Case(
-        "inverse 3RRR t.csv", ["t.csv", "row 2"], table(POSES, "0,0,0", "1e200,0,0")
+        "inverse 3RRR t.csv", ["t.csv", "row 2"], table(POSES, "0,0,0", "1e11,0,0")
+    ),
+    "pose-beyond-numbers": Case(
+        "inverse 3RRR t.csv", ["t.csv", "line 3", "1e200"], table(POSES, "0,0,0", "1e200,0,0")
     ),
     "reading-without-pose": Case(
         "forward 5R t.csv", ["t.csv", "row 2"], table(READINGS, "2.2,2.2", "3.14,3.14")
     ),
-    "reading-far-beyond": Case("forward 5R t.csv", ["t.csv", "row 1"], table(READINGS, "1e200,0")),
+    "reading-far-beyond": Case(
+        "forward 5R t.csv", ["t.csv", "line 2", "1e200"], table(READINGS, "1e200,0")
+    ),
 }
 
 
