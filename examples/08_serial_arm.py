@@ -36,7 +36,7 @@ print(f"{choice.efficiency:.2f} of what is possible, rank {choice.rank.rank}")
 truth = pincal.disturb(arm, 1e-3, seed=1)  # an arm whose errors nobody knows
 tracker, readings = Rotation.from_euler("z", 2.0), choice.plan.readings
 poses = np.full((40, 6), np.nan)
-poses[:, :3] = [*tracker.apply(reflector(truth, readings)), 2.0, 1.0, 0.5]
+poses[:, :3] = np.add(tracker.apply(reflector(truth, readings)), [2.0, 1.0, 0.5])
 poses[:, :3] += 5e-5 * np.random.default_rng(2).standard_normal((40, 3))
 data = pincal.Measurements(poses, readings=readings)
 
