@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 Array = NDArray[np.float64]
-_NOTHING = 1e-14  # of the longest column: rounding errors of one that is zero
+_NOTHING = 1e-12  # of the longest column: rounding errors of one that is zero
 _RANK_TOLERANCE = 1e-9  # of the largest singular value, columns of unit length
 
 
