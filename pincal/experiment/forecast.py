@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.experiment.configurations import Legs, legs_at, nearby
 from pincal.experiment.external import ExternalUnknowns
-from pincal.experiment.frames import split_frames
+from pincal.experiment.frames import frames_moved, split_frames
 from pincal.experiment.observability import Identifiability, identifiability
 from pincal.experiment.observation import Observation, Rows
 from pincal.experiment.platform_error import PlatformError, platform_error
@@ -55,6 +55,9 @@ class Forecast:
     """Directions that only move frames that are not measured, columns of shape (n, n_gauge):
     parameters are those nearest to the nominal ones."""
 
+    frames: Array
+    """Motions of frames that these are (see ``frames_moved``), shape (k, n_moved)."""
+
     @cached_property
     def std(self) -> Array:
         """Standard error of each parameter, shape (n,); infinite where it is not determined."""
@@ -74,7 +77,7 @@ class Forecast:
 
         Where frames are not measured, less what a motion of the frames explains.
         """
-        return platform_error(self.mechanism, self.covariance, poses, self.lost, self.gauge)
+        return platform_error(self.mechanism, self.covariance, poses, self.lost, self.frames)
 
     def poses_for(self, accuracy: float, poses: Plan | Array) -> float:
         """Return how many poses like the planned ones bring the position error to a value.
@@ -142,6 +145,7 @@ def forecast(
         covariance[:n_legs, :n_legs],
         lost,
         gauge,
+        frames_moved(platform, there, near.gain, gauge),
     )
 
 

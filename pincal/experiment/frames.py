@@ -79,16 +79,27 @@ def still(gain: Array, directions: Array) -> int:
     return directions.shape[1] - int((s > _STILL).sum())
 
 
-def motions_along(gain: Array, directions: Array) -> Array:
-    """Return how directions move the platform, shape (N, dof, k); zero where only by rounding.
+def frames_moved(platform: Platform, matrices: Array, gain: Array, directions: Array) -> Array:
+    """Return by which motions of the frames directions move the platform, shape (k, n_moved).
+
+    Combinations of the columns of ``frame_motions``: unlike directions of parameters, which only
+    move frames at the parameters where they were found, these are frame motions anywhere.
+    Directions that do not move the platform have no part in it.
 
     Args:
-        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
-        directions: Columns, shape (n, k).
+        platform: The platform.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        gain: ∂(pose)/∂(parameter) there, shape (N, dof, n).
+        directions: Columns that only move frames, shape (n, n_directions).
     """
-    moved = gain @ directions
-    far = np.linalg.norm(moved, axis=(0, 1))
-    return np.where(far > _STILL * reach(gain, directions), moved, 0.0)
+    motions = frame_motions(platform, matrices)
+    flat = motions.reshape(-1, motions.shape[2])
+    far = reach(gain, directions)
+    moved = (gain @ directions / np.where(far > 0.0, far, 1.0)).reshape(len(flat), -1)
+    if not moved.size:
+        return np.zeros((motions.shape[2], 0))
+    _, s, axes = np.linalg.svd(np.linalg.qr(moved, mode="r"))
+    return np.asarray(np.linalg.lstsq(flat, moved @ axes[s > _STILL].T, rcond=None)[0])
 
 
 def split_frames(

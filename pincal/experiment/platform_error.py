@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.experiment.configurations import legs_at
-from pincal.experiment.frames import beyond, motions_along
+from pincal.experiment.frames import beyond, frame_motions
 from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
@@ -34,7 +34,7 @@ def platform_error(
     covariance: Array,
     planned: Plan | Array,
     lost: Array | None = None,
-    gauge: Array | None = None,
+    frames: Array | None = None,
 ) -> PlatformError:
     """Return what the covariance of the parameters means for the platform.
 
@@ -46,17 +46,19 @@ def platform_error(
         covariance: Of the parameters of all legs, shape (n, n).
         planned: Poses over which to take the mean, coordinates of shape (N, dof), or a plan.
         lost: Directions of parameters that are not determined, columns of shape (n, n_lost).
-        gauge: Directions of parameters that only move frames which are not measured, columns of
-            shape (n, n_gauge): what these motions explain is left out.
+        frames: Motions of frames that are not measured (see ``frames_moved``), shape (k, n_moved):
+            what they explain is left out.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
     legs = legs_at(mechanism, planned)
     gain = legs.gain
-    if gauge is not None:
+    if frames is not None and frames.shape[1]:
         size = largest_size(mechanism.legs, mechanism.platform)
-        gain = beyond(mechanism.platform, gain, motions_along(gain, gauge), size)
+        matrices = mechanism.platform.transforms(legs.poses).as_matrix()
+        motions = frame_motions(mechanism.platform, matrices) @ frames
+        gain = beyond(mechanism.platform, gain, motions, size)
     variance = np.einsum("nip,pq,niq->ni", gain, covariance, gain).mean(axis=0)
     if lost is not None and lost.shape[1]:
         slides = np.abs(gain @ lost).max(axis=(0, 2)) > _SLIDES * np.abs(gain).max(axis=(0, 2))

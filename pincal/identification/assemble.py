@@ -86,6 +86,7 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         external=_external(task, estimate, outer),
         gauge=() if estimate.gauge is None else estimate.gauge.words,
         gauge_directions=None if estimate.gauge is None else estimate.gauge.of_legs,
+        frames_moved=None if estimate.gauge is None else estimate.gauge.frames,
         undetermined=lost,
         undetermined_directions=held.of_legs if held is not None and lost else None,
         ties=ties,

@@ -28,5 +28,5 @@ def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
         result.covariance,
         poses,
         lost=result.undetermined_directions,
-        gauge=result.gauge_directions,
+        frames=result.frames_moved,
     )

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.experiment.frames import split_frames, still
+from pincal.experiment.frames import frames_moved, split_frames, still
 from pincal.experiment.observability import identifiability
 from pincal.identification.consistent import consistent, lost_directions
 from pincal.identification.latent import LatentPoses
@@ -41,6 +41,8 @@ class Gauge:
     of_legs: Array | None
     """The directions in the legs' parameters, columns of shape (n_params, n_gauge); None if there
     are none."""
+    frames: Array
+    """Motions of frames that these are (see ``frames_moved``), shape (k, n_moved)."""
 
 
 def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> Gauge:
@@ -70,7 +72,8 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
     words = _words(len(lost) - n_still, mechanism, unknowns, directions @ T.T)
     if n_still:
         words = (*words, _redundant(gain, unknowns.labels[:n_legs], n_still))
-    return Gauge(directions, lost * lengths * weight, words, moved if words else None)
+    frames = frames_moved(mechanism.platform, generic.matrices, gain, moved)
+    return Gauge(directions, lost * lengths * weight, words, moved if words else None, frames)
 
 
 def _weight(label: str) -> float:

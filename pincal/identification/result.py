@@ -163,6 +163,8 @@ class CalibrationResult:
     """What was fixed by choice, since no such measurement can tell it, in words."""
     gauge_directions: Array | None = None
     """Directions of the legs' parameters along which that choice was made, shape (n, n_gauge)."""
+    frames_moved: Array | None = None
+    """Motions of frames that these are (see ``experiment.frames.frames_moved``)."""
     undetermined: tuple[str, ...] = ()
     """What these measurements do not tell and was held near nominal values, in words."""
     undetermined_directions: Array | None = None

@@ -17,6 +17,7 @@ from pincal.errors import MeasurementError
 from pincal.model.leg import Leg
 
 Array = NDArray[np.float64]
+_ROUNDING = 1e-13  # of the largest entry of a column: that of a parameter that does not move
 _ALIKE = 0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
 
 
@@ -67,9 +68,9 @@ class Unknowns:
         basis = np.zeros((len(order), len(lead)))
         basis[lead, np.arange(len(lead))] = 1.0
         basis[follow] = -np.linalg.solve(R[:, :lost], R[:, place[lead]])
-        return replace(
-            self, map=self.map @ basis, free_labels=tuple(self.free_labels[i] for i in lead)
-        )
+        T = self.map @ basis
+        T[np.abs(T) <= _ROUNDING * np.abs(T).max(axis=0, initial=0.0)] = 0.0
+        return replace(self, map=T, free_labels=tuple(self.free_labels[i] for i in lead))
 
     def part(self, legs: Sequence[str]) -> Unknowns:
         """Return the unknowns of some legs."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.experiment.configurations import as_plan, legs_at
-from pincal.experiment.frames import beyond, motions_along
+from pincal.experiment.frames import beyond, frame_motions
 from pincal.experiment.simulation import platform_errors
 from pincal.identification.result import CalibrationResult
 from pincal.kinematics.closure import largest_size
@@ -73,9 +73,10 @@ def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErro
     legs = legs_at(result.identified, plan)
     reached, gain = legs.reached, legs.gain
     both = np.asarray(reached & np.isfinite(moved).all(axis=1))
-    if result.gauge_directions is not None and both.any():
+    if result.frames_moved is not None and result.frames_moved.shape[1] and both.any():
         size = largest_size(result.nominal.legs, platform)
-        motions = motions_along(gain, result.gauge_directions)
+        matrices = platform.transforms(legs.poses).as_matrix()
+        motions = frame_motions(platform, matrices) @ result.frames_moved
         own = motions[both[reached]]
         moved[both] = beyond(platform, moved[both, :, None], own, size)[:, :, 0]
         gain = beyond(platform, gain, motions, size)
