@@ -11,6 +11,7 @@ from arms import Reference, loaded, robot, urdf
 from command_line import done
 
 import pincal
+from pincal.show.workspace_errors import workspace_errors
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
@@ -296,3 +297,42 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     assert "12 parameters are redundant" in " ".join(said.split())
     done("forward", tmp_path / "result", data, "-o", tmp_path / "poses.csv")
     assert "identity" in done("symmetry", arm).out
+
+
+def test_expected_error_is_what_was_forecast() -> None:
+    """On clean data, over unseen configurations: with redundant parameters, and in any frame."""
+    arm = loaded("ur10")
+    truth = pincal.disturb(arm, 1e-3, seed=4)
+    plan, unseen = (pincal.sample_configurations(arm, n, seed=s) for n, s in ((40, 1), (50, 2)))
+    noise = pincal.Noise(1e-4, 1e-4, 0.0)
+    data = pincal.simulate(arm, truth, plan, noise, seed=5).measurements
+    for unknown in (False, True):
+        setup = pincal.Setup(unknown_frame=unknown)
+        result = pincal.calibrate(arm, data, method="latent", noise=noise, setup=setup)
+        found = pincal.expected_error(result, unseen)
+        forecast = pincal.forecast(truth, plan, noise, setup=setup).platform_error(unseen)
+        assert found.position == pytest.approx(forecast.position, rel=0.02)
+        assert found.orientation == pytest.approx(forecast.orientation, rel=0.02)
+        fixed = [p for leg in result.legs for p in leg.parameters if p.std == 0.0]
+        assert all(p.identified == p.nominal for p in fixed)
+
+
+def test_what_was_held_is_not_promised_elsewhere() -> None:
+    """A joint that stood still: errors are told where it stood, and nowhere else."""
+    arm = loaded("ur10")
+    truth, noise = pincal.disturb(arm, 1e-3, seed=4), pincal.Noise(1e-4, 1e-4, 0.0)
+    plan = pincal.sample_configurations(arm, 40, seed=1)
+    still = plan.readings.copy()
+    still[:, 3] = 0.3
+    plan = pincal.Plan(pincal.forward(arm, still).poses, readings=still)
+    data = pincal.simulate(arm, truth, plan, noise, seed=5).measurements
+    with pytest.raises(pincal.ObservabilityError, match="undetermined"):
+        pincal.calibrate(arm, data, method="latent", noise=noise)
+    result = pincal.calibrate(arm, data, method="latent", noise=noise, hold_undetermined=True)
+    assert result.undetermined
+    there = pincal.expected_error(result, plan)
+    assert 0.0 < there.position < 2e-4
+    assert np.isinf(pincal.expected_error(result, pincal.sample_configurations(arm, 20)).position)
+    found = workspace_errors(result, plan)
+    assert found.where == "over the measured poses"
+    assert found.mean_after()[0] < 2e-4

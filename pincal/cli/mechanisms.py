@@ -22,8 +22,8 @@ def mechanisms() -> None:
     for name, folder in bundled().items():
         mechanism = load_mechanism(folder)
         legs, platform = len(mechanism.legs), mechanism.platform
-        stdout.print(f"{name:8s} {legs} legs, {', '.join(platform.coordinates)}", markup=False)
-        stdout.print(f"         {mechanism.description}", markup=False)
+        stdout.print(f"{name:12s} {legs} legs, {', '.join(platform.coordinates)}", markup=False)
+        stdout.print(f"{'':12s} {mechanism.description}", markup=False)
         coordinates = dict(zip(platform.coordinates, platform.units, strict=True))
         found.append(
             {
@@ -83,5 +83,6 @@ def check(mech: Mech) -> None:
             "not_told_apart": found.groups,
         }
     group = symmetry_group(mechanism)
-    stdout.print(f"symmetry: {group}", markup=False)
+    if len(mechanism.legs) > 1:
+        stdout.print(f"symmetry: {group}", markup=False)
     answer({"mechanism": mechanism.name, "legs": legs, "symmetry": group.name})

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pincal.cli.app import remark, stderr, warn
 from pincal.errors import FileError, MeasurementError
 from pincal.identification.result_files import read_result
+from pincal.kinematics.forward import forward
 from pincal.model.files import is_folder, load_mechanism
 from pincal.model.measurement_files import read_poses
 from pincal.model.measurements import Plan
@@ -113,6 +114,13 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
         return read_poses(estimates[0], mechanism) if estimates else None
     (table,) = tables
     plan = read_poses(table, mechanism, partial=True)
+    if plan.readings is not None:  # which say where the mechanism is, in its own base frame
+        solution = forward(mechanism, plan.readings)
+        if not solution.converged.any():
+            raise MeasurementError(f"{table}: {solution.reasons[0]} at row 1, and at all others")
+        rows = np.flatnonzero(solution.converged)
+        sets = None if plan.sets is None else tuple(plan.sets[row] for row in rows)
+        return Plan(solution.poses[rows], sets, plan.readings[rows])
     whole = np.isfinite(plan.poses).all(axis=1).astype(bool)
     if whole.all():
         return plan

@@ -61,11 +61,30 @@ def platform_error(
         gain = beyond(mechanism.platform, gain, motions, size)
     variance = np.einsum("nip,pq,niq->ni", gain, covariance, gain).mean(axis=0)
     if lost is not None and lost.shape[1]:
-        slides = np.abs(gain @ lost).max(axis=(0, 2)) > _SLIDES * np.abs(gain).max(axis=(0, 2))
-        variance = np.where(slides, np.inf, variance)
+        variance = np.where(_sliding(gain, lost).any(axis=0), np.inf, variance)
     linear = np.array([unit == "m" for unit in mechanism.platform.units])
     return PlatformError(
         float(np.sqrt(variance[linear].sum())),
         float(np.sqrt(variance[~linear].sum())),
         len(gain),
     )
+
+
+def slides(mechanism: Mechanism, planned: Plan | Array, lost: Array) -> NDArray[np.bool_]:
+    """Return at which planned configurations which freedoms are not told, shape (M, dof).
+
+    Args:
+        mechanism: The mechanism at which directions were found to be lost.
+        planned: Poses, coordinates of shape (M, dof), or a plan.
+        lost: Directions of parameters that are not determined, columns of shape (n, n_lost).
+    """
+    legs = legs_at(mechanism, planned)
+    found = np.zeros((len(legs.reached), mechanism.platform.dof), dtype=bool)
+    found[legs.reached] = _sliding(legs.gain, lost)
+    return found
+
+
+def _sliding(gain: Array, lost: Array) -> NDArray[np.bool_]:
+    """Return where lost directions move the platform, shape (N, dof)."""
+    most = np.abs(gain).max(axis=(0, 2), initial=0.0)
+    return np.asarray(np.abs(gain @ lost).max(axis=2, initial=0.0) > _SLIDES * most)

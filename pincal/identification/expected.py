@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.platform_error import PlatformError, platform_error
+from pincal.experiment.platform_error import PlatformError, platform_error, slides
 from pincal.identification.result import CalibrationResult
 
 Array = NDArray[np.float64]
@@ -14,7 +16,8 @@ Array = NDArray[np.float64]
 def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
     """Return the platform error to expect of the calibrated mechanism.
 
-    Where frames were fixed by choice, less what a motion of these frames explains.
+    Where frames were fixed by choice, less what a motion of these frames explains. Infinite where
+    what was held, as the measurements do not tell it, moves the platform at one of the poses.
 
     Args:
         result: The calibration.
@@ -23,10 +26,14 @@ def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    return platform_error(
-        result.identified,
-        result.covariance,
-        poses,
-        lost=result.undetermined_directions,
-        frames=result.frames_moved,
+    found = platform_error(result.identified, result.covariance, poses, frames=result.frames_moved)
+    lost = result.undetermined_directions
+    if lost is None:
+        return found
+    untold = np.asarray(slides(result.nominal, poses, lost).any(axis=0))
+    linear = np.array([unit == "m" for unit in result.nominal.platform.units])
+    return replace(
+        found,
+        position=np.inf if untold[linear].any() else found.position,
+        orientation=np.inf if untold[~linear].any() else found.orientation,
     )

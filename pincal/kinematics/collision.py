@@ -43,7 +43,10 @@ def free_of_collision(
             model, str(path), pin.GeometryType.COLLISION, package_dirs=places
         )
     except (ValueError, RuntimeError) as error:
-        raise FileError(f"{path}: its collision geometry cannot be read: {error}") from error
+        raise FileError(
+            f"{path}: its collision geometry cannot be read: {error}. 'package://' "
+            "is looked for in the folders above the URDF and in those of ROS_PACKAGE_PATH"
+        ) from error
     if not shapes.ngeoms:
         raise MechanismError(f"{path}: no <collision> geometry to check")
     entries = [_entry(model, name, path) for name in joints]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -89,6 +90,11 @@ class Leg:
                 f"{self.name}: its sensors read {', '.join(read) or 'nothing'}; expected one "
                 "sensor or more, each of another joint"
             )
+        if odd := [name for name in read if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]:
+            raise MechanismError(
+                f"{self.name}: joint {odd[0]!r} is read, but its name cannot head a column; "
+                "expected letters, digits and underscores. Rename it in the URDF"
+            )
         used = set(self.units)
         declared = [name for name, _ in self.parameters]
         if len(set(declared)) != len(declared):
@@ -109,8 +115,8 @@ class Leg:
             gain, _ = sensor.constants(self.nominal_by_name)
             if not 1.0 / LARGEST <= abs(gain) <= LARGEST:
                 raise MechanismError(
-                    f"{self.name}: the sensor's gain is {gain:g}; expected one that is neither zero "
-                    f"nor so small or large (beyond {LARGEST:g}) that nothing can be read by it"
+                    f"{self.name}: the sensor's gain is {gain:g}; expected one that is neither "
+                    f"zero nor so small or large (beyond {LARGEST:g}) that it reads nothing"
                 )
         for joint in (*self.joints, self.point):
             joint.placement.rest(self.nominal_by_name, f"{self.name}, joint {joint.name!r}")

@@ -12,10 +12,15 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.leg import Leg
+from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
+#: Columns of tables that mean something else than a reading.
+RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
+    name for names, _ in WAYS.values() for name in names
+}
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,11 @@ class Mechanism:
         if not (self.name and self.name.isprintable() and len(self.name) <= 100):
             raise MechanismError(f"{self.name[:100]!r} is no name for a mechanism")
         readings = self.reading_names
+        if taken := [name for name in readings if name in RESERVED or name.startswith("sigma_")]:
+            raise MechanismError(
+                f"mechanism {self.name!r}: a reading named {taken[0]!r} cannot be told from that "
+                f"column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
+            )
         if len(set(readings)) != len(readings):
             raise MechanismError(
                 f"mechanism {self.name!r}: names of readings repeat: {', '.join(readings)}; a "
@@ -52,6 +62,13 @@ class Mechanism:
                 raise MechanismError(
                     f"{other} and {leg.name} share the platform point {leg.point.name!r}, so it "
                     "must be the same for both and have no parameters; give each leg its own point"
+                )
+        for leg in self.legs:
+            rows, passive = len(self.platform.closing(leg.closes)), len(leg.passive)
+            if passive >= rows:
+                raise MechanismError(
+                    f"{leg.name} has {passive} passive joints for {rows} rows of its closure: it "
+                    "demands nothing of the platform; read another of its joints, or leave it out"
                 )
         planar = self.platform.space == 2
         for leg in self.legs if planar else ():

@@ -14,6 +14,7 @@ _NO_FREEDOM = (
     "nothing; measure more poses"
 )
 _ROWS = 20  # outliers in the table; all are in result.json
+_LISTED = 4  # groups of what moves together
 
 
 def calibration_tables(result: CalibrationResult) -> list[RenderableType]:
@@ -148,7 +149,7 @@ def calibration_summary(
     if result.gauge:
         lines.append(
             "fixed by choice, of equal parameters those nearest to nominal: "
-            + "; ".join(result.gauge)
+            + "; ".join(map(shortened, result.gauge))
         )
     lines += [
         f"tie of {one.name}: {'holds' if one.holds else 'contradicted'} "
@@ -182,6 +183,15 @@ def warnings_of(result: CalibrationResult) -> list[str]:
         own = bool(colon) and name in result.nominal.leg_names
         legs.setdefault(rest if own else text, []).extend([name] if own else [])
     return [f"{', '.join(names)}: {text}" if names else text for text, names in legs.items()]
+
+
+def shortened(words: str) -> str:
+    """Return a list of what moves together, cut where it is long: result.json has it whole."""
+    head, _, groups = words.rpartition(": ")
+    parts = groups.split("; ")
+    if len(parts) <= _LISTED + 1:
+        return words
+    return f"{head}: {'; '.join(parts[:_LISTED])}; and {len(parts) - _LISTED} more (result.json)"
 
 
 def noise_in_words(result: CalibrationResult) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import EVERY_LEG, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.show.calibration import trust_in_words
+from pincal.show.calibration import shortened, trust_in_words
 from pincal.show.findings import Findings
 from pincal.show.markup import Content, Element, bullets, table, tag
 from pincal.show.markup_tables import (
@@ -80,7 +80,7 @@ def measured(found: Findings) -> Element:
             (
                 "fixed by choice",
                 "no such measurement can tell it, so of equal parameters those nearest to nominal "
-                f"were taken: {'; '.join(result.gauge)}",
+                f"were taken: {'; '.join(map(shortened, result.gauge))}",
             )
         )
     listed = tag("dl")

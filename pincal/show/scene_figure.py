@@ -96,7 +96,9 @@ def draw_scene(axes: Axes, scene: Scene, row: int) -> Axes:
         paint(axes, placed(scene.identified.body, row), V, edge, IDENTIFIED)
         label = f"identified, errors × {scene.identified.magnify:g}"
         legend.append(_dot(IDENTIFIED, label))
-    legend += [_dot(ACTIVE, "active joint"), _dot(PASSIVE, "passive joint")]
+    legend.append(_dot(ACTIVE, "active joint"))
+    if any(leg.passive for leg in scene.mechanism.legs):
+        legend.append(_dot(PASSIVE, "passive joint"))
     _name_legs(axes, scene, V, (low + high) / 2)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_axis_off()

@@ -20,10 +20,10 @@ from pincal.experiment.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import SymmetryGroup
 
-#: Unit in which people read a quantity, and its factor from SI.
 #: How units are shown: as what, and how many of it.
 SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
 _WEAK_LINES = 3  # pairs of parameters in words
+_LISTED = 6  # groups of what moves together
 
 
 def plain_table() -> Table:
@@ -124,7 +124,7 @@ def weak_in_words(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
         alike.setdefault((*names, "" if leg == other_leg else leg), []).append(pair)
     lines = [_weak_line(key[:2], own, mechanism) for key, own in alike.items()]
     if len(lines) > _WEAK_LINES:
-        lines[_WEAK_LINES:] = [f"and {len(lines) - _WEAK_LINES} pairs more are weakly told apart"]
+        lines[_WEAK_LINES:] = [f"{len(lines) - _WEAK_LINES} more such pairs (--json)"]
     return lines
 
 
@@ -196,7 +196,9 @@ def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group
     if rank.complete:
         lines[0] += f", condition {rank.condition:.3g}"
     else:
-        lines.append(f"not determined: {rank.in_words()}")
+        groups = rank.in_words().split("; ")
+        more = f"; and {len(groups) - _LISTED} more (--json)" if len(groups) > _LISTED else ""
+        lines.append(f"not determined: {'; '.join(groups[:_LISTED])}{more}")
     if count := found.gauge.shape[1]:
         lines.append(
             f"{count} freedom{'s' if count > 1 else ''} of frames or redundant parameters cannot "

@@ -7,7 +7,7 @@ motions of the base and platform frame are left out of both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pincal.errors import WorkspaceError
 from pincal.experiment.configurations import as_plan, legs_at
 from pincal.experiment.frames import beyond, frame_motions
+from pincal.experiment.platform_error import slides
 from pincal.experiment.simulation import platform_errors
 from pincal.identification.result import CalibrationResult
 from pincal.kinematics.closure import largest_size
@@ -37,19 +38,31 @@ class WorkspaceErrors:
     """Standard errors to expect of the identified one, shape (N, 2)."""
     sampled: bool = True
     """Whether poses are of the workspace, or those of the measurements."""
+    untold: NDArray[np.bool_] | None = None
+    """Where what was held moves the platform (see ``calibrate``), shape (N,), if it was."""
 
     @property
     def where(self) -> str:
         """Over which poses means are taken, in words."""
-        return "over the workspace" if self.sampled else "over the measured poses"
+        if not self.sampled:
+            return "over the measured poses"
+        told = self._told
+        if told.all():
+            return "over the workspace"
+        return f"over the {told.sum()} of {len(told)} configurations that the measurements tell"
+
+    @property
+    def _told(self) -> NDArray[np.bool_]:
+        """Configurations that count: where the measurements tell all, shape (N,)."""
+        return ~self.untold if self.untold is not None else np.ones(len(self.poses), dtype=bool)
 
     def mean_before(self) -> tuple[float, float]:
         """Return root mean squares of the nominal model's errors, [m] and [rad]."""
-        return _rms(self.before)
+        return _rms(self.before[self._told])
 
     def mean_after(self) -> tuple[float, float]:
         """Return root mean squares of the errors to expect, [m] and [rad]."""
-        return _rms(self.after)
+        return _rms(self.after[self._told])
 
 
 def workspace_errors(result: CalibrationResult, measured: Plan) -> WorkspaceErrors:
@@ -60,10 +73,12 @@ def workspace_errors(result: CalibrationResult, measured: Plan) -> WorkspaceErro
         measured: Measured configurations: taken if no workspace is found with the default margins.
     """
     try:
-        return errors_at(result, sample_configurations(result.nominal, _SAMPLED))
+        found = errors_at(result, sample_configurations(result.nominal, _SAMPLED))
+        if found.untold is None or not found.untold.all():
+            return found
     except WorkspaceError:
-        found = errors_at(result, measured)
-        return WorkspaceErrors(found.poses, found.before, found.after, sampled=False)
+        pass
+    return replace(errors_at(result, measured), sampled=False, untold=None)
 
 
 def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErrors:
@@ -82,7 +97,12 @@ def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErro
         gain = beyond(platform, gain, motions, size)
     variance = np.full(moved.shape, np.nan)
     variance[reached] = np.einsum("nip,pq,niq->ni", gain, result.covariance, gain)
-    return WorkspaceErrors(plan.poses, _sizes(result, moved**2), _sizes(result, variance))
+    untold, lost = None, result.undetermined_directions
+    if lost is not None:
+        untold = np.asarray(slides(result.nominal, plan, lost).any(axis=1))
+        variance[untold] = np.nan
+    before, after = _sizes(result, moved**2), _sizes(result, variance)
+    return WorkspaceErrors(plan.poses, before, after, untold=untold)
 
 
 def _sizes(result: CalibrationResult, squares: Array) -> Array:
