@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.errors import ObservabilityError
 from pincal.kinematics.closure import point_velocity
 from pincal.model.platform import Platform
 
@@ -113,7 +114,17 @@ def split_frames(
         gain: ∂(pose)/∂(parameter), shape (N, dof, n).
         directions: Columns, shape (n, k).
         size: A length of the mechanism, [m].
+
+    Raises:
+        ObservabilityError: no pose is held by the legs.
     """
+    held = np.isfinite(gain).all(axis=(1, 2))  # not at a type-2 singularity
+    if not held.any():
+        raise ObservabilityError(
+            "the legs do not hold the platform at any of these poses (type-2 singularities), so "
+            "what parameters do to it cannot be told; take other poses"
+        )
+    matrices, gain = matrices[held], gain[held]
     moved = gain @ directions
     left = beyond(platform, moved, frame_motions(platform, matrices), size)
     scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * reach(gain, directions))

@@ -167,6 +167,8 @@ def calibration_task(
 
 
 def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:
+    if not len(data):
+        raise MeasurementError("there are no measurements; give a row for each measured pose")
     expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names)))
     if (data.poses.shape, data.readings.shape) != expected:
         raise MeasurementError(
