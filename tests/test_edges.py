@@ -207,7 +207,7 @@ def scaled(mechanism: Mechanism, factor: float) -> tuple[Mechanism, Array]:
     def place(placement: Placement) -> Placement:
         coordinates = tuple(
             replace(c, values=tuple(
-                value if isinstance(value, str) or c.turns or index and c.kind in ("polar", "spherical")
+                value if isinstance(value, str) or c.turns or (index and c.kind in ("polar", "spherical"))
                 else value * factor
                 for index, value in enumerate(c.values)
             ))

@@ -26,7 +26,6 @@ from pincal.experiment.certificate import continuous_design
 from pincal.experiment.exchange import exchange
 from pincal.experiment.selection import noise_weighted
 from pincal.kinematics.derivatives import leg_demand
-from pincal.model.table import read_table
 
 Array = NDArray[np.float64]
 Draw = Callable[[st.SearchStrategy[Any]], Any]
