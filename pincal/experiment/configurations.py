@@ -105,7 +105,11 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
     plan = as_plan(mechanism, planned)
     poses, readings = plan.poses, plan.readings
     found = np.ones(len(poses), dtype=bool)
-    if readings is not None:
+    if mechanism.by_readings and readings is None:  # those with which some configuration is there
+        there = inverse(mechanism, poses)
+        found = np.asarray(there.reached.all(axis=1))
+        poses, readings = poses[found], there.readings[found]
+    elif readings is not None:
         solution = forward(mechanism, readings, poses)
         found = solution.converged
         poses, readings = solution.poses[found], readings[found]
