@@ -17,6 +17,7 @@ from pincal.formats.delta import DeltaPrinter, delta_printer
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.klipper import read_klipper, write_klipper
 from pincal.formats.reprap import read_reprap, write_reprap
+from pincal.identification.result_files import read_result
 from pincal.kinematics.inverse import inverse
 from pincal.model.files import load_mechanism, write_mechanism
 from pincal.model.measurement_files import read_poses
@@ -275,6 +276,21 @@ def export(
     with writing(output, force=force) as scratch:
         scratch.write_text(text, encoding="utf-8")
     stdout.print(text.rstrip(), markup=False, soft_wrap=True)
-    for one in found.remarks:
+    for one in (*found.remarks, *_weak(Path(mech))):
         warn(one)
     wrote(output)
+
+
+def _weak(folder: Path) -> list[str]:
+    """Return which lengths of a printer a calibration hardly told apart, in words."""
+    if not (folder / "result.json").is_file():
+        return []
+    pairs = read_result(folder).get("weakly_told_apart", [])
+    names = sorted({one[end][1] for one in pairs for end in ("first", "second")})
+    if not names:
+        return []
+    return [
+        f"{' and '.join(names)} are weakly told apart by these measurements: what moves along with "
+        "the other may be far from its true value (the calibration says by how much). If one of "
+        f"them is known, say so and calibrate again: --prior {names[0]}=SIGMA"
+    ]
