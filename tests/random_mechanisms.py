@@ -135,9 +135,7 @@ def carriage(rng: Generator) -> Inner:
     )
 
 
-def _slide(
-    name: str, placement: Placement, axis: tuple[float, float, float], home: float
-) -> Joint:
+def _slide(name: str, placement: Placement, axis: tuple[float, float, float], home: float) -> Joint:
     return Joint(name, "prismatic", placement, axis, lower=-4.0, upper=4.0, home=home)
 
 

@@ -109,8 +109,8 @@ class Leg:
             gain, _ = sensor.constants(self.nominal_by_name)
             if not 1.0 / LARGEST <= abs(gain) <= LARGEST:
                 raise MechanismError(
-                    f"{self.name}: the sensor's gain is {gain:g}; expected one that is neither zero "
-                    f"nor so small or large (beyond {LARGEST:g}) that nothing can be read by it"
+                    f"{self.name}: the sensor's gain is {gain:g}; expected one that is neither "
+                    f"zero nor beyond {LARGEST:g} times too small or large"
                 )
         for joint in (*self.joints, self.point):
             joint.placement.rest(self.nominal_by_name, f"{self.name}, joint {joint.name!r}")
