@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -183,27 +179,6 @@ def test_claimed_groups(group: str, missing: str) -> None:
         outcome = run("symmetry", "3RRR", "--group", wrong)
         assert (outcome.code, outcome.out) == (2, "")
         assert wrong in outcome.err
-
-
-@pytest.mark.parametrize("jobs", ["1", "2"])
-def test_an_interrupt_leaves_nothing(jobs: str, tmp_path: Path) -> None:
-    """Ctrl-C in the middle: the exit code says so, and no file stays behind."""
-    turns = ["--axis", "tilt=0:0.05:0.001", "--axis", "torsion=-0.05:0.05:0.005"]  # an hour's work
-    line = ["workspace", "6UPS", "--kind", "total-orientation", *turns]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pincal", *line, "--jobs", jobs, "-o", "w.csv"],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    time.sleep(5.0)
-    assert process.poll() is None  # still at work
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert "Traceback" not in err
-    assert contents(tmp_path) == {}
 
 
 def test_devices_are_not_replaced() -> None:

@@ -179,7 +179,7 @@ def test_gains_near_zero_are_computed_with_or_refused(name: str, gain: float) ->
     mechanism = pincal.load_mechanism(name)
     values = {leg.name: {"k": gain} for leg in mechanism.legs}
     if not 1e-12 <= gain <= 1e12:
-        with pytest.raises(pincal.MechanismError, match="leg_1.*gain"):
+        with pytest.raises(pincal.MechanismError, match=r"leg_1.*gain"):
             mechanism.with_parameters(values)
         return
     mechanism = mechanism.with_parameters(values)
@@ -207,7 +207,9 @@ def scaled(mechanism: Mechanism, factor: float) -> tuple[Mechanism, Array]:
     def place(placement: Placement) -> Placement:
         coordinates = tuple(
             replace(c, values=tuple(
-                value if isinstance(value, str) or c.turns or (index and c.kind in ("polar", "spherical"))
+                value
+                if isinstance(value, str) or c.turns
+                or (index and c.kind in ("polar", "spherical"))
                 else value * factor
                 for index, value in enumerate(c.values)
             ))
@@ -373,7 +375,7 @@ def test_nearly_deficient_data_are_refused_or_honest(name: str) -> None:
             )
         except pincal.ObservabilityError as error:
             refused.append(size)
-            assert "leg_1" in str(error)
+            assert "leg_1" in str(error)  # noqa: PT017
             continue
         assert result.converged or size < 1e-2, result.message
         for leg in result.legs if result.converged else ():

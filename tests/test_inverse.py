@@ -19,9 +19,7 @@ MARGIN = 0.1  # elbow sine
 
 @pytest.mark.parametrize("geometries", GEOMETRIES)
 @pytest.mark.parametrize("mode", [1, -1])
-def test_inverse_kinematics_equals_closed_form(
-    kind: str, mode: int, geometries: int
-) -> None:
+def test_inverse_kinematics_equals_closed_form(kind: str, mode: int, geometries: int) -> None:
     """Joint angles are within 1e-12 rad of the closed form, out of reach is NaN in both."""
     rng = np.random.default_rng(mode + 1)
     for _ in range(geometries):

@@ -68,16 +68,19 @@ def forward_undoes_inverse(draw: Draw, folder: Path) -> None:
     assert found.converged.all(), found.reasons
     np.testing.assert_allclose(platform.twists_between(poses, found.poses), 0.0, atol=1e-11)
     far = pincal.forward(mechanism, there.readings)  # from home; another pose may be found
-    again = pincal.inverse(mechanism, far.poses[far.converged])
-    np.testing.assert_allclose(again.readings, there.readings[far.converged], atol=1e-9)
+    exact = far.converged & (far.gap < 1e-8).all(axis=1)
+    assert mechanism.redundant or exact[far.converged].all()  # else nearest, and the gap says so
+    again = pincal.inverse(mechanism, far.poses[exact])
+    np.testing.assert_allclose(again.readings, there.readings[exact], atol=1e-9)
 
 
 @holds
 def carried_poses_are_read_by_carried_legs(draw: Draw, folder: Path) -> None:
     """A generated mechanism has its group, and F(λ x) = λ F(x) for every element of it."""
-    platform = draw(st.sampled_from([Platform("planar", (0.0,) * 3),
-                                     Platform("translational", (0.0, 0.0, 0.3)),
-                                     Platform("spatial", (0.0, 0.0, 0.3, 0.0, 0.0, 0.0))]))  # fmt: skip
+    homes = {"planar": (0.0,) * 3, "translational": (0.0, 0.0, 0.3)}
+    homes["spatial"] = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
+    kind = draw(st.sampled_from(sorted(homes)))
+    platform = Platform(kind, homes[kind])
     rng = np.random.default_rng(draw(SEEDS))
     families = KINDS[platform.kind][1]
     leg = random_leg("leg_1", families[rng.integers(len(families))], platform, rng)

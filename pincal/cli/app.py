@@ -22,7 +22,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-_WIDTH = None if sys.stdout.isatty() else 100  # of tables in a file or pipe
+_WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
 stdout = Console(highlight=False, width=_WIDTH)
 stderr = Console(stderr=True, highlight=False, soft_wrap=True)  # warnings and errors
 _remarks = Console(stderr=True, highlight=False, soft_wrap=True)  # all else that is no answer

@@ -68,6 +68,7 @@ def writing(path: str | Path, *, force: bool = False, folder: bool = False) -> I
         if folder:
             made.mkdir()
         yield made
+        refuse_existing(path, force=force, folder=folder)  # somebody else may have been quicker
         if path.is_dir():
             path.replace(replaced)
         try:

@@ -1,0 +1,261 @@
+"""Faults of the machine around: full disks, kills, interrupts, closed pipes, bare environments."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from command_line import contents, done, run
+
+import pincal
+from pincal.errors import FileError
+from pincal.model.output import writing
+
+PINCAL = [sys.executable, "-W", "error", "-m", "pincal"]
+HERE = {"OPENBLAS_NUM_THREADS": "1"}
+
+
+@contextmanager
+def disk_of(size: int) -> Iterator[None]:
+    """Let no file grow beyond a size, [bytes], as on a disk that fills up."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with candidates, a plan and measurements of the 5R."""
+    folder = tmp_path_factory.mktemp("measured")
+    candidates, plan = folder / "candidates.csv", folder / "plan.csv"
+    done("workspace", "5R", "--count", 200, "-o", candidates)
+    done("select", "5R", "--count", 12, "--candidates", candidates, "--starts", 1, "-o", plan)
+    done("simulate", "5R", plan, "-o", folder / "data.csv")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("line", "size"),
+    [
+        ("workspace 5R --count 100 -o {}/new.csv", 1000),
+        ("calibrate 5R {data} -o {}/new", 0),
+        ("calibrate 5R {data} -o {}/new", 1000),
+        ("calibrate 5R {data} -o {}/new", 50_000),  # all but the report
+        ("inverse 5R {plan} -o {}/new.csv", 100),
+        ("picture 5R -o {}/new.png", 1000),
+        ("view 5R --html {}/new.html", 100_000),
+    ],
+)
+def test_a_full_disk_leaves_nothing(line: str, size: int, measured: Path, tmp_path: Path) -> None:
+    """Writing that fails at any byte: the file is named, exit code 2, nothing stays behind."""
+    names = {"data": measured / "data.csv", "plan": measured / "plan.csv"}
+    with disk_of(size):
+        outcome = run(*line.format(tmp_path, **names).split())
+    assert outcome.code == 2
+    assert "new" in outcome.trouble
+    assert "File too large" in outcome.trouble
+    assert contents(tmp_path) == {}
+
+
+def test_a_folder_that_takes_no_files_is_named() -> None:
+    """Where nothing can be created: the file is named, exit code 2."""
+    outcome = run("workspace", "5R", "--count", 5, "-o", "/proc/self/new.csv")
+    assert outcome.code == 2
+    assert "/proc/self/new.csv" in outcome.trouble
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_who_comes_second_does_not_replace(folder: bool, tmp_path: Path) -> None:
+    """What another process wrote while this one was at work stays, unless --force was said."""
+    path = tmp_path / "new"
+    for force in (False, True):
+        try:
+            with writing(path, force=force, folder=folder) as scratch:
+                with writing(path, force=force, folder=folder) as other:
+                    (other / "result.json" if folder else other).write_text("first")
+                (scratch / "result.json" if folder else scratch).write_text("second")
+        except FileError as error:
+            assert not force
+            assert "new exists" in str(error)  # noqa: PT017
+        found = (path / "result.json" if folder else path).read_text()
+        assert found == ("second" if force else "first")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+SAVE = """
+import os, sys
+import pincal
+mechanism = pincal.load_mechanism("5R")
+data = pincal.read_measurements(sys.argv[1], mechanism)
+result = pincal.calibrate(mechanism, data)
+text = pincal.report(result, data).html()
+class Report:
+    def html(self):
+        return text
+report = Report()
+for number in range(int(sys.argv[3])):
+    sys.stdin.readline()
+    child = os.fork()
+    if child:
+        print(child, flush=True)
+        os.waitpid(child, 0)
+        continue
+    while True:
+        try:
+            result.save(sys.argv[2], force=True, report=report)
+        except pincal.FileError:
+            pass
+"""
+
+
+def assert_whole(folder: Path) -> None:
+    """Check that a result folder is whole."""
+    found = {path.name for path in folder.iterdir()}
+    assert found == {"result.json", "residuals.csv", "mechanism", "report.html"}
+    json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    pincal.load_mechanism(folder / "mechanism")
+    assert (folder / "report.html").read_text(encoding="utf-8").endswith("</html>\n")
+
+
+@pytest.mark.parametrize("times", [10, pytest.param(100, marks=pytest.mark.slow)])
+def test_killed_while_writing(times: int, measured: Path, tmp_path: Path) -> None:
+    """Two processes write one folder and are killed at any time: it is whole, or not there.
+
+    ``kill -9`` may leave a hidden scratch folder behind, never a result that is not whole.
+    """
+    rng, target, whole = random.Random(times), tmp_path / "result", 0
+    command = [sys.executable, "-c", SAVE, measured / "data.csv", target, str(times)]
+    savers = [
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    for _ in range(times):
+        children = []
+        for saver in savers:
+            assert saver.stdin
+            assert saver.stdout
+            saver.stdin.write("\n")
+            saver.stdin.flush()
+            children.append(int(saver.stdout.readline()))
+        time.sleep(rng.uniform(0.01, 0.1))
+        for child in children:
+            os.kill(child, signal.SIGKILL)
+            time.sleep(0.002)
+        if target.exists():
+            assert_whole(target)
+            whole += 1
+    for saver in savers:
+        saver.communicate(timeout=60)
+    assert whole > times // 4
+    assert all(path == target or path.name.startswith(".pincal-") for path in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("line", "begun"),
+    [
+        ("workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001 "
+         "--axis torsion=-0.05:0.05:0.005 --jobs 1", " …"),
+        ("workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001 "
+         "--axis torsion=-0.05:0.05:0.005 --jobs 2", " …"),
+        ("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", " …"),
+        ("calibrate 5R {}/many.csv --method latent", " …"),
+    ],
+)  # fmt: skip
+def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_path: Path) -> None:
+    """Ctrl-C once work has begun, which stderr says: exit code 130, no traceback, no file."""
+    if "many" in line:  # minutes of work
+        mechanism = pincal.load_mechanism("5R")
+        poses = pincal.sample_workspace(mechanism, 60_000, seed=0)
+        noise = pincal.Noise(1e-4, 1e-4, 1e-5)
+        plan = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), noise).measurements
+        pincal.write_measurements(measured / "many.csv", mechanism, plan, force=True)
+    process = subprocess.Popen(
+        [*PINCAL, *line.format(measured).split(), "-o", "new"],
+        cwd=tmp_path,
+        env=os.environ | HERE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr
+    while begun not in (said := process.stderr.readline()):
+        assert said, process.wait()
+    time.sleep(0.3)
+    assert process.poll() is None  # still at work
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("redirected", "code"),
+    [("| true", 0), ("> /dev/full", 2), (">&-", 0), (">&- 2>&- <&-", 0)],
+)
+def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
+    """A pipe that was closed, a full disk, no output at all: no traceback, a sensible end."""
+    line = " ".join([*PINCAL, "mechanisms", redirected])
+    ended = subprocess.run(
+        ["/bin/sh", "-c", line], env=os.environ | HERE, capture_output=True, text=True, check=False
+    )
+    assert "Traceback" not in ended.stderr
+    assert "Exception" not in ended.stderr
+    assert ended.returncode == code, ended.stderr
+    assert ("No space left" in ended.stderr) == (code == 2)
+
+
+def test_a_bare_environment(measured: Path, tmp_path: Path) -> None:
+    """POSIX locale, no home, display, terminal or PATH, names beyond ASCII: a result as usual.
+
+    Nothing is written into the package.
+    """
+    bare = {"PATH": "", "HOME": "/nonexistent", "LC_ALL": "C", "MPLBACKEND": "TkAgg"}
+    bare |= {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONDONTWRITEBYTECODE": "1"}
+    folder = tmp_path / "Messung é 漢"
+    folder.mkdir()
+    (folder / "données.csv").write_bytes((measured / "data.csv").read_bytes())
+    package = Path(pincal.__file__).parent
+    before = {path: path.stat().st_mtime_ns for path in package.rglob("*")}
+    ended = subprocess.run(
+        [*PINCAL, "calibrate", "5R", folder / "données.csv", "-o", folder / "résultat"],
+        env=bare | HERE,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        start_new_session=True,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert b"Traceback" not in ended.stderr
+    assert_whole(folder / "résultat")
+    assert {path: path.stat().st_mtime_ns for path in package.rglob("*")} == before
+
+
+def test_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a browser the address is printed, with what to do."""
+    monkeypatch.setattr("webbrowser.open", lambda _: False)
+
+    def interrupt(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("threading.Event.wait", interrupt)
+    monkeypatch.setattr("pincal.show.server.PageServer.__init__", lambda *_: None)
+    monkeypatch.setattr("pincal.show.server.PageServer.url", "http://here/", raising=False)
+    monkeypatch.setattr("pincal.show.server.PageServer.close", lambda *_: None)
+    outcome = run("view", "5R")
+    assert outcome.code == 0
+    assert outcome.out == "http://here/\n"
+    assert "no browser was found" in outcome.err
