@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import pincal
 
 KINDS = ["3RRR", "5R"]
-#: Tests of more than three seconds whose property a quicker one guards too.
+#: Tests among the longest, seconds each, whose property a quicker one guards too.
 SLOW = (Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").splitlines()
 
 
