@@ -25,7 +25,6 @@ from pincal.cli.workspace_answers import articular_answer, poses_answer, region_
 from pincal.errors import WorkspaceError
 from pincal.model.files import load_mechanism
 from pincal.model.measurement_writing import write_poses
-from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing
 from pincal.model.table import write_table
@@ -37,7 +36,7 @@ from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import POSITION_AXES, Positions
 from pincal.workspace.region import KINDS, Workspace, compute_workspace
-from pincal.workspace.sampling import sample_workspace
+from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 if TYPE_CHECKING:  # drawing is imported where it is needed
     from matplotlib.figure import Figure
@@ -210,8 +209,9 @@ def _poses(
 ) -> None:
     """Write poses spread over the workspace."""
     with counting("sampling the workspace", count) as done:
-        poses = sample_workspace(mechanism, count, seed, least, done)
-    write_poses(output, mechanism, Plan(poses), force=force)
+        plan = sample_configurations(mechanism, count, seed, least, done)
+    poses = plan.poses
+    write_poses(output, mechanism, plan, force=force)
     box = zip(mechanism.platform.coordinates, poses.min(axis=0), poses.max(axis=0), strict=True)
     remark(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f}' for n, a, b in box)}")
     wrote(output)

@@ -36,6 +36,7 @@ def sample_configurations(
     count: int,
     seed: int | np.random.Generator = 0,
     least: Margins | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> Plan:
     """Return configurations of a mechanism: poses, and readings where poses do not tell them.
 
@@ -47,12 +48,13 @@ def sample_configurations(
         count: Number of configurations.
         seed: Seed or generator.
         least: Margins from singularities; of serial arms, none.
+        progress: Called with the number of configurations found so far.
 
     Raises:
         WorkspaceError: no or too few configurations count.
     """
     if not mechanism.by_readings:
-        return Plan(sample_workspace(mechanism, count, seed, least))
+        return Plan(sample_workspace(mechanism, count, seed, least, progress))
     rng = np.random.default_rng(seed)
     low, high = _reading_limits(mechanism)
     arm = all(not leg.passive for leg in mechanism.legs)
@@ -66,6 +68,8 @@ def sample_configurations(
         poses.append(solution.poses[kept])
         readings.append(drawn[kept])
         total += len(kept)
+        if progress:
+            progress(min(total, count))
         if total >= count:
             return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
     raise WorkspaceError(
