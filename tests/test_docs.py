@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import runpy
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
@@ -59,9 +60,18 @@ def test_every_error_is_raised_and_explained() -> None:
 
 
 def test_dependencies_page_is_what_is_installed(dependencies: dict[str, Any]) -> None:
-    """The tables of what pincal asks for are those of pyproject.toml, each with why and licence."""
+    """The tables of what pincal asks for are those of pyproject.toml, each with why and licence.
+
+    Of tools that are not installed, as in a run of the tests alone, only the names are known.
+    """
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
-    assert dependencies["written"](page, "library", "tools") == page
+    tools = [one.name for one in dependencies["asked"]("cluster", "test", "dev")]
+    assert all(f"| {name} |" in page for name in tools)
+    try:
+        made = dependencies["written"](page, "library", "tools")
+    except PackageNotFoundError:
+        made = dependencies["written"](page, "library")
+    assert made == page
 
 
 def test_no_licence_binds_users(dependencies: dict[str, Any]) -> None:
