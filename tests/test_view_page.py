@@ -180,6 +180,29 @@ def test_all_is_on_the_screen(name: str, opened: Any, tmp_path: Path) -> None:
         assert box["y"] + box["height"] < 760
 
 
+@pytest.mark.parametrize("name", sorted(set(pincal.bundled()) - set(MECHANISMS)))
+def test_every_family_is_connected_and_on_the_screen(
+    name: str, opened: Any, tmp_path: Path
+) -> None:
+    """At home and over the workspace, tips are at platform points and inside the picture."""
+    mechanism = pincal.load_mechanism(name)
+    view = pincal.view(mechanism)
+    window, body = opened(view), view.scene.body
+    points = list(dict.fromkeys(leg.point.name for leg in mechanism.legs))
+    for place in range(0, len(view.scene.plan.poses), 4):
+        window.slide(place)
+        matrices = window.matrices(view)
+        assert np.allclose(matrices, body.placements[place], atol=1e-9)
+        for leg, chain in zip(mechanism.legs, body.chains, strict=True):
+            point = matrices[body.part(f"platform/point {points.index(leg.point.name) + 1}")]
+            assert np.linalg.norm(point[:3, 3] - matrices[chain[-1], :3, 3]) < 1e-6
+    shown = body.placements[:, :, :3, 3].reshape(-1, 3)
+    on_screen = np.array(window.page.evaluate(_ON_SCREEN, shown.tolist()))
+    assert np.abs(on_screen).max() < 0.98
+    window.page.screenshot(path=tmp_path / f"{name}.png")
+    assert window.clean(), (window.said, window.asked)
+
+
 def test_what_is_not_reached_is_said(opened: Any) -> None:
     """Legs out of reach are hidden and named; the words go where the pose is left."""
     mechanism, poses = plan("3RRR")
