@@ -395,7 +395,7 @@ def test_property(name: str, data: st.DataObject, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROPERTIES)
 @given(data=st.data())
-@settings(max_examples=100, deadline=None, suppress_health_check=_QUIET)
+@settings(max_examples=40, deadline=None, suppress_health_check=_QUIET)
 def test_property_of_many(name: str, data: st.DataObject, tmp_path: Path) -> None:
     """The property holds for a hundred mechanisms, others in every run."""
     PROPERTIES[name](data.draw, tmp_path)
