@@ -397,5 +397,5 @@ def test_property(name: str, data: st.DataObject, tmp_path: Path) -> None:
 @given(data=st.data())
 @settings(max_examples=40, deadline=None, suppress_health_check=_QUIET)
 def test_property_of_many(name: str, data: st.DataObject, tmp_path: Path) -> None:
-    """The property holds for a hundred mechanisms, others in every run."""
+    """The property holds for forty mechanisms, others in every run."""
     PROPERTIES[name](data.draw, tmp_path)
