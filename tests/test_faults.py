@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -107,11 +107,13 @@ class Report:
         return text
 report = Report()
 for number in range(int(sys.argv[3])):
-    sys.stdin.readline()
+    if not sys.stdin.readline():
+        break
     child = os.fork()
     if child:
         print(child, flush=True)
         os.waitpid(child, 0)
+        print("dead", flush=True)
         continue
     while True:
         try:
@@ -130,6 +132,15 @@ def assert_whole(folder: Path) -> None:
     assert (folder / "report.html").read_text(encoding="utf-8").endswith("</html>\n")
 
 
+def _told(saver: subprocess.Popen[str], line: str = "") -> str:
+    """Say a line to a process and return the next of its own."""
+    assert saver.stdin
+    assert saver.stdout
+    saver.stdin.write(line)
+    saver.stdin.flush()
+    return saver.stdout.readline().strip()
+
+
 @pytest.mark.parametrize("times", [10, pytest.param(100, marks=pytest.mark.slow)])
 def test_killed_while_writing(times: int, measured: Path, tmp_path: Path) -> None:
     """Two processes write one folder and are killed at any time: it is whole, or not there.
@@ -138,27 +149,23 @@ def test_killed_while_writing(times: int, measured: Path, tmp_path: Path) -> Non
     """
     rng, target, whole = random.Random(times), tmp_path / "result", 0
     command = [sys.executable, "-c", SAVE, measured / "data.csv", target, str(times)]
-    savers = [
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    for _ in range(times):
-        children = []
-        for saver in savers:
-            assert saver.stdin
-            assert saver.stdout
-            saver.stdin.write("\n")
-            saver.stdin.flush()
-            children.append(int(saver.stdout.readline()))
-        time.sleep(rng.uniform(0.01, 0.1))
-        for child in children:
-            os.kill(child, signal.SIGKILL)
-            time.sleep(0.002)
-        if target.exists():
-            assert_whole(target)
-            whole += 1
-    for saver in savers:
-        saver.communicate(timeout=60)
+    with ExitStack() as running:
+        savers = [
+            running.enter_context(
+                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            )
+            for _ in range(2)
+        ]
+        for _ in range(times):
+            children = [int(_told(saver, "\n")) for saver in savers]
+            time.sleep(rng.uniform(0.01, 0.1))
+            for child in children:
+                os.kill(child, signal.SIGKILL)
+                time.sleep(0.002)
+            assert [_told(saver) for saver in savers] == ["dead", "dead"]  # not only about to die
+            if target.exists():
+                assert_whole(target)
+                whole += 1
     assert whole > times // 4
     assert all(path == target or path.name.startswith(".pincal-") for path in tmp_path.iterdir())
 

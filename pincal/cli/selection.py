@@ -43,6 +43,7 @@ from pincal.model.measurement_writing import write_poses
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing
+from pincal.model.setup import Setup
 from pincal.show.tables import choice_table, selection_table
 from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.sampling import sample_configurations, sample_workspace
@@ -104,50 +105,27 @@ def select(
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force)
     how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)
+    noise = Noise(noise_position, noise_orientation, noise_reading)
     if mechanism.by_readings or measure is not None or not how.plain or collision is not None:
         if independent or symmetric or orbits or common:
             raise typer.BadParameter(
                 "poses for single legs are of whole poses in the base frame; leave out the protocol"
             )
-        if collision is not None:
-            _check_arm(mechanism)
-        noise = Noise(noise_position, noise_orientation, noise_reading)
-        with working("choosing configurations") as tell:
-            tell("sampling configurations")
-            if candidates is None:
-                offered = sample_configurations(mechanism, _CONFIGURATIONS, seed)
-            else:
-                offered = read_poses(candidates, mechanism)
-            offered = offered if collision is None else _free(mechanism, offered, collision)
-            chosen = select_configurations(
-                mechanism,
-                offered,
-                count,
-                noise=noise,
-                measured=measured_of(mechanism, measure or "pose", how),
-                setup=how,
-                seed=seed,
-                starts=starts,
-                progress=tell,
-            )
-        write_poses(output, mechanism, chosen.plan, force=force)
-        stdout.print(choice_table(mechanism, chosen))
-        wrote(output)
-        answer(
-            {
-                "mechanism": mechanism.name,
-                "plan": str(output),
-                "poses": len(chosen.plan.poses),
-                "candidates": chosen.candidates,
-                "efficiency": chosen.efficiency,
-                "rank": chosen.rank.rank,
-                "unknowns": chosen.rank.n_params,
-                "measured": chosen.measured,
-            }
+        _together(
+            mechanism,
+            output,
+            count,
+            candidates,
+            measured_of(mechanism, measure or "pose", how),
+            how,
+            noise,
+            collision,
+            starts=starts,
+            seed=seed,
+            force=force,
         )
         return
     protocol = _protocol(mechanism, independent, symmetric, orbits, common)
-    noise = Noise(noise_position, noise_orientation, noise_reading)
     with working("choosing poses") as tell:
         if candidates is None:
             tell("sampling the workspace")
@@ -191,6 +169,58 @@ def _check_arm(mechanism: Mechanism) -> None:
     """
     if len(mechanism.legs) > 1 or mechanism.legs[0].passive:
         raise MechanismError(f"{mechanism.name!r} is no serial arm; --collision is for such")
+
+
+def _together(
+    mechanism: Mechanism,
+    output: Path,
+    count: int,
+    candidates: Path | None,
+    measured: tuple[str, ...],
+    setup: Setup,
+    noise: Noise,
+    collision: Path | None,
+    *,
+    starts: int,
+    seed: int,
+    force: bool,
+) -> None:
+    """Choose configurations for the parameters of all legs together."""
+    if collision is not None:
+        _check_arm(mechanism)
+    with working("choosing configurations") as tell:
+        tell("sampling configurations")
+        if candidates is None:
+            offered = sample_configurations(mechanism, _CONFIGURATIONS, seed)
+        else:
+            offered = read_poses(candidates, mechanism)
+        offered = offered if collision is None else _free(mechanism, offered, collision)
+        chosen = select_configurations(
+            mechanism,
+            offered,
+            count,
+            noise=noise,
+            measured=measured,
+            setup=setup,
+            seed=seed,
+            starts=starts,
+            progress=tell,
+        )
+    write_poses(output, mechanism, chosen.plan, force=force)
+    stdout.print(choice_table(mechanism, chosen))
+    wrote(output)
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "plan": str(output),
+            "poses": len(chosen.plan.poses),
+            "candidates": chosen.candidates,
+            "efficiency": chosen.efficiency,
+            "rank": chosen.rank.rank,
+            "unknowns": chosen.rank.n_params,
+            "measured": chosen.measured,
+        }
+    )
 
 
 def _free(mechanism: Mechanism, offered: Plan, collision: Path) -> Plan:

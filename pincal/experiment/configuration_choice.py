@@ -19,7 +19,7 @@ from pincal.experiment.certificate import continuous_design
 from pincal.experiment.configurations import as_plan, legs_at
 from pincal.experiment.exchange import exchange
 from pincal.experiment.forecast import information_rows
-from pincal.experiment.observability import Identifiability, identifiability
+from pincal.experiment.observability import Identifiability, identifiability, scaled_axes
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
@@ -79,9 +79,7 @@ def select_configurations(
     )
     flat = rows.reshape(-1, rows.shape[2])
     found = identifiability(flat, names)
-    lengths = np.linalg.norm(flat, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    _, _, axes = np.linalg.svd(np.linalg.qr(flat / lengths, mode="r"))
+    lengths, _, axes = scaled_axes(flat)
     blocks = (rows / lengths) @ axes[: found.rank].T
     if count * blocks.shape[1] < found.rank or len(blocks) < count:
         raise ObservabilityError(

@@ -7,12 +7,13 @@ a surface of poses only: such a plan carries readings, and forward kinematics gi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import LegClosure, solve
+from pincal.kinematics.closure import LegClosure, least_squares
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.forward import forward
 from pincal.kinematics.held import held
@@ -46,11 +47,7 @@ class Legs:
     @property
     def gain(self) -> Array:
         """∂(pose)/∂(parameter), shape (N, dof, n_params); of least squares for redundant legs."""
-        by_pose, by_parameter = self.pose, self.parameter
-        if by_pose.shape[1] != by_pose.shape[2]:
-            transposed = by_pose.transpose(0, 2, 1)
-            by_pose, by_parameter = transposed @ by_pose, transposed @ by_parameter
-        return -solve(by_pose, by_parameter)
+        return -least_squares(self.pose, self.parameter)
 
 
 def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
@@ -118,8 +115,8 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
         for leg, own in zip(mechanism.legs, mechanism.reading_columns, strict=True)
     ]
     pose = np.concatenate([row.pose for row in demands], axis=1)
-    parameter = _blocks([row.parameter for row in demands])
-    reading = _blocks([row.reading for row in demands])
+    parameter = block_diagonal([row.parameter for row in demands])
+    reading = block_diagonal([row.reading for row in demands])
     ok = np.isfinite(pose).all(axis=(1, 2)) & np.isfinite(parameter).all(axis=(1, 2))
     reached = np.zeros(len(found), dtype=bool)
     reached[np.flatnonzero(found)[ok]] = True
@@ -133,7 +130,7 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
     )
 
 
-def _blocks(parts: list[Array]) -> Array:
+def block_diagonal(parts: Sequence[Array]) -> Array:
     """Return matrices of shape (N, k, n) along a diagonal, shape (N, Σk, Σn)."""
     rows, columns = (np.cumsum([0, *(part.shape[axis] for part in parts)]) for axis in (1, 2))
     out = np.zeros((len(parts[0]), rows[-1], columns[-1]))
@@ -174,11 +171,8 @@ def nearby(
         size: Of the mechanism, [m].
         seed: Of the draws.
     """
-    plan, platform, rng = (
-        as_plan(mechanism, planned),
-        mechanism.platform,
-        np.random.default_rng(seed),
-    )
+    plan, platform = as_plan(mechanism, planned), mechanism.platform
+    rng = np.random.default_rng(seed)
     rounds = -(-count // max(len(plan.poses), 1))
     poses = np.tile(plan.poses, (rounds, 1))
     if plan.readings is not None:

@@ -19,7 +19,7 @@ from pincal.errors import MeasurementError
 from pincal.experiment.configurations import Legs, legs_at, nearby
 from pincal.experiment.external import ExternalUnknowns
 from pincal.experiment.frames import frames_moved, split_frames
-from pincal.experiment.observability import Identifiability, identifiability
+from pincal.experiment.observability import Identifiability, identifiability, scaled_axes
 from pincal.experiment.observation import Observation, Rows
 from pincal.experiment.platform_error import PlatformError, platform_error
 from pincal.experiment.weak import WeakPair, weakly_told
@@ -264,9 +264,7 @@ def _whitened(pose: Array, parameter: Array, root: Array) -> Array:
 def _inverse(rows: Array, rank: int) -> tuple[Array, Array]:
     """Return the pseudo-inverse of the information of rows, and the directions it lacks."""
     n = rows.shape[1]
-    scale = np.linalg.norm(rows, axis=0)
-    scale[scale == 0.0] = 1.0
-    _, s, axes = np.linalg.svd(rows / scale, full_matrices=len(rows) < n)
+    scale, s, axes = scaled_axes(rows)
     axes = axes / scale  # directions in parameters
     kept = axes[:rank] / s[:rank, None]
     lost, _ = np.linalg.qr(axes[rank:].T) if rank < n else (np.empty((n, 0)), None)

@@ -69,6 +69,20 @@ def r_diagonal(C: Array) -> Array:
     return diagonal
 
 
+def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
+    """Return lengths of columns, singular values and right axes of J, columns of unit length.
+
+    Shapes (n,), (min(m, n),) and (n, n), axes in rows; the length of a column of zeros counts as 1.
+
+    Args:
+        J: Shape (m, n).
+    """
+    lengths = np.linalg.norm(J, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    _, s, axes = np.linalg.svd(np.linalg.qr(J / lengths, mode="r"), full_matrices=True)
+    return lengths, s, axes
+
+
 @dataclass(frozen=True)
 class Identifiability:
     """Rank of an identification Jacobian and what it cannot tell apart."""

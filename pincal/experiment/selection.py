@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.experiment.certificate import continuous_design
+from pincal.experiment.configurations import block_diagonal
 from pincal.experiment.exchange import exchange
 from pincal.experiment.observability import Indices, identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import Demand, leg_demand
@@ -209,13 +210,7 @@ class _Search:
         """Return the candidates chosen for all legs together, and their efficiency."""
         self.tell("choosing common poses")
         legs = self.mechanism.legs
-        sizes = [len(leg.parameters) for leg in legs]
-        rows = [self.rows(leg.name, self.candidates) for leg in legs]
-        blocks = np.zeros((len(self.candidates), sum(r.shape[1] for r in rows), sum(sizes)))
-        row = column = 0
-        for part, size in zip(rows, sizes, strict=True):
-            blocks[:, row : row + part.shape[1], column : column + size] = part
-            row, column = row + part.shape[1], column + size
+        blocks = block_diagonal([self.rows(leg.name, self.candidates) for leg in legs])
         names = tuple(f"{name} ({leg.name})" for leg in legs for name in leg.parameter_names)
         return self._choose(blocks, count, names, self.mechanism.name)
 

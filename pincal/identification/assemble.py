@@ -15,6 +15,7 @@ from pincal.identification.covariance import covariances
 from pincal.identification.estimate import Estimate
 from pincal.identification.fit import Fit
 from pincal.identification.latent import LatentPoses
+from pincal.identification.problem import State
 from pincal.identification.result import (
     CalibrationResult,
     IdentifiedParameter,
@@ -24,6 +25,8 @@ from pincal.identification.result import (
 from pincal.identification.robust import Outlier, Robust
 from pincal.identification.task import Task
 from pincal.identification.ties import tie_tests
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.forward import placed_by_arm
 from pincal.model.measurements import Noise
 
 Array = NDArray[np.float64]
@@ -72,14 +75,7 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         iterations=evaluations,
         converged=not failed,
         message="; ".join(failed) or f"converged after {evaluations} evaluations",
-        warnings=(
-            *(
-                f"these measurements do not tell everything: {words}; held as near to nominal as "
-                "can be, so that the machine is calibrated where it was measured only"
-                for words in lost
-            ),
-            *warnings_of(task, legs, outliers, ties, dof, float(chi2)),
-        ),
+        warnings=tuple(warnings_of(task, legs, outliers, ties, lost, dof, float(chi2))),
         loss=task.loss,
         outliers=outliers,
         shift=_shift(estimate.fits),
@@ -90,7 +86,7 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         undetermined=lost,
         undetermined_directions=held.of_legs if held is not None and lost else None,
         ties=ties,
-        observed=() if latent is None else _observed(latent, fits[0], task.noise.known),
+        observed=() if latent is None else _observed(task, latent, fits[0]),
         estimated_poses=None
         if latent is None
         else mechanism.platform.from_matrices(fits[0].last.state.matrices),
@@ -185,13 +181,15 @@ def _sizes(task: Task) -> list[int]:
     return [len(leg.parameters) for leg in task.mechanism.legs]
 
 
-def _observed(latent: LatentPoses, found: Fit, known: bool) -> tuple[Observed, ...]:
+def _observed(task: Task, latent: LatentPoses, found: Fit) -> tuple[Observed, ...]:
     """Return how the measured quantities of the platform fit."""
-    scale = 1.0 if known else float(np.sqrt(found.chi2 / max(found.degrees_of_freedom, 1)))
+    scale = (
+        1.0 if task.noise.known else float(np.sqrt(found.chi2 / max(found.degrees_of_freedom, 1)))
+    )
     seen = latent.observation
     before, values = (
         seen.evaluate(state.matrices, state.external).value
-        for state in (settle(latent, found.first.state), found.last.state)
+        for state in (_nominal(task, latent, found.first.state), found.last.state)
     )
     results = []
     for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):
@@ -212,6 +210,19 @@ def _observed(latent: LatentPoses, found: Fit, known: bool) -> tuple[Observed, .
                 )
             )
     return tuple(results)
+
+
+def _nominal(task: Task, latent: LatentPoses, first: State) -> State:
+    """Return the state before the fit with poses where exact readings put them.
+
+    Where readings carry noise, residuals of them are shown in place of those of the platform, and
+    poses stay where the search began.
+    """
+    if task.noise.readings.any():
+        return first
+    legs = [LegClosure(leg, task.mechanism.platform) for leg in task.mechanism.legs]
+    there = placed_by_arm(task.mechanism, legs, latent.readings)
+    return settle(latent, first) if there is None else replace(first, matrices=there)
 
 
 def _merged(outliers: Sequence[Outlier]) -> tuple[Outlier, ...]:

@@ -40,11 +40,16 @@ def warnings_of(
     legs: Sequence[LegResult],
     outliers: Sequence[Outlier],
     ties: Sequence[TieTest],
+    lost: Sequence[str],
     dof: int,
     chi2: float,
 ) -> list[str]:
     """Return what the reader of a result should know first."""
-    found = []
+    found = [
+        f"these measurements do not tell everything: {words}; held as near to nominal as can be, "
+        "so that the machine is calibrated where it was measured only"
+        for words in lost
+    ]
     source, mechanism = task.noise.source, task.mechanism
     if source == "assumed":
         turns = "rad" in mechanism.platform.units

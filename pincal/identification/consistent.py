@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.experiment.configurations import legs_at, nearby
 from pincal.experiment.elimination import eliminate
+from pincal.experiment.observability import scaled_axes
 from pincal.identification.latent import LatentPoses
 from pincal.identification.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
@@ -106,8 +107,5 @@ def lost_directions(J: Array) -> tuple[Array, Array]:
     Args:
         J: Shape (m, n).
     """
-    lengths = np.linalg.norm(J, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    triangle = np.linalg.qr(J / lengths, mode="r")  # the same singular values and axes, quicker
-    _, s, axes = np.linalg.svd(triangle, full_matrices=True)
+    lengths, s, axes = scaled_axes(J)
     return axes[int((s > _LOST * s[0]).sum()) :], lengths

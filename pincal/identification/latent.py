@@ -29,7 +29,8 @@ from pincal.identification.stacking import (
 )
 from pincal.kinematics.closure import LegClosure, product
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.inverse import inverse, sensor_law
+from pincal.kinematics.held import carried
+from pincal.kinematics.inverse import inverse
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -267,13 +268,11 @@ class LatentPoses:
         one.
         """
         for one, demand, columns in zip(self.residuals, linear.demands, self.columns, strict=True):
-            if one.leg.closes == "frame" and not one.leg.passive and self._platform.dof == 6:
+            if one.leg.is_arm and self._platform.dof == 6:
                 gap = demand.value + demand.parameter @ step[columns]
                 gap += (demand.pose @ twists[:, :, None])[:, :, 0]
                 leg = LegClosure(one.leg, self._platform, parameters[columns])
-                joints = np.empty((len(gap), len(one.leg.moving)))
-                joints[:, one.leg.active] = sensor_law(leg).position(one.readings)
-                return leg.frame(joints, gap)
+                return carried(leg, one.readings, gap)
         return None
 
     def shaken(self, linear: Linear) -> State:

@@ -15,7 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
 from pincal.kinematics.closed_forms import is_line
-from pincal.kinematics.closure import Closure, LegClosure, product, solve
+from pincal.kinematics.closure import Closure, LegClosure, least_squares, product
+from pincal.kinematics.held import carried
 from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import home_mode, mode_sign, start
@@ -138,10 +139,8 @@ def placed_by_arm(mechanism: Mechanism, legs: list[LegClosure], readings: Array)
     None if there is no such leg, or it ends in a point.
     """
     for leg, columns in zip(legs, mechanism.reading_columns, strict=True):
-        if leg.leg.closes == "frame" and not leg.leg.passive:
-            joints = np.empty((len(readings), len(leg.leg.moving)))
-            joints[:, leg.leg.active] = sensor_law(leg).position(readings[:, columns])
-            return leg.frame(joints)
+        if leg.leg.is_arm:
+            return carried(leg, readings[:, columns])
     return None
 
 
@@ -169,10 +168,7 @@ def _platform_step(closures: list[Closure]) -> Array:
     """Return the twist that closes all legs to first order, shape (N, dof)."""
     lines = np.concatenate([c.project(c.pose) for c in closures], axis=1)
     gaps = np.concatenate([c.constraint for c in closures], axis=1)[:, :, None]
-    if lines.shape[1] != lines.shape[2]:
-        transposed = lines.transpose(0, 2, 1)
-        lines, gaps = transposed @ lines, transposed @ gaps
-    return -solve(lines, gaps)[:, :, 0]
+    return -least_squares(lines, gaps)[:, :, 0]
 
 
 def _split(mechanism: Mechanism, twist: Array) -> tuple[Array, Array]:

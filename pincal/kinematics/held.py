@@ -48,3 +48,16 @@ def held(
         if np.abs(step).max(initial=0.0) <= _SMALL * max(1.0, leg.size):
             break
     return closed, joints
+
+
+def carried(leg: LegClosure, readings: Array, gap: Array | None = None) -> Array:
+    """Return where readings of an arm put the platform, ``T_base_platform``, shape (N, 4, 4).
+
+    Args:
+        leg: A leg that is an arm (see ``Leg``), at its parameter values.
+        readings: Shape (N, n_active), [rad] or [m].
+        gap: What the closure is to be there, shape (N, 6); nothing if not given.
+    """
+    joints = np.empty((len(readings), len(leg.leg.moving)))
+    joints[:, leg.leg.active] = sensor_law(leg).position(readings)
+    return leg.frame(joints, gap)

@@ -137,6 +137,11 @@ class Leg:
         """Indices of the passive joints among the moving joints."""
         return [index for index in range(len(self.moving)) if index not in self.active]
 
+    @property
+    def is_arm(self) -> bool:
+        """Whether the leg alone tells the platform's pose: it closes a frame, every joint read."""
+        return self.closes == "frame" and not self.passive
+
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the identified parameters, in order."""
