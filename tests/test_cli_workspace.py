@@ -187,3 +187,11 @@ def test_devices_are_not_replaced() -> None:
     assert outcome.code == 2
     assert "device" in outcome.err
     assert Path("/dev/null").is_char_device()
+
+
+def test_standard_output_holds_no_files() -> None:
+    """A dash is no file's name: tables of numbers are files, standard output is for people."""
+    outcome = run("workspace", "5R", "--count", 5, "-o", "-")
+    assert (outcome.code, outcome.out) == (2, "")
+    assert "name a file" in outcome.err
+    assert not Path("-").exists()

@@ -25,6 +25,8 @@ def refuse_existing(path: str | Path, *, force: bool, folder: bool = False) -> P
             something not written by pincal in a folder's; its parent does not exist.
     """
     path = Path(path)
+    if path == Path("-"):
+        raise FileError("cannot write to standard output ('-'); name a file")
     try:
         exists, is_folder = path.exists(), path.is_dir()
         special = exists and not (is_folder or path.is_file())  # a device or a pipe
