@@ -70,21 +70,26 @@ def platform_error(
     )
 
 
-def slides(mechanism: Mechanism, planned: Plan | Array, lost: Array) -> NDArray[np.bool_]:
+def slides(
+    mechanism: Mechanism, planned: Plan | Array, lost: Array, least: Array
+) -> NDArray[np.bool_]:
     """Return at which planned configurations which freedoms are not told, shape (M, dof).
 
     Args:
         mechanism: The mechanism at which directions were found to be lost.
         planned: Poses, coordinates of shape (M, dof), or a plan.
-        lost: Directions of parameters that are not determined, columns of shape (n, n_lost).
+        lost: Directions of parameters that are not determined, as far as these may differ from
+            nominal, columns of shape (n, n_lost).
+        least: By how much each freedom is uncertain anyway, shape (dof,), [m] and [rad].
     """
     legs = legs_at(mechanism, planned)
     found = np.zeros((len(legs.reached), mechanism.platform.dof), dtype=bool)
-    found[legs.reached] = _sliding(legs.gain, lost)
+    found[legs.reached] = _sliding(legs.gain, lost, least)
     return found
 
 
-def _sliding(gain: Array, lost: Array) -> NDArray[np.bool_]:
+def _sliding(gain: Array, lost: Array, least: Array | float = 0.0) -> NDArray[np.bool_]:
     """Return where lost directions move the platform, shape (N, dof)."""
-    most = np.abs(gain).max(axis=(0, 2), initial=0.0)
-    return np.asarray(np.abs(gain @ lost).max(axis=2, initial=0.0) > _SLIDES * most)
+    most = np.abs(gain).max(axis=(0, 2), initial=0.0) * np.abs(lost).max(initial=0.0)
+    moved = np.abs(gain @ lost).max(axis=2, initial=0.0)
+    return np.asarray(moved > np.maximum(_SLIDES * most, least))

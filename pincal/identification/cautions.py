@@ -4,35 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from scipy.special import gammainc
 
 from pincal.identification.result import LegResult, TieTest
 from pincal.identification.robust import Outlier
 from pincal.identification.task import Task
-from pincal.kinematics.closure import largest_size
+from pincal.identification.undetermined import plausible_changes
 
 _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
-_FAR = 0.05  # of a leg's size, [rad] and [1]: changes of parameters that are doubted
+_HOLD = ", hold what is not told (--method latent --hold-undetermined)"
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
 
 
 def _far(task: Task, legs: Sequence[LegResult]) -> list[str]:
-    """Return a warning if parameters moved farther than those of one machine differ."""
-    platform = task.mechanism.platform
-    size = largest_size(task.mechanism.legs, platform)
-    moved = [
-        (abs(p.identified - p.nominal) / (_FAR * (size if p.unit == "m" else 1.0)), leg, p)
-        for leg in legs
-        for p in leg.parameters
-    ]
-    share, leg, p = max(moved, key=lambda one: one[0])
-    if task.rough or not share > 1.0:
-        return []
-    return [
-        f"{p.name} of {leg.name} moved by {p.identified - p.nominal:+.3g} {p.unit}, farther than a "
-        "machine differs from its drawing: check the frame and target of the measurements "
-        "(--unknown-frame, --unknown-target), units, and the order of the readings"
-    ]
+    """Return warnings if parameters moved farther than those of one machine differ, or might."""
+    found = [p for leg in legs for p in leg.parameters]
+    plausible = plausible_changes(task.mechanism)
+    moved = np.array([p.identified - p.nominal for p in found])
+    std = np.array([p.std for p in found])
+    names = [f"{p.name} of {leg.name}" for leg in legs for p in leg.parameters]
+    warnings = []
+    worst = int(np.argmax(std / plausible))
+    if vague := int((std > plausible).sum()):
+        half, hold = (found[worst].high - found[worst].low) / 2, "" if task.hold else _HOLD
+        warnings.append(
+            f"{vague} parameter{' is' if vague == 1 else 's are'} hardly told, {names[worst]} to "
+            f"± {half:.2g} {found[worst].unit} only: measure poses that tell more{hold}, or say "
+            "how well nominal values are known (--prior)"
+        )
+    worst = int(np.argmax(np.abs(moved) / plausible))
+    if abs(moved[worst]) > plausible[worst] and not (task.rough or warnings):
+        warnings.append(
+            f"{names[worst]} moved by {moved[worst]:+.3g} {found[worst].unit}, farther than a "
+            "machine differs from its drawing: check the frame and target of the measurements "
+            "(--unknown-frame, --unknown-target), units, and the order of the readings"
+        )
+    return warnings
 
 
 def warnings_of(

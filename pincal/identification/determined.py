@@ -83,16 +83,16 @@ def check_information(
     made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
     hollow = directions[information < _CLEARLY * made]
     if len(hollow):
-        raise ObservabilityError(_in_words(unknowns.free_labels, hollow))
+        raise ObservabilityError(
+            f"the measured poses tell {taking_part(unknowns.free_labels, hollow)} apart by their "
+            "noise only. Measure poses that differ more (in orientation above all), or fix one of "
+            "these parameters, or make it a constant in mechanism.yaml"
+        )
 
 
-def _in_words(names: Sequence[str], hollow: Array) -> str:
-    size = np.abs(hollow).max(axis=0)
-    named = [
+def taking_part(names: Sequence[str], directions: Array) -> str:
+    """Return in words which unknowns take part in directions, rows of shape (k, n)."""
+    size = np.abs(directions).max(axis=0)
+    return ", ".join(
         name for name, part in zip(names, size, strict=True) if part > _TAKES_PART * size.max()
-    ]
-    return (
-        f"the measured poses tell {', '.join(named)} apart by their noise only. "
-        "Measure poses that differ more (in orientation above all), or fix one of these "
-        "parameters, or make it a constant in mechanism.yaml"
     )

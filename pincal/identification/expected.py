@@ -30,8 +30,9 @@ def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
     lost = result.undetermined_directions
     if lost is None:
         return found
-    untold = np.asarray(slides(result.nominal, poses, lost).any(axis=0))
     linear = np.array([unit == "m" for unit in result.nominal.platform.units])
+    least = np.where(linear, found.position, found.orientation)
+    untold = np.asarray(slides(result.nominal, poses, lost, least).any(axis=0))
     return replace(
         found,
         position=np.inf if untold[linear].any() else found.position,

@@ -168,7 +168,8 @@ class CalibrationResult:
     undetermined: tuple[str, ...] = ()
     """What these measurements do not tell and was held near nominal values, in words."""
     undetermined_directions: Array | None = None
-    """Directions of the legs' parameters that were held so, shape (n, n_lost)."""
+    """Directions of the legs' parameters that were held so, as far as machines may differ, shape
+    (n, n_lost)."""
     ties: tuple[TieTest, ...] = ()
     observed: tuple[Observed, ...] = ()
     """With latent poses: how the measured quantities of the platform fit."""

@@ -1,6 +1,8 @@
 """What the measurements leave undetermined may be held: parameters stay nearest to nominal there.
 
-The machine is then calibrated where it was measured; elsewhere these directions may move it.
+Not told at all, or told so weakly that noise would move parameters farther than those of machines
+differ from their drawings. The machine is then calibrated where it was measured; elsewhere these
+directions may move it.
 """
 
 from __future__ import annotations
@@ -10,13 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.errors import ObservabilityError
 from pincal.experiment.observability import identifiability
+from pincal.identification.alignment import settle
 from pincal.identification.consistent import consistent, lost_directions
+from pincal.identification.determined import taking_part
 from pincal.identification.latent import LatentPoses
 from pincal.identification.unknowns import Unknowns
+from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+_DIFFER = 0.05  # of a mechanism's size, [rad] and [1]: by which no machine differs from its drawing
 
 
 @dataclass(frozen=True)
@@ -26,16 +33,27 @@ class Held:
     unknowns: Unknowns
     """Less these freedoms."""
     of_legs: Array
-    """Directions in the legs' parameters, columns of shape (n_params, n_lost)."""
+    """Directions in the legs' parameters, as far as machines may differ, (n_params, n_lost)."""
     words: str
     """Empty if there are none."""
+
+
+def plausible_changes(mechanism: Mechanism) -> Array:
+    """Return by how much parameters of all legs may differ from their drawing, shape (n_params,).
+
+    In the parameters' units.
+    """
+    size = largest_size(mechanism.legs, mechanism.platform)
+    units = [unit for leg in mechanism.legs for unit in leg.units.values()]
+    return np.array([_DIFFER * (size if unit == "m" else 1.0) for unit in units])
 
 
 def hold_undetermined(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> Held:
     """Return the unknowns less what the measurements leave undetermined.
 
     Of all parameters that fit as well, those nearest to the nominal ones, each change measured by
-    what it alone would do to the measurements.
+    what it alone would do to the measurements; then, where they hardly tell something, by how much
+    machines may differ.
 
     Args:
         mechanism: The nominal mechanism.
@@ -44,11 +62,60 @@ def hold_undetermined(mechanism: Mechanism, problem: LatentPoses, unknowns: Unkn
     """
     J = consistent(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
     lost, lengths = lost_directions(J)
-    n_legs = problem.columns[-1].stop
-    if not len(lost):
-        return Held(unknowns, np.empty((n_legs, 0)), "")
-    return Held(
-        unknowns.held(lost * lengths),
-        ((lost / lengths) @ unknowns.map.T)[:, :n_legs].T,
-        identifiability(J, unknowns.free_labels).in_words(),
+    held = unknowns.held(lost * lengths) if len(lost) else unknowns
+    weak, scale = hardly_told(mechanism, problem, held)
+    moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
+    plausible = plausible_changes(mechanism)
+    directions = np.concatenate(moved)[:, : len(plausible)].T
+    directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
+    words = [identifiability(J, unknowns.free_labels).in_words()] if len(lost) else []
+    if len(weak):
+        words.append(f"{taking_part(held.free_labels, weak)} are hardly told apart")
+        held = held.held(weak / scale)
+    return Held(held, directions, "; ".join(words))
+
+
+def hardly_told(
+    mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns
+) -> tuple[Array, Array]:
+    """Return along which directions noise moves parameters farther than machines may differ.
+
+    Rows of shape (k, n_free), in unknowns over their scale, and these scales: by how much machines
+    may differ, shape (n_free,).
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem, at its start.
+        unknowns: Of the problem, none lost.
+    """
+    size, T = largest_size(mechanism.legs, mechanism.platform), unknowns.map
+    outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
+    plausible = np.concatenate((plausible_changes(mechanism), outside))
+    scale = 1.0 / np.abs(T / plausible[:, None]).max(axis=0)
+    state = settle(problem, problem.start(unknowns.start[: problem.columns[-1].stop]))
+    J = problem.linearise(state).jacobian @ T
+    _, prior = unknowns.prior_rows(unknowns.start)
+    rows = np.concatenate((J.reshape(-1, len(scale)), prior)) * scale
+    _, told, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
+    return axes[int((told > 1.0).sum()) :], scale
+
+
+def check_told(
+    mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns, cause: ObservabilityError
+) -> None:
+    """Raise if the measurements hardly tell something, though nothing is lost.
+
+    Raises:
+        ObservabilityError: that is so; the message names what.
+    """
+    lost, _ = lost_directions(
+        consistent(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
     )
+    weak, _ = hardly_told(mechanism, problem, unknowns)
+    if len(weak) and not len(lost):
+        raise ObservabilityError(
+            f"the measured poses hardly tell {taking_part(unknowns.free_labels, weak)} apart: "
+            "noise moves them farther than machines differ from their drawings. Measure poses that "
+            "tell them apart, hold what is not told as near to nominal as can be (--method latent "
+            "--hold-undetermined), or say how well nominal values are known (--prior)"
+        ) from cause

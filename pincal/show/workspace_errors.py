@@ -99,7 +99,8 @@ def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErro
     variance[reached] = np.einsum("nip,pq,niq->ni", gain, result.covariance, gain)
     untold, lost = None, result.undetermined_directions
     if lost is not None:
-        untold = np.asarray(slides(result.nominal, plan, lost).any(axis=1))
+        least = np.sqrt(np.median(variance[reached], axis=0)) if reached.any() else variance[0]
+        untold = np.asarray(slides(result.nominal, plan, lost, least).any(axis=1))
         variance[untold] = np.nan
     before, after = _sizes(result, moved**2), _sizes(result, variance)
     return WorkspaceErrors(plan.poses, before, after, untold=untold)
