@@ -525,3 +525,20 @@ def test_noise_at_its_limits_is_borne(noise: Noise, method: Any) -> None:
         return
     assert np.isfinite(result.reduced_chi2)
     assert np.isfinite(result.covariance).all()
+
+
+@pytest.mark.parametrize("name", ["3RRR", "3RPS"])
+def test_one_configuration_said_in_several_ways_is_chosen_once(name: str) -> None:
+    """For all parameters together too, of mechanisms told by poses or by readings."""
+    mechanism = pincal.load_mechanism(name)
+    first = pincal.sample_configurations(mechanism, 60, seed=1)
+    turned = first.poses.copy()
+    turned[:, -1] += 2 * np.pi
+    poses = np.concatenate((first.poses, turned))
+    readings = None if first.readings is None else np.tile(first.readings, (2, 1))
+    chosen = pincal.select_configurations(
+        mechanism, pincal.Plan(poses, readings=readings), 24, starts=2
+    )
+    matrices = mechanism.platform.transforms(chosen.plan.poses).as_matrix()
+    apart = np.abs(matrices[:, None] - matrices[None]).max(axis=(2, 3)) + np.eye(24)
+    assert apart.min() > 1e-9

@@ -20,18 +20,17 @@ from scipy.spatial import KDTree
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.experiment.certificate import continuous_design
 from pincal.experiment.configurations import block_diagonal
+from pincal.experiment.distinct import SAME, distinct, places_of
 from pincal.experiment.exchange import exchange
 from pincal.experiment.observability import Indices, identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import Demand, leg_demand
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element
 
 Array = NDArray[np.float64]
-_SAME = 1e-6  # of the candidates' extent, within which two poses are one
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
 
 
@@ -129,7 +128,7 @@ def select_poses(
     rng = np.random.default_rng(seed)
     tell = progress or (lambda _: None)
     poses = np.asarray(candidates, dtype=np.float64)
-    poses = poses[_apart(mechanism.platform, poses)]
+    poses = poses[distinct(mechanism.platform, poses)]
     search = _Search(mechanism, poses, noise, rng, starts, tell)
     names = mechanism.leg_names
     if protocol == "independent":
@@ -201,11 +200,11 @@ class _Search:
         platform = self.mechanism.platform
         orbits = [g.poses(platform, self.candidates) for g in elements]
         blocks = np.concatenate([self.rows(leg, poses) for poses in orbits], axis=1)
-        places = _places(platform, np.concatenate(orbits)).reshape(len(orbits), len(blocks), 12)
+        places = places_of(platform, np.concatenate(orbits)).reshape(len(orbits), len(blocks), 12)
         tree, own = KDTree(places[0]), np.arange(len(blocks))
         for image in places[1:]:  # of itself or of an earlier one: it would be measured twice
             distance, other = tree.query(image, p=np.inf)
-            blocks[(distance <= _SAME) & (other <= own)] = np.nan
+            blocks[(distance <= SAME) & (other <= own)] = np.nan
         return self._choose(blocks, count, self.mechanism.leg(leg).parameter_names, leg)
 
     def common(self, count: int) -> tuple[NDArray[np.intp], float]:
@@ -244,36 +243,6 @@ class _Search:
         design = continuous_design(blocks)
         chosen, log_det = exchange(blocks, count, design.weights, self.rng, self.starts)
         return usable[chosen], design.efficiency(log_det, count, n)
-
-
-def _places(platform: Platform, poses: Array) -> Array:
-    """Return positions and rotation matrices over their extents, shape (N, 12).
-
-    Coordinates that say the same pose, such as angles a whole turn apart, have the same place.
-    """
-    matrices = platform.transforms(poses).as_matrix()
-    parts = matrices[:, :3, 3], matrices[:, :3, :3].reshape(-1, 9)
-    sizes = [np.abs(part).max(initial=0.0) for part in parts]
-    extents = [
-        max(np.ptp(part, axis=0).max(), 1e-6 * size) if size > 0.0 else 1.0
-        for part, size in zip(parts, sizes, strict=True)
-    ]
-    return np.concatenate([p / e for p, e in zip(parts, extents, strict=True)], axis=1)
-
-
-def _apart(platform: Platform, poses: Array) -> NDArray[np.intp]:
-    """Return the poses that are no copies of earlier ones, as indices."""
-    places = _places(platform, poses)
-    kept = np.sort(np.unique(poses, axis=0, return_index=True)[1])
-    while len(kept) > 1:  # of a pair of nearest neighbours the later one goes
-        distance, other = KDTree(places[kept]).query(places[kept], k=2, p=np.inf)
-        own = np.arange(len(kept))
-        nearest = np.where(other[:, 0] == own, 1, 0)
-        copies = (distance[own, nearest] <= _SAME) & (other[own, nearest] < own)
-        if not copies.any():
-            break
-        kept = kept[~copies]
-    return kept
 
 
 def _closed(elements: tuple[Element, ...]) -> tuple[Element, ...]:
