@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -617,3 +618,24 @@ def test_check_tells_a_home_that_does_not_close(work: Path) -> None:
     outcome = run("check", "robot")
     assert outcome.code == 0
     assert "leg_1: home is rough, it closes within 0.78 m only" in " ".join(outcome.out.split())
+
+
+def test_a_prior_said_twice_is_refused(work: Path) -> None:
+    """Which of two standard deviations of one name holds, nobody knows: neither is taken."""
+    twice = ["--prior", "l=1e-3", "--prior", "l = 1e-4"]
+    outcome = run("calibrate", "3RRR", "measured.csv", *NOISE, *twice, "-o", "other")
+    assert outcome.code == 2
+    assert "--prior l is said twice" in outcome.trouble
+    assert not Path("other").exists()
+
+
+def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory that runs out is one message and exit code 2, no traceback."""
+
+    def greedy(**_: object) -> None:
+        np.empty(2**55)
+
+    monkeypatch.setattr(import_module("pincal.cli.main"), "app", greedy)
+    outcome = run("mechanisms")
+    assert outcome.code == 2
+    assert "not enough memory" in outcome.trouble

@@ -302,6 +302,7 @@ def test_priors_determine_what_measurements_do_not() -> None:
         ({"loss": "none at all"}, "unknown loss"),
         ({"method": "best"}, "unknown method"),
         ({"method": "latent", "residual": "joint"}, "closure residual"),
+        ({"priors": {"l": 1e-18}}, "the prior of 'l' is 1e-18; expected a standard deviation"),
     ],
 )
 def test_wrong_choices_are_named(options: dict, message: str) -> None:
