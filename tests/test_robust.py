@@ -10,7 +10,7 @@ from measured import EXACT, NOISE, error, machine
 from scipy.stats import chi2
 
 import pincal
-from pincal.identification.losses import LOSSES
+from pincal.identification.losses import LOSSES, robust_scale
 
 METHODS = ["per-leg", "together", "latent"]
 
@@ -90,6 +90,40 @@ def test_a_wrong_reading_is_named() -> None:
         if noise:
             assert "leg_3" in worst.why
         assert worst.sigma > 10
+
+
+def test_losses_are_those_of_the_books() -> None:
+    """On one residual r: Huber's, Cauchy's and Tukey's weights as published, by their constants."""
+    r = np.array([0.0, 0.5, 1.0, 1.3, 1.4, 2.0, 4.6, 4.7, 100.0])
+    wanted = {
+        "huber": np.minimum(1.0, 1.345 / np.maximum(r, 1e-9)),
+        "cauchy": 1.0 / (1.0 + (r / 2.385) ** 2),
+        "tukey": np.where(r < 4.685, (1.0 - (r / 4.685) ** 2) ** 2, 0.0),
+        "reject": (r < 3.2905).astype(float),  # the two-sided quantile of one in a thousand
+    }
+    for name, loss in LOSSES.items():
+        found = loss.weights(r**2, np.ones(len(r), dtype=int))
+        np.testing.assert_allclose(found, wanted[name], atol=1e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("equations", [1, 3])
+def test_the_scale_is_that_of_the_rows_in_the_middle(equations: int) -> None:
+    """Of normal residuals their standard deviation; a tenth of gross errors, empty rows: as well.
+
+    Of one equation it is the median absolute deviation by its known factor, 1.4826.
+    """
+    x = 0.3 * np.random.default_rng(1).standard_normal((100_001, equations))
+    squares, count = (x**2).sum(axis=1), np.full(len(x), equations)
+    found = robust_scale(squares, count, 1.0)
+    assert found == pytest.approx(0.3, rel=0.01)
+    if equations == 1:
+        assert found == pytest.approx(1.4826 * np.median(np.abs(x)), rel=1e-4)
+    assert robust_scale(squares, count, 0.25) == pytest.approx(2 * found)
+    empty = np.r_[squares, np.zeros(50_000)], np.r_[count, np.zeros(50_000, dtype=int)]
+    assert robust_scale(*empty, 1.0) == found
+    assert robust_scale(np.zeros(3), np.zeros(3, dtype=int), 1.0) == 1.0
+    squares[::10] = 1e6
+    assert found < robust_scale(squares, count, 1.0) < 1.25 * found
 
 
 def test_without_a_loss_outliers_are_warned_of() -> None:
