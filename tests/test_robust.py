@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -133,6 +134,12 @@ def test_without_a_loss_outliers_are_warned_of() -> None:
     result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
     assert result.outliers[0].row == 4
     assert result.outliers[0].weight == 1.0
+    for noise in (NOISE, None):  # also by the scale that is estimated; the pose gives way a little
+        found = pincal.calibrate(mechanism, data, method="latent", noise=noise)
+        said = re.fullmatch(r"measured x off by ([\d.]+) σ", found.outliers[0].why)
+        assert said
+        assert found.noise
+        assert 0.006 < float(said[1]) * found.noise.position < 0.0101
     assert any("data row 5" in text and "--robust reject" in text for text in result.warnings)
 
 
