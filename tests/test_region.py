@@ -174,15 +174,23 @@ def test_closed_form_of_reach_equals_the_closed_loops(
     "limits", [(-np.pi / 2, np.pi / 2), (-0.3, 0.4), (-0.5, 3.1), (-np.inf, np.inf)]
 )
 @pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("tilt", [0.0, 0.4])
 def test_turns_of_a_universal_joint_are_limited_alike(
-    hexapod: pincal.Mechanism, joint: int, limits: tuple[float, float]
+    hexapod: pincal.Mechanism, joint: int, limits: tuple[float, float], tilt: float
 ) -> None:
-    """Half-spaces, or where they do not suffice closing the legs, keep the turns' limits."""
+    """Half-spaces, or where they do not suffice closing the legs, keep the turns' limits.
+
+    Also where struts are mounted at an angle to the second axis' zero.
+    """
     legs = []
     for leg in hexapod.legs:
         joints = list(leg.joints)
+        _, second, slide = (leg.joints.index(one) for one in leg.moving)
+        joints[slide] = replace(joints[slide], placement=pincal.Placement(rpy=(0.0, tilt, 0.0)))
+        joints[second] = replace(joints[second], home=joints[second].home - tilt)
         place = leg.joints.index(leg.moving[joint])
-        joints[place] = replace(joints[place], lower=limits[0], upper=limits[1])
+        low, high = (limit - tilt * joint for limit in limits)
+        joints[place] = replace(joints[place], lower=low, upper=high)
         legs.append(replace(leg, joints=tuple(joints)))
     mechanism = replace(hexapod, legs=tuple(legs))
     criteria = Criteria(mechanism, NONE)
