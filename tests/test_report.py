@@ -142,6 +142,19 @@ def test_parameters_are_those_of_the_result(planar: Any) -> None:
         assert float(cells[7]) == pytest.approx((p.identified - p.nominal) / p.std, abs=0.0501)
 
 
+def test_names_are_not_capitalised() -> None:
+    """A 3-RRR has l and L: lines and notes that begin with a name keep it as it is."""
+    mechanism, data = measured("3RRR", 20)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
+    weak = {name for pair in result.weak for _, name in (pair.first, pair.second)}
+    page = page_of(pincal.report(result, data, notes=["l of the second run was 1.5 m"]))
+    lines = [one.text_content() for one in page.xpath("//*[@id='observability']//li")]
+    first = {re.match(r"[\w.]+", line)[0].rpartition(".")[2] for line in lines}  # type: ignore[index]
+    assert first - {"2"} <= weak  # "2 more such pairs"
+    assert any(name[0].islower() for name in first)
+    assert "l of the second run" in page.get_element_by_id("trust").text_content()
+
+
 def test_rejected_rows_are_listed_and_marked(planar: Any) -> None:
     """The wrong row stands in the table with its weight and reason, and in the figure."""
     result, _, report = planar

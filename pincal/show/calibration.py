@@ -194,6 +194,11 @@ def shortened(words: str) -> str:
     return f"{head}: {'; '.join(parts[:_LISTED])}; and {len(parts) - _LISTED} more (result.json)"
 
 
+def sentence(words: str) -> str:
+    """Return words of ours with a capital; never those that begin with a name, such as ``l``."""
+    return f"{words[0].upper()}{words[1:]}"
+
+
 def noise_in_words(result: CalibrationResult) -> str:
     """Return what the noise is, or how the residuals compare with it."""
     turns = "rad" in result.nominal.platform.units

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_law
 
 from pincal.identification.result import CalibrationResult
-from pincal.show.calibration import noise_in_words, size_in_words, warnings_of
+from pincal.show.calibration import noise_in_words, sentence, size_in_words, warnings_of
 from pincal.show.findings import Findings
 from pincal.show.markup import Element, bullets, tag
 from pincal.show.report_residuals import series_of
@@ -195,10 +195,10 @@ def _chi2(result: CalibrationResult) -> str:
     """Return how the residuals compare with the noise."""
     words = noise_in_words(result)
     if result.noise_source == "estimated":
-        return f"{words[0].upper()}{words[1:]}; so residuals cannot contradict it."
+        return f"{sentence(words)}; so residuals cannot contradict it."
     dof = result.degrees_of_freedom
     if not dof:
-        return f"{words[0].upper()}{words[1:]}."
+        return f"{sentence(words)}."
     text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
     if result.loss == "none":
         low, high = chi2_law.ppf((0.025, 0.975), dof) / dof

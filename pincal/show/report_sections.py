@@ -10,7 +10,7 @@ import numpy as np
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import EVERY_LEG, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.show.calibration import shortened, trust_in_words
+from pincal.show.calibration import sentence, shortened, trust_in_words
 from pincal.show.findings import Findings
 from pincal.show.markup import Content, Element, bullets, table, tag
 from pincal.show.markup_tables import (
@@ -205,7 +205,7 @@ def observability(found: Findings) -> Element:
         "Observability",
         table(caption, ("leg", "rank", "condition"), rows, groups=1),
         observability_figure(found),
-        bullets(f"{line[0].upper()}{line[1:]}." for line in weak) if weak else None,
+        bullets(f"{line}." for line in weak) if weak else None,
     )
 
 
@@ -237,7 +237,8 @@ def trust(result: CalibrationResult, notes: Sequence[str]) -> Element:
         f"{one.restrictions} parameters fewer)."
         for one in result.ties
     ]
-    lines += [f"{text[0].upper()}{text[1:]}." for text in (*trust_in_words(result), *notes)]
+    lines += [f"{sentence(text)}." for text in trust_in_words(result)]
+    lines += [f"{text}." for text in notes]
     content: list[Content] = [bullets(lines or ["No rows were held out, and no ties tested."])]
     if (runs := result.runs) is not None:
         content.append(
