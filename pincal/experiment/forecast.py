@@ -93,11 +93,17 @@ class Forecast:
         """
         if not accuracy > 0.0:
             raise MeasurementError(f"the wanted accuracy is {accuracy:g} m; expected more than 0")
-        now = self.platform_error(poses).position
-        if not np.isfinite(now):
-            return np.inf
         least = np.ceil(self.rank.rank / self.equations)
-        return float(max(least, np.ceil(self.poses * (now / accuracy) ** 2)))
+        now = self.platform_error(poses).position
+        return float(max(least, poses_needed(self.poses, now, accuracy)))
+
+
+def poses_needed(count: int, error: float, accuracy: float) -> float:
+    """Return how many poses bring an error to an accuracy if ``count`` of them give the error.
+
+    Errors fall with the root of the number of poses; infinite if no number does.
+    """
+    return float(np.ceil(count * (error / accuracy) ** 2))
 
 
 def forecast(

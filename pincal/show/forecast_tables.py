@@ -1,0 +1,96 @@
+"""What a plan of measurements will tell, for people: standard errors, and what they mean."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Group
+
+from pincal.experiment.forecast import Forecast
+from pincal.experiment.platform_error import PlatformError
+from pincal.show.tables import SHOWN, plain_table, titled, weak_in_words
+
+_LISTED = 6  # groups of what moves together
+_BEST = (
+    "the best that any calibration can reach: --method latent does, --method together --poses all "
+    "comes near where poses are measured in full"
+)
+_ALONE = "calibrate without options, which takes each leg alone by the poses of its set"
+
+
+def forecast_table(
+    found: Forecast, error: PlatformError, planned: int, alone: PlatformError | None = None
+) -> Group:
+    """Return what a plan will tell: standard errors by parameter and leg, and what they mean.
+
+    Args:
+        found: The forecast.
+        error: Of the platform over the workspace.
+        planned: Number of poses in the plan.
+        alone: The same error with each leg calibrated alone, if that can be.
+    """
+    mechanism = found.mechanism
+    table = plain_table()
+    table.add_column("parameter")
+    table.add_column("unit")
+    for name in mechanism.leg_names:
+        table.add_column(name, justify="right")
+    errors: dict[str, dict[str, float]] = {}
+    place = 0
+    for leg in mechanism.legs:
+        own = found.std[place : place + len(leg.parameters)]
+        errors[leg.name] = dict(zip(leg.parameter_names, own.tolist(), strict=True))
+        place += len(leg.parameters)
+    units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
+    for name, unit in units.items():
+        shown, factor = SHOWN[unit]
+        cells = [errors[leg].get(name) for leg in mechanism.leg_names]
+        table.add_row(
+            name,
+            shown,
+            *("" if v is None else f"{factor * v:.4g}" if v < np.inf else "—" for v in cells),
+        )
+    rank = found.rank
+    measured = ", ".join(found.measured) or "nothing"
+    lines = [f"rank {rank.rank} of {rank.n_params}"]
+    if rank.complete:
+        lines[0] += f", condition {rank.condition:.3g}"
+    else:
+        groups = rank.in_words().split("; ")
+        more = f"; and {len(groups) - _LISTED} more (--json)" if len(groups) > _LISTED else ""
+        lines.append(f"not determined: {'; '.join(groups[:_LISTED])}{more}")
+    if count := found.gauge.shape[1]:
+        lines.append(
+            f"{count} freedom{'s' if count > 1 else ''} of frames or redundant parameters cannot "
+            "be told by such measurements: of equal parameters those nearest to nominal are meant, "
+            "and errors of the platform are what no motion of the base or platform frame explains"
+        )
+    if found.lost.shape[1]:
+        lines.append("— : not determined")
+    lines += weak_in_words(found.weak, mechanism)
+    turns = "rad" in mechanism.platform.units
+    lines.append(f"platform over the workspace: {_platform(error, turns)}; {_BEST}")
+    if alone is not None:
+        lines.append(f"{_ALONE}: {_platform(alone, turns)}")
+    if found.poses < planned:
+        lines.append(f"{planned - found.poses} of {planned} poses are out of reach")
+    title = (
+        f"{mechanism.name}: standard errors (1 σ) from {found.poses} poses, measured: {measured}"
+    )
+    return titled(title, table, "\n".join(lines))
+
+
+def poses_in_words(accuracy: float, needed: float, alone: float | None) -> str:
+    """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
+    many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
+    text = f"for {1e3 * accuracy:g} mm: {many} with --method latent"
+    return text if alone is None else f"{text}, {alone:,.0f} with each leg alone"
+
+
+def _platform(error: PlatformError, turns: bool) -> str:
+    """Return an error of the platform in words."""
+    words = f"root mean square {_amount(error.position, 'mm')}"
+    return words + (f", {_amount(error.orientation, 'mrad')}" if turns else "")
+
+
+def _amount(value: float, unit: str) -> str:
+    return f"{1e3 * value:.4g} {unit}" if value < np.inf else f"not determined [{unit}]"
