@@ -137,8 +137,8 @@ def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
     alone = 1e3 * own.platform_error(over).position
     best = 1e3 * pincal.forecast(mechanism, plan).platform_error(over).position
     assert best < 0.9 * alone
-    assert f"{best:.4g} mm; the best that any calibration can reach: --method latent" in said
-    assert f"each leg alone by the poses of its set: root mean square {alone:.4g} mm" in said
+    assert f"{best:.3g} mm; the best that any calibration can reach: --method latent" in said
+    assert f"each leg alone by the poses of its set: root mean square {alone:.3g} mm" in said
     assert f"{own.poses_for(1e-4, over):.0f} with each leg alone" in said
     outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--measure", "x")
     assert "alone" not in outcome.out

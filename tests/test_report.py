@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -19,9 +20,12 @@ import numpy as np
 import pytest
 from command_line import done, run
 from lxml import html as lxml_html
+from rich.console import Console
 
 import pincal
+from pincal.identification.result_files import as_json
 from pincal.identification.robust import Outlier
+from pincal.show.calibration import legs_table, result_table
 from pincal.show.findings import Findings
 from pincal.show.markup import serialised
 from pincal.show.report import Origin, Report
@@ -31,7 +35,7 @@ from pincal.show.workspace_errors import errors_at
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 EVIL = "<script>document.title='Ω'</script><b>\"é\"'&amp;$x_1$ 漢"
 NOISE = pincal.Noise(1e-4, 1e-4)
-FACTORS = {"mm": 1e3, "mrad": 1e3, "1e-3": 1e3}
+FACTORS = {"mm": 1e3, "rad": 1.0, "": 1.0}
 QUESTIONS = ["Is it better?", "By how much?", "May I trust it?"]
 DATE = "2001-02-03 04:05 +0000"
 
@@ -153,6 +157,35 @@ def test_names_are_not_capitalised() -> None:
     assert first - {"2"} <= weak  # "2 more such pairs"
     assert any(name[0].islower() for name in first)
     assert "l of the second run" in page.get_element_by_id("trust").text_content()
+
+
+def test_fixed_parameters_look_fixed() -> None:
+    """What was given is no measurement: fixed, tied and known ones are named, everywhere."""
+    mechanism, data = measured("3RRR", 30)
+    given: dict[str, Any] = {"fixed": ["k", "leg_2.gamma"], "tied": ["ob"], "priors": {"OA": 1e-3}}
+    result = pincal.calibrate(mechanism, data, noise=NOISE, **given)
+    page = page_of(pincal.report(result, data))
+    text = io.StringIO()
+    Console(file=text, width=100).print(result_table(result))
+    printed = [line.split() for line in text.getvalue().splitlines()]
+    rows = page.get_element_by_id("parameters").xpath(".//tbody/tr")
+    found = [(leg.name, p) for leg in result.legs for p in leg.parameters]
+    for row, (leg, p) in zip(rows, found, strict=True):
+        name, nominal, identified, half, _, change, sigma, said = (
+            c.text_content() for c in row[1:]
+        )
+        fixed = p.name == "k" or (leg, p.name) == ("leg_2", "gamma")
+        assert p.given == {"ob": "tied", "OA": "prior"}.get(p.name, "fixed" if fixed else "")
+        assert (half == "fixed") is fixed
+        assert said == ("" if fixed else p.given)
+        if fixed:
+            assert (nominal, change, sigma) == (identified, "", "")
+        cells = [cell for cell in (name, nominal, identified, half) if cell]
+        assert any(" ".join(cells) in " ".join(line) for line in printed)
+    assert "k" not in page.get_element_by_id("figure-changes").xpath(".//*[name()='text']/text()")
+    assert [line.split()[4] for line in str(result).splitlines() if " k " in line] == ["fixed"] * 3
+    told = [p["given"] for leg in as_json(result)["legs"] for p in leg["parameters"]]
+    assert told == [p.given or None for _, p in found]
 
 
 def test_rejected_rows_are_listed_and_marked(planar: Any) -> None:
@@ -287,6 +320,19 @@ def test_exact_readings_are_no_proof() -> None:
     facts = page.get_element_by_id("measured").text_content()
     assert "σ 0.1 mm in position, readings exact" in facts
     assert page.xpath("//*[@id='figure-histogram']")
+    words = page.get_element_by_id("residuals").text_content()
+    assert "Readings were taken as exact" in words
+    assert "leg_1" not in words
+    rows = page.get_element_by_id("residuals").xpath(".//tbody/tr")
+    sizes = [[float(cell.text) for cell in row[2:5]] for row in rows]
+    both = [[np.sqrt((v**2).mean()) for v in (q.residuals_before, q.residuals)] for q in (x, y)]
+    np.testing.assert_allclose(sizes, [[*(1e3 * np.array(v)), 0.1] for v in both], atol=5.1e-5)
+    bars = page.get_element_by_id("figure-rms").text_content()
+    assert "leg_1" not in bars
+    text = io.StringIO()
+    Console(file=text, width=100).print(legs_table(result))
+    assert "exact" in text.getvalue()
+    assert "0.0000" not in text.getvalue()
 
 
 def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from rich.console import Group, RenderableType
+from rich.markup import escape
 
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import Measurements
+from pincal.show.parameters import HEADS, given_cells, parameter_cells
+from pincal.show.series import observed_cells, observed_heads, readings_exact
 from pincal.show.tables import SHOWN, plain_table, titled, weak_in_words
 from pincal.show.workspace_errors import WorkspaceErrors
 
@@ -32,53 +35,41 @@ def calibration_tables(result: CalibrationResult) -> list[RenderableType]:
 def result_table(result: CalibrationResult) -> Group:
     """Return a table of identified parameters with 95 % intervals and changes."""
     table = plain_table()
-    table.add_column("leg")
-    table.add_column("parameter", no_wrap=True)
-    for name in ("nominal", "identified", "change", "± 95 %"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("unit")
-    table.add_column("σ", justify="right", no_wrap=True)
+    given = given_cells(result)
+    for name in ("leg", *HEADS, *([] if given is None else ["given"])):
+        words = name in ("leg", "parameter", "unit", "given")
+        table.add_column(escape(name), justify="left" if words else "right", no_wrap=name != "leg")
+    of_row = iter(given or ())
     for leg in result.legs:
         for i, p in enumerate(leg.parameters):
-            unit, factor = SHOWN[p.unit]
-            change = p.identified - p.nominal
             table.add_row(
                 leg.name if i == 0 else "",
-                p.name,
-                f"{p.nominal:.6f}",
-                f"{p.identified:.6f}",
-                f"{factor * change:+.4f}",
-                f"{factor * (p.high - p.low) / 2:.4f}",
-                unit,
-                f"{change / p.std:+.1f}" if p.std > 0 else "",
+                *parameter_cells(p),
+                *([] if given is None else [next(of_row)]),
                 end_section=i == len(leg.parameters) - 1,
             )
     return titled(
         f"{result.nominal.name} calibrated: {result.method}, {result.residual} residual",
         table,
-        "nominal and identified in m, rad and 1; change and its 95 % interval in the unit behind; "
-        "σ: how many standard errors the parameter moved",
+        "change [σ]: by how many standard errors the parameter moved",
     )
 
 
 def legs_table(result: CalibrationResult) -> Group:
     """Return a table of residuals, rank and condition of each leg."""
     table = plain_table()
-    table.add_column("leg")
-    for name in ("rms before", "rms after", "", "poses", "rank", "condition"):
-        table.add_column(name, justify="right" if name else "left")
+    exact = readings_exact(result)
+    sizes = () if exact else ("rms before", "rms after", "unit")
+    for name in ("leg", *sizes, "poses", "rank", "condition"):
+        table.add_column(name, justify="left" if name in ("leg", "unit") else "right")
     for leg in result.legs:
         unit, factor = SHOWN[leg.unit]
+        rms = (f"{factor * leg.rms_before:.4f}", f"{factor * leg.rms_after:.4f}", unit)
+        rank = f"{leg.rank} of {len(leg.parameters)}"
         table.add_row(
-            leg.name,
-            f"{factor * leg.rms_before:.4f}",
-            f"{factor * leg.rms_after:.4f}",
-            unit,
-            str(leg.n_poses),
-            f"{leg.rank} of {len(leg.parameters)}",
-            f"{leg.condition:.3g}",
+            leg.name, *(() if exact else rms), str(leg.n_poses), rank, f"{leg.condition:.3g}"
         )
-    return titled("residuals", table)
+    return titled("legs; readings were taken as exact" if exact else "residuals", table)
 
 
 def external_table(result: CalibrationResult) -> Group:
@@ -89,10 +80,7 @@ def external_table(result: CalibrationResult) -> Group:
     table.add_column("± 95 %", justify="right")
     table.add_column("unit")
     for p in result.external:
-        unit, factor = SHOWN[p.unit]
-        half = (p.high - p.low) / 2
-        plus_minus = f"{factor * half:.4f}" if half == half else ""
-        table.add_row(p.name, f"{factor * p.identified:.4f}", plus_minus, unit)
+        table.add_row(*(cell for place, cell in enumerate(parameter_cells(p)[:5]) if place != 1))
     return titled(
         "outside the mechanism",
         table,
@@ -105,13 +93,12 @@ def observed_table(result: CalibrationResult) -> Group:
     """Return a table of what was measured of the platform, and how it fits."""
     table = plain_table()
     table.add_column("measured")
-    for name in ("rows", "rms misfit", "σ"):
+    for name in ("rows", *observed_heads(result)):
         table.add_column(name, justify="right")
     table.add_column("unit")
     for one in result.observed:
-        unit, factor = SHOWN[one.unit]
-        cells = (str(one.count), f"{factor * one.rms:.4f}", f"{factor * one.sigma:.4f}")
-        table.add_row(one.name, *cells, unit)
+        sizes, unit = observed_cells(result, one)
+        table.add_row(one.name, str(one.count), *sizes, unit)
     return titled("the platform as measured, at the estimated poses", table)
 
 

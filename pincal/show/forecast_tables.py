@@ -88,9 +88,8 @@ def poses_in_words(accuracy: float, needed: float, alone: float | None) -> str:
 
 def _platform(error: PlatformError, turns: bool) -> str:
     """Return an error of the platform in words."""
-    words = f"root mean square {_amount(error.position, 'mm')}"
-    return words + (f", {_amount(error.orientation, 'mrad')}" if turns else "")
-
-
-def _amount(value: float, unit: str) -> str:
-    return f"{1e3 * value:.4g} {unit}" if value < np.inf else f"not determined [{unit}]"
+    parts = [("position", "mm", error.position)]
+    parts += [("orientation", "mrad", error.orientation)] if turns else []
+    told = [f"{1e3 * size:.3g} {unit}" for _, unit, size in parts if size < np.inf]
+    open_ = [f"{name} not determined" for name, _, size in parts if not size < np.inf]
+    return ", ".join([*([f"root mean square {' and '.join(told)}"] if told else []), *open_])

@@ -11,7 +11,7 @@ from pincal.identification.result import CalibrationResult
 from pincal.show.calibration import noise_in_words, sentence, size_in_words, warnings_of
 from pincal.show.findings import Findings
 from pincal.show.markup import Element, bullets, tag
-from pincal.show.report_residuals import series_of
+from pincal.show.series import series_of
 from pincal.show.tables import SHOWN
 from pincal.show.workspace_errors import WorkspaceErrors
 

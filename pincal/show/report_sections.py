@@ -29,6 +29,7 @@ from pincal.show.report_figures import (
 )
 from pincal.show.report_maps import maps_figure
 from pincal.show.report_residuals import histogram_figure, residuals_figure
+from pincal.show.series import readings_exact
 from pincal.show.tables import SHOWN, weak_in_words
 
 _METHODS = {
@@ -49,6 +50,12 @@ _SOURCES = {
     "repeats": "from rows that were measured repeatedly",
     "estimated": "estimated from the residuals, since none was given",
 }
+
+
+_EXACT = (
+    "Readings were taken as exact: the legs close by construction, and what the model leaves over "
+    "is by how much the platform misses what was measured of it."
+)
 
 
 def section(name: str, title: str, *content: Content) -> Element:
@@ -169,14 +176,12 @@ def parameters(found: Findings) -> Element:
 
 def residuals(found: Findings) -> Element:
     """Return residuals by leg, row and size."""
-    return section(
-        "residuals",
-        "Residuals before and after",
-        residuals_table(found.result),
-        residuals_figure(found),
-        histogram_figure(found),
-        observed_table(found.result) if found.result.observed else None,
-    )
+    observed = observed_table(found.result) if found.result.observed else None
+    figures = (residuals_figure(found), histogram_figure(found))
+    title = "Residuals before and after"
+    if readings_exact(found.result):
+        return section("residuals", title, tag("p", _EXACT), observed, *figures)
+    return section("residuals", title, residuals_table(found.result), *figures, observed)
 
 
 def platform(found: Findings) -> Element:

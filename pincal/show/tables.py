@@ -17,8 +17,8 @@ from pincal.experiment.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import SymmetryGroup
 
-#: How units are shown: as what, and how many of it.
-SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
+#: How small quantities are shown, errors and residuals: in what, and how many of it.
+SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("", 1.0)}
 _WEAK_LINES = 3  # pairs of parameters in words
 
 
@@ -134,7 +134,7 @@ def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mec
     for place, (leg, name) in enumerate((worst.first, worst.second)):
         unit, factor = SHOWN[mechanism.leg(leg).units[name]]
         parts.append(
-            f"{factor * worst.known[place]:.3g} {unit} instead of "
+            f"{' '.join([f'{factor * worst.known[place]:.3g}', unit]).strip()} instead of "
             f"{factor * worst.std[place]:.3g} for {names[place]}"
         )
     return (
