@@ -149,7 +149,7 @@ def test_what_positions_alone_do_not_tell(poses: dict[str, np.ndarray]) -> None:
     mechanism = pincal.load_mechanism("3RRR")
     found = pincal.forecast(mechanism, poses["3RRR"], NOISE, ["x", "y"])
     assert found.rank.rank == 23
-    words = "beta_b (leg_1), beta_b (leg_2) and beta_b (leg_3) move together"
+    words = "leg_1.beta_b, leg_2.beta_b and leg_3.beta_b move together"
     assert found.rank.in_words() == words
     names = [name for leg in mechanism.legs for name in leg.parameter_names]
     turned = found.gauge[:, 0] / np.abs(found.gauge[:, 0]).max()
@@ -243,10 +243,20 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     std = pincal.forecast(mechanism, poses["3RRR"], NOISE).std
     assert f"{1e3 * std[0]:.4g}" in outcome.out
     outcome = done("identifiability", "3RRR", plan, "--measure", "position", "--accuracy", 1e-5)
-    assert "beta_b (leg_1), beta_b (leg_2) and beta_b (leg_3) move together" in outcome.out
-    assert "1 freedom of frames" in outcome.out
+    said = " ".join(outcome.out.split())
+    assert "rank 23 of 24: 1 is a freedom of frames" in said
+    assert "(leg_1.beta_b, leg_2.beta_b and leg_3.beta_b move together)" in said
     outcome = done("identifiability", "3RRR", plan, *noise, "--unknown-frame", "--unknown-target")
-    assert "6 freedoms of frames" in outcome.out
+    said = " ".join(outcome.out.split())
+    assert "6 are freedoms of frames" in said
+    assert "not determined" not in said
+    assert "frame x" not in said
+    few = tmp_path / "few.csv"
+    pincal.write_poses(few, mechanism, pincal.Plan(poses["3RRR"][:7]))
+    said = " ".join(done("identifiability", "3RRR", few).out.split())
+    assert "not determined (—): leg_" in said
+    assert "position not determined, orientation not determined" in said
+    assert "freedom" not in said
     outcome = done("identifiability", "5R", "--measure", "x", "--count", 30)
     assert "measured: x" in outcome.out
     assert run("identifiability", "3RRR", "--measure", "nothing").code == 2

@@ -46,7 +46,7 @@ class Forecast:
     equations: int
     """Equations that a pose gives."""
     rank: Identifiability
-    """Of all parameters and external unknowns together; names are ``parameter (leg)``."""
+    """Of all parameters and external unknowns together; names are ``leg.parameter``."""
     covariance: Array
     """Cramér-Rao bound on what is determined, shape (n, n), parameters leg by leg."""
     lost: Array
@@ -196,7 +196,7 @@ def information_rows(
             f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {pose.shape[2]} freedoms. Measure more of the platform"
         )
-    names = [f"{name} ({leg.name})" for leg in mechanism.legs for name in leg.parameter_names]
+    names = [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names]
     return rows, [*names, *seen_names(platform, setup, kept)], kept
 
 

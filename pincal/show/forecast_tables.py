@@ -49,26 +49,11 @@ def forecast_table(
             shown,
             *("" if v is None else f"{factor * v:.4g}" if v < np.inf else "—" for v in cells),
         )
-    rank = found.rank
     measured = ", ".join(found.measured) or "nothing"
-    lines = [f"rank {rank.rank} of {rank.n_params}"]
-    if rank.complete:
-        lines[0] += f", condition {rank.condition:.3g}"
-    else:
-        groups = rank.in_words().split("; ")
-        more = f"; and {len(groups) - _LISTED} more (--json)" if len(groups) > _LISTED else ""
-        lines.append(f"not determined: {'; '.join(groups[:_LISTED])}{more}")
-    if count := found.gauge.shape[1]:
-        lines.append(
-            f"{count} freedom{'s' if count > 1 else ''} of frames or redundant parameters cannot "
-            "be told by such measurements: of equal parameters those nearest to nominal are meant, "
-            "and errors of the platform are what no motion of the base or platform frame explains"
-        )
-    if found.lost.shape[1]:
-        lines.append("— : not determined")
-    lines += weak_in_words(found.weak, mechanism)
+    lines = [*_rank(found), *weak_in_words(found.weak, mechanism)]
     turns = "rad" in mechanism.platform.units
-    lines.append(f"platform over the workspace: {_platform(error, turns)}; {_BEST}")
+    best = f"; {_BEST}" if error.position < np.inf else ""
+    lines.append(f"platform over the workspace: {_platform(error, turns)}{best}")
     if alone is not None:
         lines.append(f"{_ALONE}: {_platform(alone, turns)}")
     if found.poses < planned:
@@ -77,6 +62,26 @@ def forecast_table(
         f"{mechanism.name}: standard errors (1 σ) from {found.poses} poses, measured: {measured}"
     )
     return titled(title, table, "\n".join(lines))
+
+
+def _rank(found: Forecast) -> list[str]:
+    """Return what is not told: first what is no fault of the plan, then what is."""
+    rank, count = found.rank, found.gauge.shape[1]
+    start = f"rank {rank.rank} of {rank.n_params}"
+    groups = rank.in_words().split("; ")
+    lines = [start if count else f"{start}, condition {rank.condition:.3g}"]
+    if count:
+        which = f" ({groups[0]})" if len(groups) == 1 else ""
+        lines = [
+            f"{start}: {count} {'is a freedom' if count == 1 else 'are freedoms'} of frames, or of "
+            f"redundant parameters{which}, which such measurements tell at no poses. Of "
+            "equal parameters those nearest to nominal are meant, and errors of the platform are "
+            "what no motion of the base or platform frame explains"
+        ]
+    if found.lost.shape[1]:
+        more = f"; and {len(groups) - _LISTED} more (--json)" if len(groups) > _LISTED else ""
+        lines.append(f"not determined (—): {'; '.join(groups[:_LISTED])}{more}")
+    return lines
 
 
 def poses_in_words(accuracy: float, needed: float, alone: float | None) -> str:

@@ -114,9 +114,7 @@ def weak_in_words(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     alike: dict[tuple[str, ...], list[WeakPair]] = {}
     for pair in pairs:
         (leg, name), (other_leg, other) = pair.first, pair.second
-        names = (
-            (name, other) if leg == other_leg else (f"{name} of {leg}", f"{other} of {other_leg}")
-        )
+        names = (name, other) if leg == other_leg else (f"{leg}.{name}", f"{other_leg}.{other}")
         alike.setdefault((*names, "" if leg == other_leg else leg), []).append(pair)
     lines = [_weak_line(key[:2], own, mechanism) for key, own in alike.items()]
     if len(lines) > _WEAK_LINES:
@@ -129,7 +127,10 @@ def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mec
     worst = pairs[0]
     legs = list(dict.fromkeys(pair.first[0] for pair in pairs))
     every = "every leg" if len(legs) == len(mechanism.legs) > 1 else ", ".join(legs)
-    whose = f" of {every}" if worst.first[0] == worst.second[0] else ""
+    own = worst.first[0] == worst.second[0]
+    if own and len(legs) == 1:
+        names = tuple(f"{legs[0]}.{name}" for name in names)
+    whose = f" of {every}" if own and len(legs) > 1 else ""
     parts = []
     for place, (leg, name) in enumerate((worst.first, worst.second)):
         unit, factor = SHOWN[mechanism.leg(leg).units[name]]
