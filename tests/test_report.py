@@ -25,7 +25,7 @@ from rich.console import Console
 import pincal
 from pincal.identification.result_files import as_json
 from pincal.identification.robust import Outlier
-from pincal.show.calibration import legs_table, result_table
+from pincal.show.calibration import legs_table, result_table, trust_in_words
 from pincal.show.findings import Findings
 from pincal.show.markup import serialised
 from pincal.show.report import Origin, Report
@@ -126,6 +126,21 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     assert "Residuals are 6 times" in first.text_content()
     sound = page_of(report).get_element_by_id("answers").find_class("verdict")
     assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
+    assert [card.get("class") for card in first.iter("article")] == ["care", "", "bad"]
+    cards = page_of(report).get_element_by_id("answers").iter("article")
+    assert [card.get("class") for card in cards] == ["good", "", "good"]
+
+
+def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> None:
+    """Where rows of the fit miss by hundreds of σ, those held out are not said to be better."""
+    result, _, report = planar
+    lost = replace(result.validation, fit=316.2, held_out=1361.71, expected=405.02)
+    poor = replace(result, reduced_chi2=1e5, validation=lost)
+    made = Report(replace(report.found, result=poor), report.origin)
+    for text in (made.html(), poor._repr_html_(), " ".join(trust_in_words(poor))):
+        assert "misses even its own rows by 316 σ" in text
+        assert "1361.71" not in text
+        assert "405.02" not in text
 
 
 def test_parameters_are_those_of_the_result(planar: Any) -> None:

@@ -50,7 +50,7 @@ def identifiability(
     unknown_target: UnknownTarget = False,
     seed: Seed = 0,
 ) -> None:
-    """Say what measurements will tell about the parameters, before they are made.
+    """Say what measurements will tell before they are made.
 
     Prints the rank, what cannot be told apart, the standard error of each parameter (the
     Cramér-Rao bound: the best that any calibration can reach, as --method latent does), and the

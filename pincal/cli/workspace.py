@@ -109,7 +109,7 @@ def workspace(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Find a workspace: poses to choose from, or the positions that count.
+    """Find a workspace: poses to choose from, or positions.
 
     poses (default): --count poses spread over the workspace, candidates for 'pincal select',
     that every leg reaches in its working mode, within joint limits and margins from

@@ -6,6 +6,7 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 
 from pincal.identification.result import CalibrationResult
+from pincal.identification.trust import Validation
 from pincal.model.measurements import Measurements
 from pincal.show.parameters import HEADS, given_cells, parameter_cells
 from pincal.show.series import observed_cells, observed_heads, readings_exact
@@ -17,6 +18,7 @@ _NO_FREEDOM = (
     "nothing; measure more poses"
 )
 _ROWS = 20  # outliers in the table; all are in result.json
+_MISSES = 10.0  # by how many σ a fit misses its own rows that is none
 _LISTED = 4  # groups of what moves together
 
 
@@ -226,22 +228,33 @@ def trust_in_words(result: CalibrationResult) -> list[str]:
     """Return how held-out rows and runs compare."""
     lines, one = [], result.validation
     if one is not None:
-        text = (
-            f"held-out rows ({one.folds} folds) miss by {one.held_out:.2f} σ, those of the fit by "
-            f"{one.fit:.2f}; {one.expected:.2f} are expected held out"
-        )
-        if one.position is not None:
+        text = held_out_in_words(one)
+        if one.position is not None and one.fit <= _MISSES:
             text += f". Platform: {1e3 * one.position[1]:.3g} mm held out, "
             text += f"{1e3 * one.position[0]:.3g} in the fit"
-        if one.orientation is not None:
-            text += f"; {1e3 * one.orientation[1]:.3g} mrad and {1e3 * one.orientation[0]:.3g}"
-        lines.append(text + " (measuring noise included)")
+            if one.orientation is not None:
+                text += f"; {1e3 * one.orientation[1]:.3g} mrad and {1e3 * one.orientation[0]:.3g}"
+            text += " (measuring noise included)"
+        lines.append(f"{text} ({one.folds} folds)")
     if result.runs is not None:
         lines.append(
             f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
             f"much as their standard errors say (p = {result.runs.p_value:.2g})"
         )
     return lines
+
+
+def held_out_in_words(one: Validation) -> str:
+    """Return how rows that a fit has not seen compare with its own, where these fit at all."""
+    if one.fit > _MISSES:
+        return (
+            f"held-out rows prove nothing: the fit misses even its own rows by {one.fit:.3g} σ. "
+            "Look at the warnings first"
+        )
+    return (
+        f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
+        f"{one.expected:.2f} σ are expected held out"
+    )
 
 
 def size_in_words(position: float, orientation: float, turns: bool) -> str:
