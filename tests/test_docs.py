@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import ast
+import re
 import runpy
+import subprocess
+import sys
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import pincal
 from pincal import errors
+from pincal.model.orientation import WAYS
+from pincal.model.table import UNITS
 
 ROOT = Path(__file__).parents[1]
 #: Licences that ask of users of pincal no more than to name the authors.
@@ -27,6 +34,52 @@ def test_errors_page_is_what_the_code_says() -> None:
     """``python docs/errors.py`` makes the page that is there."""
     made = runpy.run_path(str(ROOT / "docs" / "errors.py"))["page"]()
     assert (ROOT / "docs" / "errors.md").read_text(encoding="utf-8") == made
+
+
+def test_every_page_is_linked() -> None:
+    """From the README every page is found by links between pages; every link leads somewhere."""
+    seen, left = set(), [ROOT / "README.md"]
+    while left:
+        page = left.pop()
+        seen.add(page)
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            linked = (page.parent / target).resolve()
+            assert linked.exists(), f"{page}: {target}"
+            if linked.suffix == ".md" and linked not in seen:
+                left.append(linked)
+    assert set((ROOT / "docs").glob("*.md")) <= seen
+
+
+def test_measuring_page_runs(tmp_path: Path) -> None:
+    """Its Python runs as it stands, in an empty folder, and finds what it says."""
+    text = (ROOT / "docs" / "measuring.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    command = [sys.executable, "-W", "error", "-c", code]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert "4cable: latent" in run.stdout
+    table = (tmp_path / "lines.csv").read_text(encoding="utf-8").splitlines()
+    assert len(table) == 61
+    assert table[9].startswith(",,,")  # the ninth row has no position
+
+
+def test_measuring_page_names_columns_and_units() -> None:
+    """All columns that are read and all units, and what cables alone do not tell."""
+    text = (ROOT / "docs" / "measuring.md").read_text(encoding="utf-8")
+    columns = [
+        "set",
+        "pose",
+        "run",
+        "sigma_x",
+        *(name for names, _ in WAYS.values() for name in names),
+    ]
+    assert all(re.search(rf"`{name}( \[|`)", text) for name in columns)
+    assert all(f"`{unit}`" in text for unit in UNITS if unit.isalpha() and unit.isascii())
+    robot = pincal.load_mechanism("4cable")
+    lengths = np.random.default_rng(0).uniform(-0.1, 0.1, (60, 4))
+    data = pincal.Measurements(poses=np.full((60, 3), np.nan), readings=lengths)
+    with pytest.raises(pincal.ObservabilityError, match="k of line_A"):
+        pincal.calibrate(robot, data, method="latent", noise=pincal.Noise(reading=1e-3), rough=True)
 
 
 def raised() -> set[str]:

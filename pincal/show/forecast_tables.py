@@ -74,7 +74,7 @@ def _rank(found: Forecast) -> list[str]:
         which = f" ({groups[0]})" if len(groups) == 1 else ""
         lines = [
             f"{start}: {count} {'is a freedom' if count == 1 else 'are freedoms'} of frames, or of "
-            f"redundant parameters{which}, which such measurements tell at no poses. Of "
+            f"redundant parameters{which}, which such measurements cannot tell. Of "
             "equal parameters those nearest to nominal are meant, and errors of the platform are "
             "what no motion of the base or platform frame explains"
         ]
