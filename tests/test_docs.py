@@ -82,6 +82,46 @@ def test_measuring_page_names_columns_and_units() -> None:
         pincal.calibrate(robot, data, method="latent", noise=pincal.Noise(reading=1e-3), rough=True)
 
 
+def said(path: str) -> list[str]:
+    """Return the texts with values in a module's source, without the values."""
+    tree = ast.parse((ROOT / "pincal" / path).read_text(encoding="utf-8"))
+    texts = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
+    return [
+        "…".join(str(part.value) for part in text.values if isinstance(part, ast.Constant))
+        for text in texts
+    ]
+
+
+def test_every_warning_is_explained() -> None:
+    """What the page lists is what the source says, and what the source warns of is listed."""
+    script = runpy.run_path(str(ROOT / "docs" / "errors.py"))["WARNINGS"]
+    listed = [words for rows in script.values() for words, *_ in rows if words]
+    trusted = said("identification/cautions.py") + said("identification/trust.py")
+    source = [*trusted, *said("identification/validation.py"), *said("cli/seen.py")]
+    assert [words for words in listed if not any(words in text for text in source)] == []
+    warned = [text for text in trusted if len(text) > 60]
+    assert len(warned) >= 10
+    assert [text for text in warned if not any(words in text for words in listed)] == []
+    robot = pincal.load_mechanism("5R")
+    plan = pincal.Plan(np.array([[0.1 * i - 0.3, 1.1 + 0.02 * (i % 3)] for i in range(8)]))
+    truth = pincal.disturb(robot, 2e-3, seed=1)
+    result = pincal.calibrate(robot, pincal.simulate(robot, truth, plan, seed=1).measurements)
+    assert result.warnings
+    assert all(any(words in text for words in listed) for text in result.warnings)
+
+
+def test_no_internals_on_the_page_of_errors() -> None:
+    """Readers come with the commands that call them; what only other code calls is not there."""
+    page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
+    assert "| `pincal import`, `pincal export` | `formats.klipper.read_klipper` |" in page
+    assert "ways_of" not in page
+    assert "root_of" not in page
+    for table in page.split("|---|---|---|")[4:]:
+        rows = [line for line in table.split("\n\n")[0].splitlines() if line]
+        python_only = [row.startswith("| – |") for row in rows]
+        assert python_only == sorted(python_only)
+
+
 def raised() -> set[str]:
     """Return the names of what the source raises by name."""
     return {
