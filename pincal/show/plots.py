@@ -93,7 +93,7 @@ def draw_observability(axes: Axes, mechanism: Mechanism, selection: Selection) -
         )
         for leg in selection.legs
     }
-    draw_bars(axes, values).set_ylabel("observability |R_ii|, by readings in rad per m, rad or 1")
+    draw_bars(axes, values).set_ylabel("observability |R_ii| [rad/unit]")
     return axes
 
 
