@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -113,7 +113,7 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
     if not tables:
         return read_poses(estimates[0], mechanism) if estimates else None
     (table,) = tables
-    plan = _with_readings(table, read_poses(table, mechanism, partial=True), mechanism)
+    plan = _rows(table, mechanism)
     if (
         mechanism.by_readings and plan.readings is not None
     ):  # which say where the mechanism is, in its own base frame
@@ -152,13 +152,11 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
     return Plan(plan.poses[whole], sets, None if plan.readings is None else plan.readings[whole])
 
 
-def _with_readings(table: Path, plan: Plan, mechanism: Mechanism) -> Plan:
-    """Return a plan with the readings that were measured, where the table has all of them."""
-    if plan.readings is not None or not set(mechanism.reading_names) <= set(
-        read_table(table).units
-    ):
-        return plan
-    return replace(plan, readings=read_measurements(table, mechanism, partial=True).readings)
+def _rows(table: Path, mechanism: Mechanism) -> Plan:
+    """Return a plan or, where the table has all readings, measurements; NaN where there is none."""
+    if mechanism.by_readings or not set(mechanism.reading_names) <= set(read_table(table).units):
+        return read_poses(table, mechanism, partial=True)
+    return read_measurements(table, mechanism, partial=True)
 
 
 def _identified(folder: Path) -> Mechanism:

@@ -30,6 +30,8 @@ _TONES = {
     "Hardly": "bad",
     "No sign of it": "bad",
     "There is no result": "bad",
+    "No": "bad",
+    "Not shown": "bad",
     "Not as it stands": "bad",
 }
 _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
