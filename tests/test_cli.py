@@ -214,6 +214,7 @@ def test_help_lists_the_commands() -> None:
     assert outcome.code == 0
     assert len(COMMANDS) >= 9
     assert all(f"\n  {command} " in outcome.out for command in COMMANDS)
+    assert "..." not in outcome.out.partition("Commands:")[2]  # 80 columns, nothing cut
 
 
 def test_mechanisms_lists_the_bundled_ones() -> None:
@@ -568,6 +569,15 @@ def test_output_in_a_missing_folder_is_refused(command: str, readings: Path) -> 
     assert outcome.code == 2
     assert "absent does not exist" in outcome.trouble
     assert contents(readings) == before
+
+
+def test_rows_not_held_out_by_choice_are_said(work: Path) -> None:
+    """--folds 0: the report says that this was why, however quiet; and what was printed too."""
+    given = [*NOISE, "--folds", 0, "-o", work / "unfolded"]
+    outcome = done("calibrate", "3RRR", work / "measured.csv", *given)
+    assert "no rows were held out (--folds 0)" in outcome.out
+    done("calibrate", "3RRR", work / "measured.csv", *given, "--force", "--quiet")
+    assert "no rows were held out (--folds 0)" in (work / "unfolded/report.html").read_text("utf-8")
 
 
 def test_calibrate_spares_a_file_in_the_results_place(work: Path) -> None:

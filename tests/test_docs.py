@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import ast
+import re
 import runpy
+import subprocess
+import sys
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import pincal
 from pincal import errors
+from pincal.model.orientation import WAYS
+from pincal.model.table import UNITS
 
 ROOT = Path(__file__).parents[1]
 #: Licences that ask of users of pincal no more than to name the authors.
@@ -27,6 +34,92 @@ def test_errors_page_is_what_the_code_says() -> None:
     """``python docs/errors.py`` makes the page that is there."""
     made = runpy.run_path(str(ROOT / "docs" / "errors.py"))["page"]()
     assert (ROOT / "docs" / "errors.md").read_text(encoding="utf-8") == made
+
+
+def test_every_page_is_linked() -> None:
+    """From the README every page is found by links between pages; every link leads somewhere."""
+    seen, left = set(), [ROOT / "README.md"]
+    while left:
+        page = left.pop()
+        seen.add(page)
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            linked = (page.parent / target).resolve()
+            assert linked.exists(), f"{page}: {target}"
+            if linked.suffix == ".md" and linked not in seen:
+                left.append(linked)
+    assert set((ROOT / "docs").glob("*.md")) <= seen
+
+
+def test_measuring_page_runs(tmp_path: Path) -> None:
+    """Its Python runs as it stands, in an empty folder, and finds what it says."""
+    text = (ROOT / "docs" / "measuring.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    command = [sys.executable, "-W", "error", "-c", code]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert "4cable: latent" in run.stdout
+    table = (tmp_path / "lines.csv").read_text(encoding="utf-8").splitlines()
+    assert len(table) == 61
+    assert table[9].startswith(",,,")  # the ninth row has no position
+
+
+def test_measuring_page_names_columns_and_units() -> None:
+    """All columns that are read and all units, and what cables alone do not tell."""
+    text = (ROOT / "docs" / "measuring.md").read_text(encoding="utf-8")
+    columns = [
+        "set",
+        "pose",
+        "run",
+        "sigma_x",
+        *(name for names, _ in WAYS.values() for name in names),
+    ]
+    assert all(re.search(rf"`{name}( \[|`)", text) for name in columns)
+    assert all(f"`{unit}`" in text for unit in UNITS if unit.isalpha() and unit.isascii())
+    robot = pincal.load_mechanism("4cable")
+    lengths = np.random.default_rng(0).uniform(-0.1, 0.1, (60, 4))
+    data = pincal.Measurements(poses=np.full((60, 3), np.nan), readings=lengths)
+    with pytest.raises(pincal.ObservabilityError, match="k of line_A"):
+        pincal.calibrate(robot, data, method="latent", noise=pincal.Noise(reading=1e-3), rough=True)
+
+
+def said(path: str) -> list[str]:
+    """Return the texts with values in a module's source, without the values."""
+    tree = ast.parse((ROOT / "pincal" / path).read_text(encoding="utf-8"))
+    texts = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
+    return [
+        "…".join(str(part.value) for part in text.values if isinstance(part, ast.Constant))
+        for text in texts
+    ]
+
+
+def test_every_warning_is_explained() -> None:
+    """What the page lists is what the source says, and what the source warns of is listed."""
+    script = runpy.run_path(str(ROOT / "docs" / "errors.py"))["WARNINGS"]
+    listed = [words for rows in script.values() for words, *_ in rows if words]
+    trusted = said("identification/cautions.py") + said("identification/trust.py")
+    source = [*trusted, *said("identification/validation.py"), *said("cli/seen.py")]
+    assert [words for words in listed if not any(words in text for text in source)] == []
+    warned = [text for text in trusted if len(text) > 60]
+    assert len(warned) >= 10
+    assert [text for text in warned if not any(words in text for words in listed)] == []
+    robot = pincal.load_mechanism("5R")
+    plan = pincal.Plan(np.array([[0.1 * i - 0.3, 1.1 + 0.02 * (i % 3)] for i in range(8)]))
+    truth = pincal.disturb(robot, 2e-3, seed=1)
+    result = pincal.calibrate(robot, pincal.simulate(robot, truth, plan, seed=1).measurements)
+    assert result.warnings
+    assert all(any(words in text for words in listed) for text in result.warnings)
+
+
+def test_no_internals_on_the_page_of_errors() -> None:
+    """Readers come with the commands that call them; what only other code calls is not there."""
+    page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
+    assert "| `pincal import`, `pincal export` | `formats.klipper.read_klipper` |" in page
+    assert "ways_of" not in page
+    assert "root_of" not in page
+    for table in page.split("|---|---|---|")[4:]:
+        rows = [line for line in table.split("\n\n")[0].splitlines() if line]
+        python_only = [row.startswith("| – |") for row in rows]
+        assert python_only == sorted(python_only)
 
 
 def raised() -> set[str]:

@@ -9,6 +9,7 @@ import pytest
 from command_line import done, run
 
 import pincal
+from pincal.experiment.leg_by_leg import leg_by_leg
 
 NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
 
@@ -101,12 +102,54 @@ def test_full_poses_give_the_covariance_of_the_calibration(
     assert one.orientation == pytest.approx(other.orientation, rel=1e-6)
 
 
+@pytest.mark.parametrize(("name", "dealt"), [("5R", True), ("3RRR", False), ("linear_delta", True)])
+def test_each_leg_alone_gives_the_covariance_of_the_default(name: str, dealt: bool) -> None:
+    """``calibrate`` without options, on exact data: the poses of each leg's set, nothing shared."""
+    mechanism = pincal.load_mechanism(name)
+    poses = pincal.sample_workspace(mechanism, 60, seed=0)
+    sets = tuple(mechanism.leg_names[row % len(mechanism.legs)] for row in range(60))
+    plan = pincal.Plan(poses, sets if dealt else None)
+    exact = pincal.simulate(mechanism, mechanism, plan, pincal.Noise(0.0, 0.0, 0.0)).measurements
+    result = pincal.calibrate(mechanism, exact, noise=NOISE)
+    found = leg_by_leg(mechanism, plan, NOISE)
+    assert found is not None
+    np.testing.assert_allclose(found.covariance, result.covariance, rtol=1e-6, atol=1e-18)
+    expected = pincal.expected_error(result, poses)
+    assert found.platform_error(poses).position == pytest.approx(expected.position, rel=1e-6)
+    best = pincal.forecast(mechanism, poses, NOISE)
+    assert best.platform_error(poses).position < expected.position
+    assert found.poses_for(expected.position / 2.001, poses) == pytest.approx(240, abs=1)
+    share = 1 if plan.sets is None else len(mechanism.legs)
+    assert found.poses_for(1.0, poses) == share * len(mechanism.legs[0].parameters)
+
+
+def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
+    """The bound is that of --method latent; the default's larger error stands beside it."""
+    mechanism = pincal.load_mechanism("5R")
+    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    plan = pincal.Plan(poses, ("leg_1", "leg_2") * 15)
+    pincal.write_poses(tmp_path / "plan.csv", mechanism, plan)
+    outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4)
+    said = " ".join(outcome.out.split())
+    own = leg_by_leg(mechanism, plan, pincal.Noise())
+    over = pincal.sample_configurations(mechanism, 1000, 0)
+    assert own is not None
+    alone = 1e3 * own.platform_error(over).position
+    best = 1e3 * pincal.forecast(mechanism, plan).platform_error(over).position
+    assert best < 0.9 * alone
+    assert f"{best:.3g} mm; the best that any calibration can reach: --method latent" in said
+    assert f"each leg alone by the poses of its set: root mean square {alone:.3g} mm" in said
+    assert f"{own.poses_for(1e-4, over):.0f} with each leg alone" in said
+    outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--measure", "x")
+    assert "alone" not in outcome.out
+
+
 def test_what_positions_alone_do_not_tell(poses: dict[str, np.ndarray]) -> None:
     """The platform's frame may turn: platform azimuths move together, all else stays known."""
     mechanism = pincal.load_mechanism("3RRR")
     found = pincal.forecast(mechanism, poses["3RRR"], NOISE, ["x", "y"])
     assert found.rank.rank == 23
-    words = "beta_b (leg_1), beta_b (leg_2) and beta_b (leg_3) move together"
+    words = "leg_1.beta_b, leg_2.beta_b and leg_3.beta_b move together"
     assert found.rank.in_words() == words
     names = [name for leg in mechanism.legs for name in leg.parameter_names]
     turned = found.gauge[:, 0] / np.abs(found.gauge[:, 0]).max()
@@ -200,10 +243,20 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     std = pincal.forecast(mechanism, poses["3RRR"], NOISE).std
     assert f"{1e3 * std[0]:.4g}" in outcome.out
     outcome = done("identifiability", "3RRR", plan, "--measure", "position", "--accuracy", 1e-5)
-    assert "beta_b (leg_1), beta_b (leg_2) and beta_b (leg_3) move together" in outcome.out
-    assert "1 freedom of frames" in outcome.out
+    said = " ".join(outcome.out.split())
+    assert "rank 23 of 24: 1 is a freedom of frames" in said
+    assert "(leg_1.beta_b, leg_2.beta_b and leg_3.beta_b move together)" in said
     outcome = done("identifiability", "3RRR", plan, *noise, "--unknown-frame", "--unknown-target")
-    assert "6 freedoms of frames" in outcome.out
+    said = " ".join(outcome.out.split())
+    assert "6 are freedoms of frames" in said
+    assert "not determined" not in said
+    assert "frame x" not in said
+    few = tmp_path / "few.csv"
+    pincal.write_poses(few, mechanism, pincal.Plan(poses["3RRR"][:7]))
+    said = " ".join(done("identifiability", "3RRR", few).out.split())
+    assert "not determined (—): leg_" in said
+    assert "position not determined, orientation not determined" in said
+    assert "freedom" not in said
     outcome = done("identifiability", "5R", "--measure", "x", "--count", 30)
     assert "measured: x" in outcome.out
     assert run("identifiability", "3RRR", "--measure", "nothing").code == 2

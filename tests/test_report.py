@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -19,9 +20,12 @@ import numpy as np
 import pytest
 from command_line import done, run
 from lxml import html as lxml_html
+from rich.console import Console
 
 import pincal
+from pincal.identification.result_files import as_json
 from pincal.identification.robust import Outlier
+from pincal.show.calibration import legs_table, result_table, trust_in_words
 from pincal.show.findings import Findings
 from pincal.show.markup import serialised
 from pincal.show.report import Origin, Report
@@ -31,7 +35,7 @@ from pincal.show.workspace_errors import errors_at
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 EVIL = "<script>document.title='Ω'</script><b>\"é\"'&amp;$x_1$ 漢"
 NOISE = pincal.Noise(1e-4, 1e-4)
-FACTORS = {"mm": 1e3, "mrad": 1e3, "1e-3": 1e3}
+FACTORS = {"mm": 1e3, "rad": 1.0, "": 1.0}
 QUESTIONS = ["Is it better?", "By how much?", "May I trust it?"]
 DATE = "2001-02-03 04:05 +0000"
 
@@ -122,6 +126,21 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     assert "Residuals are 6 times" in first.text_content()
     sound = page_of(report).get_element_by_id("answers").find_class("verdict")
     assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
+    assert [card.get("class") for card in first.iter("article")] == ["care", "", "bad"]
+    cards = page_of(report).get_element_by_id("answers").iter("article")
+    assert [card.get("class") for card in cards] == ["good", "", "good"]
+
+
+def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> None:
+    """Where rows of the fit miss by hundreds of σ, those held out are not said to be better."""
+    result, _, report = planar
+    lost = replace(result.validation, fit=316.2, held_out=1361.71, expected=405.02)
+    poor = replace(result, reduced_chi2=1e5, validation=lost)
+    made = Report(replace(report.found, result=poor), report.origin)
+    for text in (made.html(), poor._repr_html_(), " ".join(trust_in_words(poor))):
+        assert "misses even its own rows by 316 σ" in text
+        assert "1361.71" not in text
+        assert "405.02" not in text
 
 
 def test_parameters_are_those_of_the_result(planar: Any) -> None:
@@ -140,6 +159,48 @@ def test_parameters_are_those_of_the_result(planar: Any) -> None:
             digits = len(cells[place].partition(".")[2])
             assert float(cells[place]) == pytest.approx(factor * value, abs=0.5001 * 10**-digits)
         assert float(cells[7]) == pytest.approx((p.identified - p.nominal) / p.std, abs=0.0501)
+
+
+def test_names_are_not_capitalised() -> None:
+    """A 3-RRR has l and L: lines and notes that begin with a name keep it as it is."""
+    mechanism, data = measured("3RRR", 20)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
+    weak = {name for pair in result.weak for _, name in (pair.first, pair.second)}
+    page = page_of(pincal.report(result, data, notes=["l of the second run was 1.5 m"]))
+    lines = [one.text_content() for one in page.xpath("//*[@id='observability']//li")]
+    first = {re.match(r"[\w.]+", line)[0].rpartition(".")[2] for line in lines}  # type: ignore[index]
+    assert first - {"2"} <= weak  # "2 more such pairs"
+    assert any(name[0].islower() for name in first)
+    assert "l of the second run" in page.get_element_by_id("trust").text_content()
+
+
+def test_fixed_parameters_look_fixed() -> None:
+    """What was given is no measurement: fixed, tied and known ones are named, everywhere."""
+    mechanism, data = measured("3RRR", 30)
+    given: dict[str, Any] = {"fixed": ["k", "leg_2.gamma"], "tied": ["ob"], "priors": {"OA": 1e-3}}
+    result = pincal.calibrate(mechanism, data, noise=NOISE, **given)
+    page = page_of(pincal.report(result, data))
+    text = io.StringIO()
+    Console(file=text, width=100).print(result_table(result))
+    printed = [line.split() for line in text.getvalue().splitlines()]
+    rows = page.get_element_by_id("parameters").xpath(".//tbody/tr")
+    found = [(leg.name, p) for leg in result.legs for p in leg.parameters]
+    for row, (leg, p) in zip(rows, found, strict=True):
+        name, nominal, identified, half, _, change, sigma, said = (
+            c.text_content() for c in row[1:]
+        )
+        fixed = p.name == "k" or (leg, p.name) == ("leg_2", "gamma")
+        assert p.given == {"ob": "tied", "OA": "prior"}.get(p.name, "fixed" if fixed else "")
+        assert (half == "fixed") is fixed
+        assert said == ("" if fixed else p.given)
+        if fixed:
+            assert (nominal, change, sigma) == (identified, "", "")
+        cells = [cell for cell in (name, nominal, identified, half) if cell]
+        assert any(" ".join(cells) in " ".join(line) for line in printed)
+    assert "k" not in page.get_element_by_id("figure-changes").xpath(".//*[name()='text']/text()")
+    assert [line.split()[4] for line in str(result).splitlines() if " k " in line] == ["fixed"] * 3
+    told = [p["given"] for leg in as_json(result)["legs"] for p in leg["parameters"]]
+    assert told == [p.given or None for _, p in found]
 
 
 def test_rejected_rows_are_listed_and_marked(planar: Any) -> None:
@@ -274,6 +335,19 @@ def test_exact_readings_are_no_proof() -> None:
     facts = page.get_element_by_id("measured").text_content()
     assert "σ 0.1 mm in position, readings exact" in facts
     assert page.xpath("//*[@id='figure-histogram']")
+    words = page.get_element_by_id("residuals").text_content()
+    assert "Readings were taken as exact" in words
+    assert "leg_1" not in words
+    rows = page.get_element_by_id("residuals").xpath(".//tbody/tr")
+    sizes = [[float(cell.text) for cell in row[2:5]] for row in rows]
+    both = [[np.sqrt((v**2).mean()) for v in (q.residuals_before, q.residuals)] for q in (x, y)]
+    np.testing.assert_allclose(sizes, [[*(1e3 * np.array(v)), 0.1] for v in both], atol=5.1e-5)
+    bars = page.get_element_by_id("figure-rms").text_content()
+    assert "leg_1" not in bars
+    text = io.StringIO()
+    Console(file=text, width=100).print(legs_table(result))
+    assert "exact" in text.getvalue()
+    assert "0.0000" not in text.getvalue()
 
 
 def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:

@@ -310,13 +310,28 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
     assert "has 4 rows" in refused.err
 
 
-def shown_poses(page: Path) -> np.ndarray:
-    """Return the poses that a page steps through, shape (N, dof), [m] and [rad]."""
+def test_readings_are_told_apart(work: Path, tmp_path: Path) -> None:
+    """Those of the nominal model and, of measurements, those read; of plans, no others."""
+    mechanism, page = pincal.load_mechanism("3RRR"), tmp_path / "view.html"
+    data = pincal.read_measurements(work / "measured.csv", mechanism)
+    done("view", "3RRR", work / "measured.csv", "--html", page)
+    assert np.allclose(shown_poses(page, "measured"), data.readings, atol=2e-6)
+    nominal = pincal.inverse(mechanism, data.poses).readings
+    assert np.allclose(shown_poses(page, "nominal"), nominal, atol=2e-6)
+    assert np.abs(nominal - data.readings).max() > 1e-3
+    done("view", "3RRR", work / "plan.csv", "--html", page, "--force")
+    assert not shown_poses(page, "measured").size
+    pincal.view(mechanism, data).save(page, force=True)
+    assert np.allclose(shown_poses(page, "measured"), data.readings, atol=2e-6)
+
+
+def shown_poses(page: Path, group: str = "pose") -> np.ndarray:
+    """Return the poses that a page steps through, or readings, shape (N, n), [m] and [rad]."""
     block = re.search(
         r'<script type="application/json" id="data">(.*?)</script>', page.read_text("utf-8"), re.S
     )
     assert block
-    rows = [row for row in json.loads(block[1])["rows"] if row["group"] == "pose"]
+    rows = [row for row in json.loads(block[1])["rows"] if row["group"] == group]
     factors = [{"mm": 1e-3, "°": np.pi / 180}[row["unit"]] for row in rows]
     return np.array([row["values"] for row in rows]).T * factors
 

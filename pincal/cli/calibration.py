@@ -188,7 +188,7 @@ def _trusted(
     """Return the result with validation and runs where the rows allow, and why not elsewhere."""
     if not result.converged:
         return result, []
-    said = []
+    said = [] if folds else ["no rows were held out (--folds 0)"]
     try:
         if folds:
             result = replace(

@@ -113,7 +113,7 @@ def import_(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Read URDF, MJCF, printer.cfg, config.g, or a table of FIGAROH's.
+    """Read URDF, MJCF, printer.cfg, config.g, FIGAROH tables.
 
     A URDF whose loops a YAML file closes (the convention of example-parallel-robots), or MJCF
     with connect and weld and actuators, becomes a mechanism folder: legs, platform and drives are
@@ -249,7 +249,7 @@ def export(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write a mechanism as URDF or MJCF, or a delta printer for its firmware.
+    """Write URDF, MJCF, or a delta printer's configuration.
 
     With --original FILE is a copy of that URDF in which only the origins of calibrated joints are
     other. Without it URDF (.urdf, with a .yaml beside it that closes the loops) and MJCF (.xml)

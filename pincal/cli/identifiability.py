@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from pincal.cli.app import Mech, Seed, answer, command, stdout, working
@@ -22,10 +21,11 @@ from pincal.cli.setups import (
     setup_from,
 )
 from pincal.experiment.forecast import forecast
+from pincal.experiment.leg_by_leg import leg_by_leg
 from pincal.model.files import load_mechanism
 from pincal.model.measurement_files import read_poses
 from pincal.model.measurements import Noise
-from pincal.show.tables import forecast_table
+from pincal.show.forecast_tables import forecast_table, poses_in_words
 from pincal.workspace.sampling import sample_configurations
 
 
@@ -50,11 +50,12 @@ def identifiability(
     unknown_target: UnknownTarget = False,
     seed: Seed = 0,
 ) -> None:
-    """Say what measurements will tell about the parameters, before they are made.
+    """Say what measurements will tell before they are made.
 
     Prints the rank, what cannot be told apart, the standard error of each parameter (the
-    Cramér-Rao bound: the best that any calibration of all legs can reach), and the
-    platform error over the workspace; with --accuracy how many poses that takes.
+    Cramér-Rao bound: the best that any calibration can reach, as --method latent does), and the
+    platform error over the workspace; with --accuracy how many poses that takes. Where poses are
+    measured in full, also what 'pincal calibrate' without options gives, each leg alone.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise. Parts of poses are calibrated with 'pincal
@@ -72,11 +73,15 @@ def identifiability(
             poses = sample_configurations(mechanism, count, seed + 1)
     found = forecast(mechanism, poses, noise, measured, how)
     error = found.platform_error(over)
-    stdout.print(forecast_table(found, error, len(poses.poses)))
-    needed = None if accuracy is None else found.poses_for(accuracy, over)
-    if accuracy is not None and needed is not None:
-        text = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-        stdout.print(f"for {1e3 * accuracy:g} mm: {text}", markup=False)
+    whole = how.plain and set(measured) >= set(mechanism.platform.freedoms)
+    own = leg_by_leg(mechanism, poses, noise) if whole else None
+    alone = None if own is None else own.platform_error(over)
+    stdout.print(forecast_table(found, error, len(poses.poses), alone))
+    needed = needed_alone = None
+    if accuracy is not None:
+        needed = found.poses_for(accuracy, over)
+        needed_alone = None if own is None else own.poses_for(accuracy, over)
+        stdout.print(poses_in_words(accuracy, needed, needed_alone), markup=False)
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
     answer(
         {
@@ -95,5 +100,11 @@ def identifiability(
             ],
             "platform_error": {"position": error.position, "orientation": error.orientation},
             "poses_for_accuracy": needed,
+            "leg_by_leg": None
+            if alone is None
+            else {
+                "platform_error": {"position": alone.position, "orientation": alone.orientation},
+                "poses_for_accuracy": needed_alone,
+            },
         }
     )

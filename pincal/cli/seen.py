@@ -15,7 +15,7 @@ from pincal.errors import FileError, MeasurementError
 from pincal.identification.result_files import read_result
 from pincal.kinematics.forward import forward
 from pincal.model.files import is_folder, load_mechanism
-from pincal.model.measurement_files import read_poses
+from pincal.model.measurement_files import read_measurements, read_poses
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.table import read_table
@@ -113,8 +113,10 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
     if not tables:
         return read_poses(estimates[0], mechanism) if estimates else None
     (table,) = tables
-    plan = read_poses(table, mechanism, partial=True)
-    if plan.readings is not None:  # which say where the mechanism is, in its own base frame
+    plan = _rows(table, mechanism)
+    if (
+        mechanism.by_readings and plan.readings is not None
+    ):  # which say where the mechanism is, in its own base frame
         solution = forward(mechanism, plan.readings)
         if not solution.converged.any():
             raise MeasurementError(f"{table}: {solution.reasons[0]} at row 1, and at all others")
@@ -132,7 +134,7 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
                 "measurements of this calibration"
             )
         remark(f"poses as estimated by the calibration: {estimates[0]}")
-        return Plan(poses, plan.sets)
+        return Plan(poses, plan.sets, plan.readings)
     advice = (
         "What was not measured, 'pincal calibrate --method latent -o RESULT' estimates for all "
         "rows; RESULT beside the measurements, or RESULT/poses.csv, shows it"
@@ -147,7 +149,14 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
         f"is row {int(np.argmin(whole)) + 1}; only the others are drawn. {advice}"
     )
     sets = None if plan.sets is None else tuple(np.array(plan.sets)[whole].tolist())
-    return Plan(plan.poses[whole], sets)
+    return Plan(plan.poses[whole], sets, None if plan.readings is None else plan.readings[whole])
+
+
+def _rows(table: Path, mechanism: Mechanism) -> Plan:
+    """Return a plan or, where the table has all readings, measurements; NaN where there is none."""
+    if mechanism.by_readings or not set(mechanism.reading_names) <= set(read_table(table).units):
+        return read_poses(table, mechanism, partial=True)
+    return read_measurements(table, mechanism, partial=True)
 
 
 def _identified(folder: Path) -> Mechanism:

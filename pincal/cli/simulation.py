@@ -39,7 +39,9 @@ def simulate(
     output: Annotated[Path, output_option("MEASUREMENTS.csv", "Measured poses and readings.")],
     disturb: Annotated[
         float | None,
-        typer.Option(help="Standard deviation of the errors of all parameters [default: 0.002]."),
+        typer.Option(
+            help="Standard deviation of the errors of all parameters [m, rad or 1; default: 0.002]."
+        ),
     ] = None,
     noise_position: NoisePosition = 1e-4,
     noise_orientation: NoiseOrientation = 1e-4,

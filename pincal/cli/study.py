@@ -26,10 +26,10 @@ def study(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Compute the figures and tables of a paper anew, and what it lacks.
+    """Compute a paper's figures and tables anew.
 
-    5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical workspace, and
-    beyond its paper the calibration. FOLDER gets study.md, tables as
+    And what it lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical
+    workspace, and beyond its paper the calibration. FOLDER gets study.md, tables as
     CSV and Markdown, figures as SVG and PNG; with 'all' one folder for each. The same seed
     gives the same text and tables; times are in figures only.
     """

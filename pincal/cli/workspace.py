@@ -109,7 +109,7 @@ def workspace(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Find a workspace: poses to choose from, or the positions that count.
+    """Find a workspace: poses to choose from, or positions.
 
     poses (default): --count poses spread over the workspace, candidates for 'pincal select',
     that every leg reaches in its working mode, within joint limits and margins from
@@ -212,8 +212,11 @@ def _poses(
         plan = sample_configurations(mechanism, count, seed, least, done)
     poses = plan.poses
     write_poses(output, mechanism, plan, force=force)
-    box = zip(mechanism.platform.coordinates, poses.min(axis=0), poses.max(axis=0), strict=True)
-    remark(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f}' for n, a, b in box)}")
+    platform = mechanism.platform
+    box = zip(
+        platform.coordinates, poses.min(axis=0), poses.max(axis=0), platform.units, strict=True
+    )
+    remark(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f} {u}' for n, a, b, u in box)}")
     wrote(output)
     answer(poses_answer(mechanism, poses))
 

@@ -46,7 +46,7 @@ class Forecast:
     equations: int
     """Equations that a pose gives."""
     rank: Identifiability
-    """Of all parameters and external unknowns together; names are ``parameter (leg)``."""
+    """Of all parameters and external unknowns together; names are ``leg.parameter``."""
     covariance: Array
     """Cramér-Rao bound on what is determined, shape (n, n), parameters leg by leg."""
     lost: Array
@@ -93,11 +93,17 @@ class Forecast:
         """
         if not accuracy > 0.0:
             raise MeasurementError(f"the wanted accuracy is {accuracy:g} m; expected more than 0")
-        now = self.platform_error(poses).position
-        if not np.isfinite(now):
-            return np.inf
         least = np.ceil(self.rank.rank / self.equations)
-        return float(max(least, np.ceil(self.poses * (now / accuracy) ** 2)))
+        now = self.platform_error(poses).position
+        return float(max(least, poses_needed(self.poses, now, accuracy)))
+
+
+def poses_needed(count: int, error: float, accuracy: float) -> float:
+    """Return how many poses bring an error to an accuracy if ``count`` of them give the error.
+
+    Errors fall with the root of the number of poses; infinite if no number does.
+    """
+    return float(np.ceil(count * (error / accuracy) ** 2))
 
 
 def forecast(
@@ -190,7 +196,7 @@ def information_rows(
             f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {pose.shape[2]} freedoms. Measure more of the platform"
         )
-    names = [f"{name} ({leg.name})" for leg in mechanism.legs for name in leg.parameter_names]
+    names = [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names]
     return rows, [*names, *seen_names(platform, setup, kept)], kept
 
 

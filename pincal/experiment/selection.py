@@ -212,7 +212,7 @@ class _Search:
         self.tell("choosing common poses")
         legs = self.mechanism.legs
         blocks = block_diagonal([self.rows(leg.name, self.candidates) for leg in legs])
-        names = tuple(f"{name} ({leg.name})" for leg in legs for name in leg.parameter_names)
+        names = tuple(f"{leg.name}.{name}" for leg in legs for name in leg.parameter_names)
         return self._choose(blocks, count, names, self.mechanism.name)
 
     def _choose(

@@ -115,6 +115,7 @@ def _leg_results(task: Task, one: Robust, std: dict[str, Array]) -> list[LegResu
                         leg.nominal,
                         found.parameters[columns],
                         std[leg.name],
+                        [_given(task, leg.name, name) for name in leg.parameter_names],
                     )
                 ),
                 rank=rank,
@@ -140,6 +141,7 @@ def _parameters(
     nominal: Array,
     values: Array,
     std: Array,
+    given: Sequence[str] = (),
 ) -> list[IdentifiedParameter]:
     """Return parameters with their 95 % intervals."""
     half = (1 + _CONFIDENCE) / 2
@@ -154,9 +156,19 @@ def _parameters(
             std=float(error),
             low=float(value - quantile * error),
             high=float(value + quantile * error),
+            given=said,
         )
-        for name, unit, start, value, error in zip(names, units, nominal, values, std, strict=True)
+        for name, unit, start, value, error, said in zip(
+            names, units, nominal, values, std, given or [""] * len(names), strict=True
+        )
     ]
+
+
+def _given(task: Task, leg: str, name: str) -> str:
+    """Return what was said of a parameter beforehand."""
+    said = {"fixed": task.fixed, "tied": task.tied, "prior": task.priors}
+    kinds = [kind for kind, names in said.items() if {name, f"{leg}.{name}"} & set(names)]
+    return "fixed" if "fixed" in kinds else ", ".join(kinds)
 
 
 def _rms(values: Array) -> float:

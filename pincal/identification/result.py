@@ -40,6 +40,8 @@ class IdentifiedParameter:
     """Lower end of the 95 % confidence interval."""
     high: float
     """Upper end of the 95 % confidence interval."""
+    given: str = ""
+    """What was said of it beforehand: ``"fixed"``, ``"tied"``, ``"prior"``, or several."""
 
 
 @dataclass(frozen=True)
@@ -203,10 +205,10 @@ class CalibrationResult:
         ]
         for leg in self.legs:
             for p in leg.parameters:
-                half = (p.high - p.low) / 2
+                half = p.given if p.given == "fixed" else f"{(p.high - p.low) / 2:.2g}"
                 lines.append(
                     f"  {leg.name:8s} {p.name:10s} {p.nominal:12.6f} {p.identified:14.7f} "
-                    f"{half:10.2g} {p.unit}"
+                    f"{half:>10s} {p.unit}"
                 )
             lines.append(
                 f"  {leg.name:8s} rms residual {leg.rms_before:.3g} to {leg.rms_after:.3g} "

@@ -123,6 +123,7 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
         "identified": p.identified,
         "std": _number(p.std),
         "interval_95": [_number(p.low), _number(p.high)],
+        "given": p.given or None,
     }
 
 

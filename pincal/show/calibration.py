@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from rich.console import Group, RenderableType
+from rich.markup import escape
 
 from pincal.identification.result import CalibrationResult
+from pincal.identification.trust import Validation
 from pincal.model.measurements import Measurements
+from pincal.show.parameters import HEADS, given_cells, parameter_cells
+from pincal.show.series import observed_cells, observed_heads, readings_exact
 from pincal.show.tables import SHOWN, plain_table, titled, weak_in_words
 from pincal.show.workspace_errors import WorkspaceErrors
 
@@ -14,6 +18,7 @@ _NO_FREEDOM = (
     "nothing; measure more poses"
 )
 _ROWS = 20  # outliers in the table; all are in result.json
+_MISSES = 10.0  # by how many σ a fit misses its own rows that is none
 _LISTED = 4  # groups of what moves together
 
 
@@ -32,53 +37,41 @@ def calibration_tables(result: CalibrationResult) -> list[RenderableType]:
 def result_table(result: CalibrationResult) -> Group:
     """Return a table of identified parameters with 95 % intervals and changes."""
     table = plain_table()
-    table.add_column("leg")
-    table.add_column("parameter", no_wrap=True)
-    for name in ("nominal", "identified", "change", "± 95 %"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("unit")
-    table.add_column("σ", justify="right", no_wrap=True)
+    given = given_cells(result)
+    for name in ("leg", *HEADS, *([] if given is None else ["given"])):
+        words = name in ("leg", "parameter", "unit", "given")
+        table.add_column(escape(name), justify="left" if words else "right", no_wrap=name != "leg")
+    of_row = iter(given or ())
     for leg in result.legs:
         for i, p in enumerate(leg.parameters):
-            unit, factor = SHOWN[p.unit]
-            change = p.identified - p.nominal
             table.add_row(
                 leg.name if i == 0 else "",
-                p.name,
-                f"{p.nominal:.6f}",
-                f"{p.identified:.6f}",
-                f"{factor * change:+.4f}",
-                f"{factor * (p.high - p.low) / 2:.4f}",
-                unit,
-                f"{change / p.std:+.1f}" if p.std > 0 else "",
+                *parameter_cells(p),
+                *([] if given is None else [next(of_row)]),
                 end_section=i == len(leg.parameters) - 1,
             )
     return titled(
         f"{result.nominal.name} calibrated: {result.method}, {result.residual} residual",
         table,
-        "nominal and identified in m, rad and 1; change and its 95 % interval in the unit behind; "
-        "σ: how many standard errors the parameter moved",
+        "change [σ]: by how many standard errors the parameter moved",
     )
 
 
 def legs_table(result: CalibrationResult) -> Group:
     """Return a table of residuals, rank and condition of each leg."""
     table = plain_table()
-    table.add_column("leg")
-    for name in ("rms before", "rms after", "", "poses", "rank", "condition"):
-        table.add_column(name, justify="right" if name else "left")
+    exact = readings_exact(result)
+    sizes = () if exact else ("rms before", "rms after", "unit")
+    for name in ("leg", *sizes, "poses", "rank", "condition"):
+        table.add_column(name, justify="left" if name in ("leg", "unit") else "right")
     for leg in result.legs:
         unit, factor = SHOWN[leg.unit]
+        rms = (f"{factor * leg.rms_before:.4f}", f"{factor * leg.rms_after:.4f}", unit)
+        rank = f"{leg.rank} of {len(leg.parameters)}"
         table.add_row(
-            leg.name,
-            f"{factor * leg.rms_before:.4f}",
-            f"{factor * leg.rms_after:.4f}",
-            unit,
-            str(leg.n_poses),
-            f"{leg.rank} of {len(leg.parameters)}",
-            f"{leg.condition:.3g}",
+            leg.name, *(() if exact else rms), str(leg.n_poses), rank, f"{leg.condition:.3g}"
         )
-    return titled("residuals", table)
+    return titled("legs; readings were taken as exact" if exact else "residuals", table)
 
 
 def external_table(result: CalibrationResult) -> Group:
@@ -89,10 +82,7 @@ def external_table(result: CalibrationResult) -> Group:
     table.add_column("± 95 %", justify="right")
     table.add_column("unit")
     for p in result.external:
-        unit, factor = SHOWN[p.unit]
-        half = (p.high - p.low) / 2
-        plus_minus = f"{factor * half:.4f}" if half == half else ""
-        table.add_row(p.name, f"{factor * p.identified:.4f}", plus_minus, unit)
+        table.add_row(*(cell for place, cell in enumerate(parameter_cells(p)[:5]) if place != 1))
     return titled(
         "outside the mechanism",
         table,
@@ -105,13 +95,12 @@ def observed_table(result: CalibrationResult) -> Group:
     """Return a table of what was measured of the platform, and how it fits."""
     table = plain_table()
     table.add_column("measured")
-    for name in ("rows", "rms misfit", "σ"):
+    for name in ("rows", *observed_heads(result)):
         table.add_column(name, justify="right")
     table.add_column("unit")
     for one in result.observed:
-        unit, factor = SHOWN[one.unit]
-        cells = (str(one.count), f"{factor * one.rms:.4f}", f"{factor * one.sigma:.4f}")
-        table.add_row(one.name, *cells, unit)
+        sizes, unit = observed_cells(result, one)
+        table.add_row(one.name, str(one.count), *sizes, unit)
     return titled("the platform as measured, at the estimated poses", table)
 
 
@@ -194,6 +183,11 @@ def shortened(words: str) -> str:
     return f"{head}: {'; '.join(parts[:_LISTED])}; and {len(parts) - _LISTED} more (result.json)"
 
 
+def sentence(words: str) -> str:
+    """Return words of ours with a capital; never those that begin with a name, such as ``l``."""
+    return f"{words[0].upper()}{words[1:]}"
+
+
 def noise_in_words(result: CalibrationResult) -> str:
     """Return what the noise is, or how the residuals compare with it."""
     turns = "rad" in result.nominal.platform.units
@@ -234,22 +228,33 @@ def trust_in_words(result: CalibrationResult) -> list[str]:
     """Return how held-out rows and runs compare."""
     lines, one = [], result.validation
     if one is not None:
-        text = (
-            f"held-out rows ({one.folds} folds) miss by {one.held_out:.2f} σ, those of the fit by "
-            f"{one.fit:.2f}; {one.expected:.2f} are expected held out"
-        )
-        if one.position is not None:
+        text = held_out_in_words(one)
+        if one.position is not None and one.fit <= _MISSES:
             text += f". Platform: {1e3 * one.position[1]:.3g} mm held out, "
             text += f"{1e3 * one.position[0]:.3g} in the fit"
-        if one.orientation is not None:
-            text += f"; {1e3 * one.orientation[1]:.3g} mrad and {1e3 * one.orientation[0]:.3g}"
-        lines.append(text + " (measuring noise included)")
+            if one.orientation is not None:
+                text += f"; {1e3 * one.orientation[1]:.3g} mrad and {1e3 * one.orientation[0]:.3g}"
+            text += " (measuring noise included)"
+        lines.append(f"{text} ({one.folds} folds)")
     if result.runs is not None:
         lines.append(
             f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
             f"much as their standard errors say (p = {result.runs.p_value:.2g})"
         )
     return lines
+
+
+def held_out_in_words(one: Validation) -> str:
+    """Return how rows that a fit has not seen compare with its own, where these fit at all."""
+    if one.fit > _MISSES:
+        return (
+            f"held-out rows prove nothing: the fit misses even its own rows by {one.fit:.3g} σ. "
+            "Look at the warnings first"
+        )
+    return (
+        f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
+        f"{one.expected:.2f} σ are expected held out"
+    )
 
 
 def size_in_words(position: float, orientation: float, turns: bool) -> str:

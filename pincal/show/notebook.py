@@ -40,7 +40,7 @@ def mechanism_html(mechanism: Mechanism) -> str:
 
 def result_html(result: CalibrationResult) -> str:
     """Return a calibration: what to know first, parameters, residuals."""
-    from pincal.show.calibration import noise_in_words
+    from pincal.show.calibration import held_out_in_words, noise_in_words
     from pincal.show.markup import bullets, serialised, tag
     from pincal.show.markup_tables import outliers_table, parameters_table, residuals_table
     from pincal.show.report_answers import warnings_box
@@ -52,10 +52,7 @@ def result_html(result: CalibrationResult) -> str:
         return serialised(whole)
     lines = [noise_in_words(result)]
     if (one := result.validation) is not None:
-        lines.append(
-            f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
-            f"{one.expected:.2f} σ are expected held out"
-        )
+        lines.append(held_out_in_words(one))
     whole.append(bullets(lines))
     whole.append(parameters_table(result))
     whole.append(residuals_table(result))

@@ -92,8 +92,13 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     coordinates = zip(platform.coordinates, platform.units, scene.plan.poses.T, strict=True)
     rows = [_row("pose", name, *_READ[unit], values) for name, unit, values in coordinates]
     names, units = scene.mechanism.reading_names, scene.mechanism.reading_units
-    for name, unit, values in zip(names, units, scene.readings.T, strict=True):
-        rows.append(_row("reading", name, *_READ[unit], values))
+    by_readings = scene.mechanism.by_readings
+    readings = {"given" if by_readings else "nominal": scene.readings}
+    if scene.plan.readings is not None and not by_readings:
+        readings["measured"] = scene.plan.readings
+    for group, read in readings.items():
+        for name, unit, values in zip(names, units, read.T, strict=True):
+            rows.append(_row(group, name, *_READ[unit], values))
     if scene.identified:
         errors = zip(platform.freedoms, platform.units, scene.identified.errors.T, strict=True)
         rows += [_row("error", name, *_SMALL[unit], values) for name, unit, values in errors]

@@ -133,16 +133,21 @@ def shown_label(name: str) -> str:
 
 
 def draw_changes(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw the change of each parameter from nominal with its 95 % interval, in 1e-3 of SI."""
-    units = {p.name: p.unit for leg in result.legs for p in leg.parameters}
+    """Draw the change of each parameter from nominal with its 95 % interval, in 1e-3 of SI.
+
+    Fixed ones are left out.
+    """
+    shown = [p for leg in result.legs for p in leg.parameters if p.given != "fixed"]
+    units = {p.name: p.unit for p in shown}
     names = list(units)
     step = min(0.2, 0.8 / len(result.legs))
     for index, leg in enumerate(result.legs):
         shift = (index - (len(result.legs) - 1) / 2) * step
-        change = 1e3 * np.array([p.identified - p.nominal for p in leg.parameters])
-        half = 1e3 * np.array([(p.high - p.low) / 2 for p in leg.parameters])
+        free = [p for p in leg.parameters if p.given != "fixed"]
+        change = 1e3 * np.array([p.identified - p.nominal for p in free])
+        half = 1e3 * np.array([(p.high - p.low) / 2 for p in free])
         axes.errorbar(
-            np.array([names.index(p.name) for p in leg.parameters]) + shift,
+            np.array([names.index(p.name) for p in free]) + shift,
             change,
             half,
             fmt=MARKERS[index % len(MARKERS)],
@@ -152,7 +157,7 @@ def draw_changes(axes: Axes, result: CalibrationResult) -> Axes:
             capsize=3,
             lw=1,
         )
-    unit = {"m": "mm", "rad": "mrad", "1": "1e-3"}
+    unit = {"m": "mm", "rad": "mrad", "1": "10⁻³"}
     axes.axhline(0.0, color="0.5", lw=0.8)
     name_places(axes, names, [unit[units[name]] for name in names])
     axes.set_ylabel("identified − nominal, ± 95 %")

@@ -8,14 +8,32 @@ import numpy as np
 from scipy.stats import chi2 as chi2_law
 
 from pincal.identification.result import CalibrationResult
-from pincal.show.calibration import noise_in_words, size_in_words, warnings_of
+from pincal.show.calibration import (
+    held_out_in_words,
+    noise_in_words,
+    sentence,
+    size_in_words,
+    warnings_of,
+)
 from pincal.show.findings import Findings
 from pincal.show.markup import Element, bullets, tag
-from pincal.show.report_residuals import series_of
+from pincal.show.series import series_of
 from pincal.show.tables import SHOWN
 from pincal.show.workspace_errors import WorkspaceErrors
 
 _CLEARLY = 2.0  # by how much an error must fall to be called better without reserve
+_SIZE = "By how much?"
+#: Looks of verdicts, by colour, sign and border; those not listed ask for care.
+_TONES = {
+    "Yes": "good",
+    "Nothing speaks against it": "good",
+    "Hardly": "bad",
+    "No sign of it": "bad",
+    "There is no result": "bad",
+    "No": "bad",
+    "Not shown": "bad",
+    "Not as it stands": "bad",
+}
 _UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 
 
@@ -76,7 +94,8 @@ def doubtful(result: CalibrationResult) -> bool:
 
 
 def _answer(question: str, verdict: str, *lines: Element | str) -> Element:
-    card = tag("article", tag("h2", question), tag("p", verdict, class_="verdict"))
+    tone = "" if question == _SIZE else _TONES.get(verdict.partition(":")[0], "care")
+    card = tag("article", tag("h2", question), tag("p", verdict, class_="verdict"), class_=tone)
     card.extend(tag("p", line) if isinstance(line, str) else line for line in lines)
     return card
 
@@ -149,7 +168,7 @@ def _how_much(found: Findings, errors: WorkspaceErrors) -> Element:
         verdict += " or more"
     frames = ", but for where the base and platform frames lie" if found.result.moves_frames else ""
     return _answer(
-        "By how much?",
+        _SIZE,
         verdict,
         tag("table", tag("thead", head), rows, id="platform-error"),
         f"Error of the platform, root mean square {errors.where}{frames}. After: to be expected "
@@ -176,10 +195,7 @@ def _trust(result: CalibrationResult, notes: Sequence[str]) -> Element:
         verdict = "Not tested on rows left out"
     lines = [_chi2(result)]
     if (one := result.validation) is not None:
-        lines.append(
-            f"Held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
-            f"{one.expected:.2f} σ are expected held out."
-        )
+        lines.append(f"{sentence(held_out_in_words(one))}.")
     if result.runs is not None:
         lines.append(
             f"Parameters of {len(result.runs.runs)} runs spread {result.runs.ratio:.2f} times as "
@@ -195,10 +211,10 @@ def _chi2(result: CalibrationResult) -> str:
     """Return how the residuals compare with the noise."""
     words = noise_in_words(result)
     if result.noise_source == "estimated":
-        return f"{words[0].upper()}{words[1:]}; so residuals cannot contradict it."
+        return f"{sentence(words)}; so residuals cannot contradict it."
     dof = result.degrees_of_freedom
     if not dof:
-        return f"{words[0].upper()}{words[1:]}."
+        return f"{sentence(words)}."
     text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
     if result.loss == "none":
         low, high = chi2_law.ppf((0.025, 0.975), dof) / dof

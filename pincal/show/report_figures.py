@@ -20,8 +20,10 @@ from pincal.show.plots import (
     draw_changes,
     draw_mechanism,
     draw_poses,
+    name_places,
     shown_label,
 )
+from pincal.show.series import readings_exact, series_of
 from pincal.show.svg import drawing, figure
 from pincal.show.tables import SHOWN
 
@@ -105,11 +107,12 @@ def platform_figure(found: Findings) -> Element | None:
     parts = [("platform: position [mm]", {found.errors.where: _both(found, 0)})]
     if found.turns:
         parts.append(("orientation [mrad]", {found.errors.where: _both(found, 1)}))
-    unit, factor = SHOWN[found.result.legs[0].unit]
-    residuals = {
-        leg.name: (factor * leg.rms_before, factor * leg.rms_after) for leg in found.result.legs
-    }
-    parts.append((f"residuals [{unit}]", residuals))
+    residuals: dict[str, dict[str, tuple[float, float]]] = {}
+    for one in series_of(found.result):
+        unit, factor = SHOWN[one.unit]
+        before, after = (factor * float(np.sqrt(np.mean(v**2))) for v in (one.before, one.after))
+        residuals.setdefault(unit, {})[one.name] = (before, after)
+    parts += [(f"residuals [{unit}]", bars) for unit, bars in residuals.items()]
     with drawing():
         drawn = Figure(figsize=(WIDTH, 2.9), layout="constrained")
         widths = [1.4 + 0.6 * len(bars) for _, bars in parts]
@@ -130,7 +133,8 @@ def platform_figure(found: Findings) -> Element | None:
         drawn.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
         caption = (
             "Root mean square errors before and after: the platform's "
-            f"{found.errors.where} (after: as expected), and the residuals of each leg."
+            f"{found.errors.where} (after: as expected), and the residuals of each "
+            f"{'measured quantity' if readings_exact(found.result) else 'leg'}."
         )
         return figure(drawn, "figure-rms", caption, caption)
 
@@ -144,13 +148,17 @@ def _both(found: Findings, column: int) -> tuple[float, float]:
 def observability_figure(found: Findings) -> Element:
     """Return |R_ii| of each parameter and leg at the poses used (3-RRR paper, Fig. 9)."""
     mechanism = found.result.nominal
-    units = {"m"} if mechanism.by_readings else set(mechanism.reading_units)
-    unit = units.pop() if len(units) == 1 else "reading"
+    read = {"m"} if mechanism.by_readings else set(mechanism.reading_units)
+    unit = read.pop() if len(read) == 1 else "reading"
+    units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
     what = "the leg's end" if mechanism.by_readings else "the readings"
     with drawing():
         drawn = Figure(figsize=(WIDTH, 2.8), layout="constrained")
         axes = drawn.subplots()
-        draw_bars(axes, found.observability).set_ylabel(f"|R_ii| [{unit}/unit]")
+        draw_bars(axes, found.observability).set_ylabel("|R_ii|")
+        names = list(dict.fromkeys(name for own in found.observability.values() for name in own))
+        per = [unit if units[name] == "1" else f"{unit}/{units[name]}" for name in names]
+        name_places(axes, names, per)
         _legend_outside(axes)
         caption = (
             f"Observability of each parameter at the poses used: what it moves {what} by, all "

@@ -2,71 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from pincal.identification.result import CalibrationResult
 from pincal.show.colours import COLOURS
 from pincal.show.findings import Findings
 from pincal.show.markup import Element
-from pincal.show.markup_tables import residual_sigma
 from pincal.show.plots import MARKERS
 from pincal.show.report_figures import WIDTH
+from pincal.show.series import Series, series_of
 from pincal.show.svg import drawing, figure
 from pincal.show.tables import SHOWN
 
-Array = NDArray[np.float64]
 _MANY = 1500  # points from which they are drawn as pixels
 _BAD = COLOURS[1]
 _NAMED = 6  # outliers with their row written beside them
-
-
-@dataclass(frozen=True)
-class Series:
-    """Residuals of a leg, or of a measured quantity of the platform."""
-
-    name: str
-    unit: str
-    rows: NDArray[np.intp]
-    before: Array
-    after: Array
-    sigma: Array
-    of_leg: bool
-
-
-def series_of(result: CalibrationResult) -> list[Series]:
-    """Return the residuals that carry noise: the legs', or those of the platform as measured."""
-    legs = [
-        Series(
-            leg.name,
-            leg.unit,
-            leg.rows,
-            leg.residuals_before,
-            leg.residuals,
-            residual_sigma(result, leg),
-            of_leg=True,
-        )
-        for leg in result.legs
-    ]
-    if any((one.sigma > 0.0).any() for one in legs) or not result.observed:
-        return legs
-    return [
-        Series(
-            one.name,
-            one.unit,
-            one.rows,
-            one.residuals_before,
-            one.residuals,
-            one.sigmas,
-            of_leg=False,
-        )
-        for one in result.observed
-    ]
 
 
 def residuals_figure(found: Findings) -> Element:
@@ -162,7 +114,7 @@ def histogram_figure(found: Findings) -> Element | None:
         beyond = 100 * float((np.abs(white) > 1.96).mean()) if len(white) else 0.0
         caption = (
             "Distribution of the residuals after the calibration, each over its standard "
-            f"deviation; {beyond:.0f} % lie beyond 1.96, 5 % or, since they were fitted, less are "
-            "expected."
+            f"deviation; {beyond:.0f} % lie beyond 1.96. Expected are 5 %, or less: the fit makes "
+            "residuals smaller."
         )
         return figure(drawn, "figure-histogram", caption, caption)

@@ -10,7 +10,7 @@ import numpy as np
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import EVERY_LEG, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.show.calibration import shortened, trust_in_words
+from pincal.show.calibration import sentence, shortened, trust_in_words
 from pincal.show.findings import Findings
 from pincal.show.markup import Content, Element, bullets, table, tag
 from pincal.show.markup_tables import (
@@ -29,6 +29,7 @@ from pincal.show.report_figures import (
 )
 from pincal.show.report_maps import maps_figure
 from pincal.show.report_residuals import histogram_figure, residuals_figure
+from pincal.show.series import readings_exact
 from pincal.show.tables import SHOWN, weak_in_words
 
 _METHODS = {
@@ -49,6 +50,12 @@ _SOURCES = {
     "repeats": "from rows that were measured repeatedly",
     "estimated": "estimated from the residuals, since none was given",
 }
+
+
+_EXACT = (
+    "Readings were taken as exact: the legs close by construction, and what the model leaves over "
+    "is by how much the platform misses what was measured of it."
+)
 
 
 def section(name: str, title: str, *content: Content) -> Element:
@@ -169,14 +176,12 @@ def parameters(found: Findings) -> Element:
 
 def residuals(found: Findings) -> Element:
     """Return residuals by leg, row and size."""
-    return section(
-        "residuals",
-        "Residuals before and after",
-        residuals_table(found.result),
-        residuals_figure(found),
-        histogram_figure(found),
-        observed_table(found.result) if found.result.observed else None,
-    )
+    observed = observed_table(found.result) if found.result.observed else None
+    figures = (residuals_figure(found), histogram_figure(found))
+    title = "Residuals before and after"
+    if readings_exact(found.result):
+        return section("residuals", title, tag("p", _EXACT), observed, *figures)
+    return section("residuals", title, residuals_table(found.result), *figures, observed)
 
 
 def platform(found: Findings) -> Element:
@@ -205,7 +210,7 @@ def observability(found: Findings) -> Element:
         "Observability",
         table(caption, ("leg", "rank", "condition"), rows, groups=1),
         observability_figure(found),
-        bullets(f"{line[0].upper()}{line[1:]}." for line in weak) if weak else None,
+        bullets(f"{line}." for line in weak) if weak else None,
     )
 
 
@@ -237,7 +242,8 @@ def trust(result: CalibrationResult, notes: Sequence[str]) -> Element:
         f"{one.restrictions} parameters fewer)."
         for one in result.ties
     ]
-    lines += [f"{text[0].upper()}{text[1:]}." for text in (*trust_in_words(result), *notes)]
+    lines += [f"{sentence(text)}." for text in trust_in_words(result)]
+    lines += [f"{text}." for text in notes]
     content: list[Content] = [bullets(lines or ["No rows were held out, and no ties tested."])]
     if (runs := result.runs) is not None:
         content.append(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from rich import box
 from rich.console import Group
 from rich.markup import escape
@@ -12,18 +11,15 @@ from rich.table import Table
 from rich.text import Text
 
 from pincal.experiment.configuration_choice import ConfigurationChoice
-from pincal.experiment.forecast import Forecast
-from pincal.experiment.platform_error import PlatformError
 from pincal.experiment.selection import Selection
 from pincal.experiment.simulation import Accuracy
 from pincal.experiment.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import SymmetryGroup
 
-#: How units are shown: as what, and how many of it.
-SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("1e-3", 1e3)}
+#: How small quantities are shown, errors and residuals: in what, and how many of it.
+SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("", 1.0)}
 _WEAK_LINES = 3  # pairs of parameters in words
-_LISTED = 6  # groups of what moves together
 
 
 def plain_table() -> Table:
@@ -118,9 +114,7 @@ def weak_in_words(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     alike: dict[tuple[str, ...], list[WeakPair]] = {}
     for pair in pairs:
         (leg, name), (other_leg, other) = pair.first, pair.second
-        names = (
-            (name, other) if leg == other_leg else (f"{name} of {leg}", f"{other} of {other_leg}")
-        )
+        names = (name, other) if leg == other_leg else (f"{leg}.{name}", f"{other_leg}.{other}")
         alike.setdefault((*names, "" if leg == other_leg else leg), []).append(pair)
     lines = [_weak_line(key[:2], own, mechanism) for key, own in alike.items()]
     if len(lines) > _WEAK_LINES:
@@ -133,17 +127,21 @@ def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mec
     worst = pairs[0]
     legs = list(dict.fromkeys(pair.first[0] for pair in pairs))
     every = "every leg" if len(legs) == len(mechanism.legs) > 1 else ", ".join(legs)
-    whose = f" of {every}" if worst.first[0] == worst.second[0] else ""
+    own = worst.first[0] == worst.second[0]
+    if own and len(legs) == 1:
+        names = tuple(f"{legs[0]}.{name}" for name in names)
+    whose = f" of {every}" if own and len(legs) > 1 else ""
     parts = []
     for place, (leg, name) in enumerate((worst.first, worst.second)):
         unit, factor = SHOWN[mechanism.leg(leg).units[name]]
         parts.append(
-            f"± {factor * worst.known[place]:.3g} {unit} instead of "
+            f"{' '.join([f'{factor * worst.known[place]:.3g}', unit]).strip()} instead of "
             f"{factor * worst.std[place]:.3g} for {names[place]}"
         )
     return (
         f"{names[0]} and {names[1]}{whose} are weakly told apart, correlation "
-        f"{worst.correlation:+.3f}: if the other one were known, {' and '.join(parts)}"
+        f"{worst.correlation:+.3f}: if the other one were known, the standard error would be "
+        f"{' and '.join(parts)}"
     )
 
 
@@ -165,59 +163,3 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Group:
     lost = rank.n_params - rank.rank
     words = f"; {lost} directions are not told by any candidate" if lost else ""
     return titled(f"{mechanism.name}: configurations for all parameters together{words}", table)
-
-
-def forecast_table(found: Forecast, error: PlatformError, planned: int) -> Group:
-    """Return what a plan will tell: standard errors by parameter and leg, and what they mean."""
-    mechanism = found.mechanism
-    table = plain_table()
-    table.add_column("parameter")
-    table.add_column("unit")
-    for name in mechanism.leg_names:
-        table.add_column(f"± {name}", justify="right")
-    errors: dict[str, dict[str, float]] = {}
-    place = 0
-    for leg in mechanism.legs:
-        own = found.std[place : place + len(leg.parameters)]
-        errors[leg.name] = dict(zip(leg.parameter_names, own.tolist(), strict=True))
-        place += len(leg.parameters)
-    units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
-    for name, unit in units.items():
-        shown, factor = SHOWN[unit]
-        cells = [errors[leg].get(name) for leg in mechanism.leg_names]
-        table.add_row(
-            name,
-            shown,
-            *("" if v is None else f"{factor * v:.4g}" if v < np.inf else "—" for v in cells),
-        )
-    rank = found.rank
-    measured = ", ".join(found.measured) or "nothing"
-    lines = [f"rank {rank.rank} of {rank.n_params}"]
-    if rank.complete:
-        lines[0] += f", condition {rank.condition:.3g}"
-    else:
-        groups = rank.in_words().split("; ")
-        more = f"; and {len(groups) - _LISTED} more (--json)" if len(groups) > _LISTED else ""
-        lines.append(f"not determined: {'; '.join(groups[:_LISTED])}{more}")
-    if count := found.gauge.shape[1]:
-        lines.append(
-            f"{count} freedom{'s' if count > 1 else ''} of frames or redundant parameters cannot "
-            "be told by such measurements: of equal parameters those nearest to nominal are meant, "
-            "and errors of the platform are what no motion of the base or platform frame explains"
-        )
-    if found.lost.shape[1]:
-        lines.append("— : not determined")
-    lines += weak_in_words(found.weak, mechanism)
-    lines.append(
-        f"platform over the workspace: {_amount(error.position, 'mm')}"
-        + (f", {_amount(error.orientation, 'mrad')}" if "rad" in mechanism.platform.units else "")
-        + ", root mean square"
-    )
-    if found.poses < planned:
-        lines.append(f"{planned - found.poses} of {planned} poses are out of reach")
-    title = f"{mechanism.name}: standard errors from {found.poses} poses, measured: {measured}"
-    return titled(title, table, "\n".join(lines))
-
-
-def _amount(value: float, unit: str) -> str:
-    return f"{1e3 * value:.4g} {unit}" if value < np.inf else f"not determined [{unit}]"

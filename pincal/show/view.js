@@ -54,7 +54,13 @@
   const cells = data.rows.map((row, index) => {
     const table = find("rows");
     if (index === 0 || data.rows[index - 1].group !== row.group) {
-      const heads = { pose: "pose", reading: "readings", error: "identified goes off by" };
+      const heads = {
+        pose: "pose",
+        measured: "readings, as measured",
+        given: "readings, as given",
+        nominal: "readings of the nominal model",
+        error: "identified goes off by",
+      };
       const head = element("th", heads[row.group], element("tr", "", table));
       head.colSpan = 2;
     }
