@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
-from arms import ARMS, loaded, reference
+from arms import ARMS, loaded, reference, robot
+from random_mechanisms import reached
 from test_closure import check_derivative
 
 import pincal
@@ -28,6 +32,22 @@ def test_forward_kinematics_are_pinocchios(name: str) -> None:
         matrices = one.platform.transforms(found.poses).as_matrix()
         wanted = reference(name).poses(one.legs[0].nominal, readings)
         np.testing.assert_allclose(matrices, wanted, atol=1e-12)
+
+
+def test_axes_may_be_oblique(tmp_path: Path) -> None:
+    """Joints about no coordinate axis, set off and turned: poses by products of matrices."""
+    text = "a|revolute|.6 0 .8|.3 .2 .1\nb|prismatic|0 .6 -.8|.35 0 .1\nc|revolute|0 .8 .6|0 .2 .4"
+    file = tmp_path / "three.urdf"
+    file.write_text(robot(text).replace("<origin ", '<origin rpy=".3 -.2 .5" '))
+    mechanism = pincal.load_arm(file, "l3")
+    readings = np.random.default_rng(0).uniform(-0.5, 0.5, (5, 3))
+    found = pincal.forward(mechanism, readings)
+    matrices = mechanism.platform.transforms(found.poses).as_matrix()
+    joints, moving = mechanism.legs[0].joints, mechanism.legs[0].moving
+    for T, q in zip(matrices, readings, strict=True):
+        at = dict(zip((joint.name for joint in moving), q, strict=True))
+        wanted = reached(tuple(replace(j, home=at.get(j.name, 0.0)) for j in joints))
+        np.testing.assert_allclose(T, wanted, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", ARMS)
