@@ -613,7 +613,7 @@ def test_failed_simulation_leaves_no_truth(work: Path, monkeypatch: pytest.Monke
 
 def test_check_tells_a_home_that_does_not_close(work: Path) -> None:
     """'check' says which leg misses the platform at home, by how much, and what home is for."""
-    edited("robot/mechanism.yaml", "home: {shoulder:", "home: {shoulder: 0.7, elbow: -1} #")()
+    edited("robot/mechanism.yaml", "shoulder: 1.047197551197", "shoulder: 0.95")()
     outcome = run("check", "robot")
     assert outcome.code == 0
-    assert "leg_1: home is rough, it closes within 0.78 m only" in " ".join(outcome.out.split())
+    assert "leg_1: home is rough, it closes within 0.22 m only" in " ".join(outcome.out.split())

@@ -20,6 +20,7 @@ from pincal.errors import FileError, MechanismError, PincalError
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import tips_by_reader
 from pincal.model import files
+from pincal.model.home import home_gap
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
 Edit = tuple[str, str, str]  # file, text in it, replacement (everywhere)
@@ -268,6 +269,7 @@ LIMITS = 'lower="-6.283185307179586" upper="6.283185307179586"'
 LIMIT = f'<limit effort="0" velocity="0" {LIMITS}/>'
 ELBOW = '<origin xyz="1.5 0.0 0.0" rpy="0.0 0.0 0.0"/>'
 HOME = "home: {shoulder:"
+SHOULDERS = (1.047197551197, 3.14159265359, -1.047197551197)
 
 
 def more(text: str) -> Edit:
@@ -547,7 +549,7 @@ def test_urdf_entities_read_no_files(folder: Path) -> None:
 def test_rough_home_says_only_on_which_side_a_leg_bends(folder: Path) -> None:
     """A home where a leg's tip misses its platform point gives the readings of the exact one."""
     exact = pincal.load_mechanism(folder)
-    edit(folder, (YAML, HOME, "home: {shoulder: 0.7, elbow: -1.0} #"))
+    edit(folder, *((YAML, f"shoulder: {at},", f"shoulder: {at - 0.1},") for at in SHOULDERS))
     rough = pincal.load_mechanism(folder)
     assert rough != exact
     poses = pincal.sample_workspace(exact, 200)
@@ -562,3 +564,44 @@ def test_home_within_disturbance_still_loads(tmp_path: Path) -> None:
     leg = three.legs[0].with_home(three.legs[0].home + 1e-3)
     near = replace(three, legs=(leg, *three.legs[1:]))
     assert pincal.load_mechanism(near.save(tmp_path / "m")) == near
+
+
+WIDE = {
+    "degrees": (HOME, "home: {shoulder: 60, elbow: -60} #", "is this degrees (1.0472 rad)?"),
+    "wrong-side": (HOME, "home: {shoulder: 1.047, elbow: 1.047} #", "'home' of leg_1"),
+    "platform": ("y: 0.0, phi: 0.0}", "y: 0.0, phi: 30.0}", "phi of the platform is 30"),
+    "millimetres": ("home: {x: 0.0, y", "home: {x: 400, y", "or of the platform"),
+}
+
+
+@pytest.mark.parametrize("case", WIDE)
+def test_home_that_leaves_a_leg_open_is_refused(case: str, folder: Path) -> None:
+    """A gap at home beyond a tenth of the leg is refused; angles beyond a turn are asked about."""
+    old, new, said = WIDE[case]
+    edit(folder, (YAML, old, new))
+    with pytest.raises(MechanismError, match="leg_1 does not close at home") as caught:
+        pincal.load_mechanism(folder)
+    assert said in str(caught.value)
+
+
+def test_home_beyond_a_turn_that_closes_is_taken(folder: Path) -> None:
+    """Positions of a turn more close the leg as well: nothing is asked about them."""
+    exact = pincal.load_mechanism(folder)
+    turns = ((YAML, f"shoulder: {at},", f"shoulder: {at + 2 * np.pi},") for at in SHOULDERS)
+    edit(folder, *turns)
+    turned = pincal.load_mechanism(folder)
+    poses = pincal.sample_workspace(exact, 50)
+    assert pincal.in_workspace(turned, poses).all()
+
+
+@pytest.mark.parametrize("name", pincal.bundled())
+def test_gap_at_home_is_that_of_the_closure(name: str) -> None:
+    """The gap of the model's own chain is that of Pinocchio's closure, home bent by 0.01."""
+    mechanism = pincal.load_mechanism(name)
+    T = mechanism.platform.home_pose.as_matrix()
+    for leg in mechanism.legs:
+        bent = leg.with_home(leg.home + 0.01)
+        c = LegClosure(bent, mechanism.platform).evaluate(bent.home[None], T).gap[0]
+        n = len([row for row in mechanism.platform.closing(leg.closes) if row < 3])
+        expected = max(np.linalg.norm(c[:n]), np.linalg.norm(c[n:]))
+        assert home_gap(bent, mechanism.platform) == pytest.approx(expected, rel=1e-9)

@@ -39,9 +39,9 @@ from pincal.formats.tree_urdf import loops_urdf, loops_yaml
 from pincal.kinematics.closed_forms import closed_form, pointing_slide
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.forest import cross
-from pincal.kinematics.links import link_placements
 from pincal.kinematics.reach import reach_of
 from pincal.model.leg import Leg
+from pincal.model.links import link_placements
 
 FAMILIES = ("5R", "3RRR", "6UPS", "3RPS", "linear_delta", "4cable")
 

@@ -19,8 +19,8 @@ import pytest
 from command_line import contents, done, run
 
 import pincal
-from pincal.kinematics.links import link_placements
 from pincal.kinematics.readers import skeleton
+from pincal.model.links import link_placements
 from pincal.show.bodies import Body, body
 from pincal.show.scene import scene
 from pincal.symmetry.domain import in_domain

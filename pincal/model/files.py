@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from pincal.errors import FileError, MechanismError
+from pincal.model.home import check_home
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import writing
@@ -97,7 +98,10 @@ def _mechanism(spec: MechanismSpec, folder: Path) -> Mechanism:
         )
     points = read_points(_inside(folder, spec.platform.urdf))
     legs = tuple(_leg(leg, folder, points) for leg in spec.legs)
-    return Mechanism(spec.name, platform, legs, spec.description)
+    mechanism = Mechanism(spec.name, platform, legs, spec.description)
+    for leg in legs:
+        check_home(leg, platform)
+    return mechanism
 
 
 def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
