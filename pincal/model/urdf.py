@@ -170,6 +170,22 @@ def read_joint(element: etree._Element, path: Path) -> Joint:
     return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
 
 
+def turns_beyond(path: Path) -> tuple[str, ...]:
+    """Return in words the origins of a URDF whose rpy exceeds a full turn: degrees, perhaps.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: not well-formed, or a number that is none.
+    """
+    found = []
+    for element in read_xml(path, "robot").iterfind("joint/origin"):
+        where = f"{path}, line {element.sourceline}"
+        rpy = _triple(element, "rpy", where, (0.0, 0.0, 0.0))
+        if np.abs(rpy).max() > 2 * np.pi:
+            found.append(f"{where}: rpy={element.get('rpy')!r}")
+    return tuple(found)
+
+
 def _unlimited(element: etree._Element) -> bool:
     """Return whether a <limit> says no range, as CAD exporters write for joints that may turn."""
     limit = element.find("limit")
