@@ -431,6 +431,14 @@ BAD = {
     "pose-unreachable": Case(
         "inverse 3RRR t.csv", ["t.csv", "row 2", "leg_1", "reach"], table(POSES, "0,0,0", "9,0,0")
     ),
+    "plan-unreachable": Case(
+        "identifiability 3RRR t.csv", ["no pose of t.csv", "leg_1"], table(POSES, "5,0,0")
+    ),
+    "candidates-unreachable": Case(
+        "select 3RRR --candidates t.csv --unknown-frame -o new.csv",
+        ["no pose of t.csv", "leg_1"],
+        table(POSES, "5,0,0"),
+    ),
     "pose-far-beyond": Case(
         "inverse 3RRR t.csv", ["t.csv", "row 2"], table(POSES, "0,0,0", "1e11,0,0")
     ),
