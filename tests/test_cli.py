@@ -431,13 +431,24 @@ BAD = {
     "pose-unreachable": Case(
         "inverse 3RRR t.csv", ["t.csv", "row 2", "leg_1", "reach"], table(POSES, "0,0,0", "9,0,0")
     ),
-    "plan-unreachable": Case(
-        "identifiability 3RRR t.csv", ["no pose of t.csv", "leg_1"], table(POSES, "5,0,0")
-    ),
     "candidates-unreachable": Case(
         "select 3RRR --candidates t.csv --unknown-frame -o new.csv",
         ["no pose of t.csv", "leg_1"],
         table(POSES, "5,0,0"),
+    ),
+    "target-far-off": Case(
+        "select 3RRR --candidates plan.csv --setup s.yaml -o new.csv",
+        ["'platform'", "50 m", "millimetres"],
+        lambda: Path("s.yaml").write_text(
+            "pincal_setup: 1\ntargets: {platform: {offset: [0.2, 0, 50]}}\n"
+        ),
+    ),
+    "distance-missing": Case(
+        "calibrate 3RRR measured.csv --method latent --setup s.yaml",
+        ["measured.csv", "no column 'wire'", "'wire [m]'"],
+        lambda: Path("s.yaml").write_text(
+            "pincal_setup: 1\ndistances: {wire: {from: [2.0, 0, 0]}}\n"
+        ),
     ),
     "pose-far-beyond": Case(
         "inverse 3RRR t.csv", ["t.csv", "row 2"], table(POSES, "0,0,0", "1e11,0,0")
@@ -625,3 +636,11 @@ def test_check_tells_a_home_that_does_not_close(work: Path) -> None:
     outcome = run("check", "robot")
     assert outcome.code == 0
     assert "leg_1: home is rough, it closes within 0.22 m only" in " ".join(outcome.out.split())
+
+
+def test_identifiability_of_a_plan_out_of_reach(work: Path) -> None:
+    """A plan of which no pose is in reach is named as such, not blamed on what is measured."""
+    table(POSES, "5,0,0")()
+    outcome = run("identifiability", "3RRR", "t.csv")
+    assert outcome.code == 2
+    assert "no pose of t.csv is in reach of '3RRR': row 1 is out of reach" in outcome.trouble

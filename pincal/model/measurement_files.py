@@ -66,8 +66,14 @@ def read_measurements(
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
-    more = (setup or Setup()).columns(mechanism)
+    setup = setup or Setup()
+    more = setup.columns(mechanism)
     table = _read(path, mechanism, more)
+    if missing := [name for name in setup.distances if name not in table]:
+        raise MeasurementError(
+            f"{table.path}: no column {missing[0]!r}, a distance that the setup names; expected "
+            f"'{missing[0]} [m]'"
+        )
     platform = mechanism.platform
     if platform.kind == "spatial" and partial and _way(table) is None:
         more |= {name: "rad" for name in SINGLE_ANGLES if name in table}
