@@ -376,7 +376,7 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
     "key-unknown": ([(YAML, "description:", "remark:")], [YAML, "'remark'", "unknown"]),
     "zero-word": ([(YAML, "zero: 0.0", "zero: house")], [YAML, "sensors.0.zero", "'home'"]),
     "zero-infinite": ([(YAML, "zero: 0.0", "zero: .inf")], [YAML, "sensors.0.zero", "'home'"]),
-    "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensors.0.form"]),
+    "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensors.0.forms", "'form'?"]),
     "key-missing": ([(YAML, "  tip: tip\n", "")], [YAML, "tip", "missing"]),
     "key-twice": ([(YAML, "    k: 1.0\n", "    k: 1.0\n    k: 1.1\n")], [YAML, "k"]),
     "type-wrong": ([(YAML, "    l: 1.5\n", "    l: long\n")], [YAML, "parameters.l", "'long'"]),
@@ -605,3 +605,31 @@ def test_gap_at_home_is_that_of_the_closure(name: str) -> None:
         n = len([row for row in mechanism.platform.closing(leg.closes) if row < 3])
         expected = max(np.linalg.norm(c[:n]), np.linalg.norm(c[n:]))
         assert home_gap(bent, mechanism.platform) == pytest.approx(expected, rel=1e-9)
+
+
+FAULTS = {
+    "brace": ("phi: 0.0}", "phi: 0.0", [", line 9", "begins in line 8", "expected ',' or '}'"]),
+    "tab": ("  kind: planar", "\tkind: planar", [", line 6", "not by tabs"]),
+    "misspelt": ("  sensors:", "  sensor:", [", line 15", "legs.leg_1.sensor'", "'sensors'?"]),
+    "misspelt-choice": ("offset: gamma", "ofset: gamma", [", line 16", "mean 'offset'?"]),
+    "unlike": ("form: joint", "quark: joint", [", line 16", "expected joint, form, gain"]),
+    "decimal-comma": ("    l: 1.5", "    l: 0,02", [", line 18", "decimal point", "'0,02'"]),
+    "unit": ("- {x: l}", "- {x: 0.02mm}", [", line 30", "elbow.0.x:", "without a unit"]),
+    "key-number": ("{shoulder:", "{shoulder: 0,5, q:", [", line 14", "decimals take a point"]),
+    "missing": ("  tip: tip\n", "", [", line 10", "'legs.leg_1.tip' is missing"]),
+}
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_fault_in_yaml_is_told_by_line_and_key(case: str, folder: Path) -> None:
+    """The line is that of the fault, an unknown key comes before what is missing for it."""
+    old, new, said = FAULTS[case]
+    text = (folder / YAML).read_text()
+    assert old in text
+    (folder / YAML).write_text(text.replace(old, new, 1))
+    with pytest.raises(MechanismError) as caught:
+        pincal.load_mechanism(folder)
+    message = str(caught.value)
+    assert [part for part in said if part not in message] == [], message
+    assert "Value error" not in message
+    assert "more)" not in message or case == "unlike"

@@ -763,3 +763,14 @@ def test_degrees_and_millimetres_are_asked_about(tmp_path: Path) -> None:
     (tmp_path / "large.urdf").write_text(large)
     outcome = done("import", tmp_path / "large.urdf", "--tip", "tool0", "-o", tmp_path / "large")
     assert "is this millimetres?" in outcome.err
+
+
+def test_misspelt_key_of_loops_is_named(tmp_path: Path) -> None:
+    """A key like one that is absent is asked about; keys of other tools stay ignored."""
+    file = written(
+        tmp_path,
+        urdf("fivebar", FIVE_BAR, "base"),
+        FIVE_BAR_YAML.replace("closed_loop:", "closed_loops:"),
+    )
+    with pytest.raises(pincal.MechanismError, match="'closed_loops'; did you mean 'closed_loop'"):
+        read(file)

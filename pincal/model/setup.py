@@ -17,7 +17,8 @@ from pydantic import Field
 from pincal.errors import MeasurementError
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
-from pincal.model.schema import Name, Number, Strict, read_yaml
+from pincal.model.schema import Name, Number, Strict
+from pincal.model.yaml_files import read_yaml
 
 Point = tuple[float, float, float]
 _FAR = 3.0  # times the longest leg: no target is that far from its platform
