@@ -633,3 +633,14 @@ def test_fault_in_yaml_is_told_by_line_and_key(case: str, folder: Path) -> None:
     assert [part for part in said if part not in message] == [], message
     assert "Value error" not in message
     assert "more)" not in message or case == "unlike"
+
+
+def test_fault_in_xml_is_told_by_its_line(folder: Path) -> None:
+    """A URDF that does not parse is named with the line, once."""
+    (folder / LEG).write_text('<robot name="a">\n<link name="b">\n</robot>\n')
+    with pytest.raises(MechanismError) as caught:
+        pincal.load_mechanism(folder)
+    message = str(caught.value)
+    assert f"{LEG}, line 3: the file does not parse: Opening and ending tag mismatch" in message
+    assert "<string>" not in message
+    assert "column" not in message
