@@ -228,7 +228,11 @@ BAD: dict[str, tuple[bytes, list[str]]] = {
     "tabs": (table(ROW).replace(b",", b"\t"), ["commas"]),
     "quote-open": (table('"1,2,3,4,5,6'), ["CSV", "line 2"]),
     "latin-1": (under("phi [rad]", "phi [°]").decode().encode("latin-1"), ["UTF-8"]),
-    "utf-16": (table(ROW).decode().encode("utf-16"), ["UTF-8"]),
+    "utf-16": (table(ROW).decode().encode("utf-16"), ["UTF-16 text", "CSV UTF-8"]),
+    "utf-16-big": (b"\xfe\xff" + table(ROW).decode().encode("utf-16-be"), ["UTF-16 text"]),
+    "utf-16-bare": (table(ROW).decode().encode("utf-16-le"), ["UTF-16 text", "CSV UTF-8"]),
+    "utf-16-bare-big": (table(ROW).decode().encode("utf-16-be"), ["UTF-16 text"]),
+    "nul": (table(ROW, "1,2,\0,4,5,6"), ["line 3", "NUL"]),
     "binary": (bytes(range(256)), ["UTF-8"]),
     "set-unknown": (
         table("leg_1," + ROW, "leg_9," + ROW, header="set," + HEADER),

@@ -12,6 +12,7 @@ from pincal.errors import FileError, PincalError
 LARGEST = 1e12
 """Size of a mechanism's numbers, [m] or [rad], beyond which its squares mean nothing."""
 _CHUNK = 64 * 1024  # bytes
+_UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)
 _LINE = re.compile("\r\n|\r|\n")
 
 
@@ -58,15 +59,21 @@ def read_text(
 
     Raises:
         FileError: the file is missing or cannot be read.
-        PincalError: of the given type: it is too large, or not UTF-8.
+        PincalError: of the given type: it is too large, not UTF-8, or no text.
     """
     data = read_bytes(path, largest, error_type, pipe=pipe)
+    excel = " (in Excel: CSV UTF-8)" if path.suffix.lower() == ".csv" else ""
+    if _UTF16.match(data):
+        raise error_type(f"{path}: UTF-16 text; save it as UTF-8{excel}")
+    if (nul := data.find(b"\0")) >= 0:
+        line = len(_LINE.findall(data[:nul].decode("latin-1"))) + 1
+        raise error_type(f"{path}: no text, line {line} has NUL bytes; save it as UTF-8{excel}")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = len(_LINE.findall(data[: error.start].decode("latin-1"))) + 1
         raise error_type(
-            f"{path}: not UTF-8 text ({error.reason} in line {line}); save it in that encoding"
+            f"{path}: not UTF-8 text ({error.reason} in line {line}); save it as UTF-8{excel}"
         ) from error
 
 
