@@ -199,7 +199,7 @@ BAD: dict[str, tuple[bytes, list[str]]] = {
     "header-only": (table(), ["rows"]),
     "column-missing": (
         table("1,2,4,5,6", header=HEADER.replace("phi [rad],", "")),
-        ["'phi'", "'phi [rad]'", "leg_1"],
+        ["'phi'", "'phi [rad]'", "leg_1", "--method latent"],
     ),
     "reading-missing": (
         table("1,2,3,4,5", header=HEADER.replace(",leg_3 [rad]", "")),
@@ -213,13 +213,16 @@ BAD: dict[str, tuple[bytes, list[str]]] = {
     "header-malformed": (under("x [m]", "x [m"), ["'x [m'", "unit"]),
     "header-nameless": (under("x [m]", "[m]"), ["'[m]'", "name"]),
     "header-twice": (under("y [m]", "x [mm]"), ["'x'", "twice"]),
-    "cell-text": (table(ROW, "1,two,3,4,5,6"), ["line 3", "'two'", "'y'"]),
-    "cell-empty": (table(ROW, ROW, "1,2,,4,5,6"), ["line 4", "''", "'phi'"]),
+    "cell-text": (table(ROW, "1,two,3,4,5,6"), ["line 3", "'two' in column 'y' is no number;"]),
+    "cell-empty": (table(ROW, ROW, "1,2,,4,5,6"), ["line 4: empty cell in column 'phi'"]),
     "cell-nan": (table("1,2,3,nan,5,6"), ["line 2", "'nan'", "'leg_1'"]),
     "cell-inf": (table(ROW, "-inf,2,3,4,5,6"), ["line 3", "'-inf'", "'x'"]),
     "cell-overflow": (table("1,1e999,3,4,5,6"), ["line 2", "'1e999'", "'y'"]),
     "cell-after-blank-rows": (table("", ROW, "", "1,2,x,4,5,6"), ["line 5", "'x'", "'phi'"]),
-    "cell-comma-decimal": (table('"1,5",2,3,4,5,6'), ["line 2", "'1,5'", "'x'"]),
+    "cell-comma-decimal": (
+        table('"1,5",2,3,4,5,6'),
+        ["line 2", "'1,5'", "'x'", "decimals take a point"],
+    ),
     "cell-comma-decimal-bare": (table("1,5,2,3,4,5,6"), ["line 2", "7 cells", "6"]),
     "cell-underscore": (table("1_0,2,3,4,5,6"), ["line 2", "'1_0'", "'x'"]),
     "row-short": (table(ROW, "1,2,3"), ["line 3", "3 cells", "6"]),

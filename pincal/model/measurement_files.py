@@ -77,6 +77,8 @@ def read_measurements(
     platform = mechanism.platform
     if platform.kind == "spatial" and partial and _way(table) is None:
         more |= {name: "rad" for name in SINGLE_ANGLES if name in table}
+    if not partial:
+        _whole(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
     extra = {
         name: table.numbers(name, unit, blank=True)
@@ -149,8 +151,7 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     told = [name for name in places if name in table]
     if not partial and told and len(told) < len(places):
         raise MeasurementError(
-            f"{table.path}: of {', '.join(places)} only {', '.join(told)}; add the others. (Poses "
-            "that were measured in part are calibrated with by --method latent)"
+            f"{table.path}: of {', '.join(places)} only {', '.join(told)}; add the others"
         )
 
     def numbers(name: str, unit: str) -> Array:
@@ -173,6 +174,25 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     at = RigidTransform.from_components(np.zeros((int(given.sum()), 3)), rotation)
     turns[given] = platform.coordinates_of(at)[:, 3:]
     return np.concatenate((position, turns), axis=1)
+
+
+def _whole(table: Table, mechanism: Mechanism) -> None:
+    """Raise if a table has some columns of the pose, but not all.
+
+    Raises:
+        MeasurementError: it was measured in part.
+    """
+    platform = mechanism.platform
+    places = platform.units.count("m")
+    needed = platform.coordinates[: places if _way(table) else None]
+    missing = [name for name in needed if name not in table]
+    if missing and len(missing) < len(needed):
+        unit = platform.units[platform.coordinates.index(missing[0])]
+        raise MeasurementError(
+            f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} [{unit}]', or say "
+            "--method latent, which calibrates with poses that were measured in part. The file "
+            f"has {', '.join(table.units)}"
+        )
 
 
 def _names(table: Table, column: str) -> tuple[str, ...] | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,11 +98,23 @@ class Table:
         if not (sound | empty).all():
             row = int(np.argmin(sound | empty))
             raise MeasurementError(
-                f"{self.path}, line {self.lines[row]}: {self.text[column][row][:100]!r} in column "
-                f"{column!r} is not a finite number, at most {LARGEST:g} in size; correct it or "
-                "remove the row"
+                f"{self.path}, line {self.lines[row]}: "
+                f"{_unsound(self.text[column][row], column, values[row])}; correct it or remove "
+                "the row"
             )
         return values
+
+
+def _unsound(cell: str, column: str, value: float) -> str:
+    """Return why a cell is no number that can be used."""
+    if not cell.strip():
+        return f"empty cell in column {column!r}"
+    named = f"{cell[:100]!r} in column {column!r}"
+    if abs(value) > LARGEST:
+        return f"{named} is not a finite number, at most {LARGEST:g} in size"
+    if re.fullmatch(r"\s*[-+]?[0-9]+,[0-9]+\s*", cell):
+        return f"{named} is no number: decimals take a point"
+    return f"{named} is no number"
 
 
 def read_table(path: str | Path) -> Table:
