@@ -14,7 +14,7 @@ from pincal.model.measurements import EVERY_LEG, Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
-from pincal.model.table import Table, read_table
+from pincal.model.table import UNITS, Table, read_table
 
 Array = NDArray[np.float64]
 
@@ -117,21 +117,51 @@ def read_measurements(
 
 
 def _read(path: str | Path, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
-    """Return a table; a column whose name differs from a known one by its case is refused."""
+    """Return a table; a column whose header is nearly that of a known one is refused."""
     table = read_table(path)
-    turns = [name for names, _ in WAYS.values() for name in names]
-    values = [*mechanism.platform.coordinates, *turns, *mechanism.reading_names]
-    values += list(more or ())
-    known = ["set", "run", "pose", *values, *(f"sigma_{name}" for name in values)]
-    for column in table.units:
-        bare = column.split("(")[0].strip().lower()
-        meant = [name for name in known if name.lower() == bare and name not in table]
-        if column not in known and meant:
+    units = _known(mechanism, more or {})
+    for column, own in table.units.items():
+        meant = [name for name in units if name not in table and _nearly(column, name, units[name])]
+        if column not in units and meant:
+            name, unit = meant[0], own or _unit_in(column, meant[0], units[meant[0]])
+            written = f"{column} [{own}]" if own else column
             raise MeasurementError(
-                f"{table.path}: column {column!r} is ignored as it stands; write {meant[0]!r}, and "
-                "units in brackets: 'x [mm]'"
+                f"{table.path}: column {written!r} is not understood; write "
+                f"{f'{name} [{unit}]' if unit else name!r}"
             )
     return table
+
+
+def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns that mean something, with their units; empty for names."""
+    platform = mechanism.platform
+    units = dict(zip(platform.freedoms, platform.units, strict=True))
+    units |= dict(zip(platform.coordinates, platform.units, strict=True))
+    units |= {name: unit for names, unit in WAYS.values() for name in names}
+    units |= dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+    units |= more
+    units |= {f"sigma_{name}": unit for name, unit in units.items()}
+    return {"set": "", "run": "", "pose": "", **units}
+
+
+def _nearly(column: str, name: str, unit: str) -> bool:
+    """Return whether a column is meant by name, but in other case, or with its unit otherwise."""
+    bare = column.lower()
+    return bare == name.lower() or (
+        bare.startswith(name.lower()) and _unit_in(column, name, unit) is not None
+    )
+
+
+def _unit_in(column: str, name: str, dimension: str) -> str | None:
+    """Return the unit that follows a name as in ``x (mm)``, ``x_mm``, ``x/mm``.
+
+    That of the dimension where the brackets say another one, or nothing.
+    """
+    rest = column[len(name) :]
+    inner = rest.strip(" _/-(){}<>")
+    if inner in UNITS and UNITS[inner][0] == dimension and inner != rest:
+        return inner
+    return (dimension or "") if rest.strip().startswith("(") or not rest else None
 
 
 def _way(table: Table) -> str | None:
