@@ -644,3 +644,12 @@ def test_identifiability_of_a_plan_out_of_reach(work: Path) -> None:
     outcome = run("identifiability", "3RRR", "t.csv")
     assert outcome.code == 2
     assert "no pose of t.csv is in reach of '3RRR': row 1 is out of reach" in outcome.trouble
+
+
+def test_columns_not_used_are_remarked(work: Path) -> None:
+    """The command line says which columns it leaves out, on stderr, and not if quiet."""
+    table(f"{POSES},temperature [degC]", "0,0,0,21")()
+    outcome = done("inverse", "3RRR", "t.csv", "-o", "readings.csv")
+    assert "t.csv: columns not used: temperature" in outcome.err
+    quiet = done("inverse", "3RRR", "t.csv", "-o", "again.csv", "--quiet")
+    assert quiet.err == ""

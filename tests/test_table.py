@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -341,3 +342,18 @@ def test_missing_parent_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"absent does not exist"):
         write_table(tmp_path / "absent" / "t.csv", {"x [m]": [1.0]})
     assert names(tmp_path) == []
+
+
+def test_columns_without_a_meaning_are_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Columns that nothing reads are named once; sets, sigmas and readings are known."""
+    extra = ",leg_4 [rad],temperature [degC],set,sigma_phi [rad]"
+    path = tmp_path / "t.csv"
+    path.write_text(f"{HEADER}{extra}\n{ROW},7,21,all,1\n")
+    monitored = logging.getLogger("pincal")
+    monitored.propagate = True  # the command line, if it ran before, keeps them to itself
+    with caplog.at_level(logging.INFO, logger="pincal"):
+        pincal.read_poses(path, THREE)
+    (message,) = (record.getMessage() for record in caplog.records)
+    assert message == f"{path}: columns not used: leg_4, temperature"

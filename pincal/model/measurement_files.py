@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from pincal.model.setup import Setup
 from pincal.model.table import UNITS, Table, read_table
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
+_LISTED = 12  # names in a message
 
 
 def read_poses(path: str | Path, mechanism: Mechanism, *, partial: bool = False) -> Plan:
@@ -117,7 +120,10 @@ def read_measurements(
 
 
 def _read(path: str | Path, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
-    """Return a table; a column whose header is nearly that of a known one is refused."""
+    """Return a table; a column whose header is nearly that of a known one is refused.
+
+    Columns without a meaning are logged.
+    """
     table = read_table(path)
     units = _known(mechanism, more or {})
     for column, own in table.units.items():
@@ -129,6 +135,11 @@ def _read(path: str | Path, mechanism: Mechanism, more: Mapping[str, str] | None
                 f"{table.path}: column {written!r} is not understood; write "
                 f"{f'{name} [{unit}]' if unit else name!r}"
             )
+    unused = [name for name in table.units if name not in units]
+    if unused:
+        names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
+        names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)
+        _log.info("%s: columns not used: %s", table.path, ", ".join(names))
     return table
 
 
