@@ -444,9 +444,12 @@ def test_bad_mechanism_is_refused_by_name(case: str, folder: Path) -> None:
 def test_missing_file_is_named(name: str, folder: Path) -> None:
     """A file that is missing raises FileError with its path."""
     (folder / name).unlink()
-    with pytest.raises(FileError, match="No such file") as caught:
+    with pytest.raises(FileError) as caught:
         pincal.load_mechanism(folder)
-    assert str(folder / name) in str(caught.value)
+    if name == YAML:
+        assert f"'{folder}' is no mechanism folder: it has no {YAML}" in str(caught.value)
+    else:
+        assert f"{folder / name}: No such file" in str(caught.value)
 
 
 def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
@@ -455,6 +458,16 @@ def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
         pincal.load_mechanism("nowhere")
     with pytest.raises(FileError, match="absent"):
         pincal.load_mechanism(tmp_path / "absent")
+
+
+def test_nearly_the_name_of_a_bundled_one_is_asked_about() -> None:
+    """Other case or a slip brings the question which one is meant; a wholly other name does not."""
+    for name, meant in (("3rrr", "3RRR"), ("6ups", "6UPS"), ("linear-delta", "linear_delta")):
+        with pytest.raises(FileError, match=f"did you mean '{meant}'"):
+            pincal.load_mechanism(name)
+    with pytest.raises(FileError) as caught:
+        pincal.load_mechanism("nowhere")
+    assert "did you mean" not in str(caught.value)
 
 
 def test_overlong_name_is_a_file_error(tmp_path: Path) -> None:

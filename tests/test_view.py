@@ -335,3 +335,11 @@ def test_interrupt_ends_the_server() -> None:
         _, errors = process.communicate(timeout=30)
     assert process.returncode == 0, errors
     assert "Traceback" not in errors
+
+
+def test_a_page_has_the_ending_of_one(tmp_path: Path) -> None:
+    """What a browser would not open as a page is refused before anything is drawn."""
+    outcome = run("view", "5R", "--html", tmp_path / "page.txt")
+    assert outcome.code == 2
+    assert "page.txt would be a page; give it the ending .html" in outcome.trouble
+    assert contents(tmp_path) == {}
