@@ -626,8 +626,8 @@ FAULTS = {
     "misspelt": ("  sensors:", "  sensor:", [", line 15", "legs.leg_1.sensor'", "'sensors'?"]),
     "misspelt-choice": ("offset: gamma", "ofset: gamma", [", line 16", "mean 'offset'?"]),
     "unlike": ("form: joint", "quark: joint", [", line 16", "expected joint, form, gain"]),
-    "decimal-comma": ("    l: 1.5", "    l: 0,02", [", line 18", "decimal point", "'0,02'"]),
-    "unit": ("- {x: l}", "- {x: 0.02mm}", [", line 30", "elbow.0.x:", "without a unit"]),
+    "decimal-comma": ("    l: 1.5", "    l: 0,02", [", line 18", "take a point", "'0,02'"]),
+    "unit": ("- {x: l}", "- {x: 0.02mm}", [", line 30", "elbow.0.x: '0.02mm'", "m or rad"]),
     "key-number": ("{shoulder:", "{shoulder: 0,5, q:", [", line 14", "decimals take a point"]),
     "missing": ("  tip: tip\n", "", [", line 10", "'legs.leg_1.tip' is missing"]),
 }
@@ -657,3 +657,13 @@ def test_fault_in_xml_is_told_by_its_line(folder: Path) -> None:
     assert f"{LEG}, line 3: the file does not parse: Opening and ending tag mismatch" in message
     assert "<string>" not in message
     assert "column" not in message
+
+
+@pytest.mark.parametrize("number", ["0,02", "0.02mm"])
+def test_number_of_a_urdf_with_comma_or_unit_is_explained(number: str, folder: Path) -> None:
+    """A decimal comma or a unit in a URDF is named with its line and what is expected."""
+    edit(folder, (LEG, "1.5 0.0 0.0", f"{number} 0.0 0.0"))
+    with pytest.raises(
+        MechanismError, match=rf"line \d+: '{number}' is not a finite number: .*point.*m or rad"
+    ):
+        pincal.load_mechanism(folder)

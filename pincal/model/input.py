@@ -13,6 +13,7 @@ LARGEST = 1e12
 """Size of a mechanism's numbers, [m] or [rad], beyond which its squares mean nothing."""
 _CHUNK = 64 * 1024  # bytes
 _UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)
+_BEGUN = re.compile(r"\s*[-+.]?[0-9].*[^-+.0-9eE\s]")  # 0,02 and 0.02mm
 _LINE = re.compile("\r\n|\r|\n")
 
 
@@ -93,3 +94,19 @@ def plain_number(text: str) -> float:
         return float(bare) if bare.isascii() and "_" not in bare else nan
     except ValueError:
         return nan
+
+
+def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
+    """Return why a text is no number that can be used, in words.
+
+    Args:
+        text: What stands where a number should; ``plain_number`` is NaN, or beyond ``LARGEST``.
+        units: In which numbers are expected there.
+        place: In words that follow the text.
+    """
+    named = f"{text[:100]!r}{place}"
+    if abs(plain_number(text)) > LARGEST:
+        return f"{named} is not a finite number, at most {LARGEST:g} in size"
+    if not _BEGUN.match(text):
+        return f"{named} is not a finite number"
+    return f"{named} is not a finite number: decimals take a point, units ({units}) are not written"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.model.input import LARGEST, plain_number, read_text
+from pincal.model.input import LARGEST, plain_number, read_text, why_no_number
 from pincal.model.output import writing
 
 Array = NDArray[np.float64]
@@ -98,24 +98,17 @@ class Table:
         sound = np.abs(values) <= LARGEST
         if not (sound | empty).all():
             row = int(np.argmin(sound | empty))
+            cell = self.text[column][row]
+            place = f" in column {column!r}"
+            why = (
+                why_no_number(cell, "in the header", place)
+                if cell.strip()
+                else f"empty cell{place}"
+            )
             raise MeasurementError(
-                f"{self.path}, line {self.lines[row]}: "
-                f"{_unsound(self.text[column][row], column, values[row])}; correct it or remove "
-                "the row"
+                f"{self.path}, line {self.lines[row]}: {why}; correct it or remove the row"
             )
         return values
-
-
-def _unsound(cell: str, column: str, value: float) -> str:
-    """Return why a cell is no number that can be used."""
-    if not cell.strip():
-        return f"empty cell in column {column!r}"
-    named = f"{cell[:100]!r} in column {column!r}"
-    if abs(value) > LARGEST:
-        return f"{named} is not a finite number, at most {LARGEST:g} in size"
-    if re.fullmatch(r"\s*[-+]?[0-9]+,[0-9]+\s*", cell):
-        return f"{named} is no number: decimals take a point"
-    return f"{named} is no number"
 
 
 def read_table(path: str | Path) -> Table:

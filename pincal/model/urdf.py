@@ -9,7 +9,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.input import LARGEST, plain_number
+from pincal.model.input import LARGEST, plain_number, why_no_number
 from pincal.model.leg import Joint, JointKind
 from pincal.model.placement import Placement
 from pincal.model.xml import read_xml
@@ -233,7 +233,5 @@ def _triple(element: etree._Element | None, key: str, where: str, default: Tripl
 def _number(text: str, where: str) -> float:
     value = plain_number(text)
     if not abs(value) <= LARGEST:
-        raise MechanismError(
-            f"{where}: {text[:100]!r} is not a finite number, at most {LARGEST:g} in size"
-        )
+        raise MechanismError(f"{where}: {why_no_number(text)}")
     return value

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from pincal.errors import PincalError
-from pincal.model.input import read_text
+from pincal.model.input import read_text, why_no_number
 
 _LARGEST = 1024 * 1024  # bytes
 _ALIKE = 0.75  # from which a key is another one, misspelt
@@ -140,7 +140,8 @@ def _explained(
     elif first["type"] == "missing":
         text, place = f"key {named!r} is missing", place[:-1]
     else:
-        text = f"{named}: {_words(first)}; got {reprlib.repr(first['input'])}"
+        words, given = _words(first), reprlib.repr(first["input"])
+        text = f"{named}: {words}" + (f"; got {given}" if given not in words else "")
     return place, text + (f" (and {others} more)" if others else "")
 
 
@@ -161,7 +162,7 @@ def _words(fault: ErrorDetails) -> str:
     if fault["loc"][-1] == "[key]":
         return "a name is expected; decimals take a point"
     if isinstance(given, str) and re.match(r"\s*[-+.]?[0-9]", given):
-        return "a number is expected, with a decimal point and without a unit (m, rad)"
+        return why_no_number(given)
     return fault["msg"].removeprefix("Value error, ")
 
 
