@@ -431,7 +431,9 @@ BAD = {
     "margin-nan": Case("workspace 3RRR --count 10 --margin-type2 nan", ["type-2", "nan"]),
     # what cannot be solved
     "pose-unreachable": Case(
-        "inverse 3RRR t.csv", ["t.csv", "row 2", "leg_1", "reach"], table(POSES, "0,0,0", "9,0,0")
+        "inverse 3RRR t.csv",
+        ["t.csv", "line 4", "leg_1", "reach"],
+        table(POSES, "", "0,0,0", "9,0,0"),
     ),
     "candidates-unreachable": Case(
         "select 3RRR --candidates t.csv --unknown-frame -o new.csv",
@@ -453,7 +455,7 @@ BAD = {
         ),
     ),
     "pose-far-beyond": Case(
-        "inverse 3RRR t.csv", ["t.csv", "row 2"], table(POSES, "0,0,0", "1e11,0,0")
+        "inverse 3RRR t.csv", ["t.csv", "line 3"], table(POSES, "0,0,0", "1e11,0,0")
     ),
     "pose-beyond-numbers": Case(
         "inverse 3RRR t.csv", ["t.csv", "line 3", "1e200"], table(POSES, "0,0,0", "1e200,0,0")
@@ -648,7 +650,7 @@ def test_identifiability_of_a_plan_out_of_reach(work: Path) -> None:
     table(POSES, "5,0,0")()
     outcome = run("identifiability", "3RRR", "t.csv")
     assert outcome.code == 2
-    assert "no pose of t.csv is in reach of '3RRR': row 1 is out of reach" in outcome.trouble
+    assert "no pose of t.csv is in reach of '3RRR': line 2 is out of reach" in outcome.trouble
 
 
 def test_columns_not_used_are_remarked(work: Path) -> None:

@@ -287,7 +287,7 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
     page = tmp_path / "view.html"
 
     outcome = done("view", "3RRR", tmp_path / "holes.csv", "--html", page)
-    assert "12 of 24 rows hold no whole pose, the first is row 1" in outcome.err
+    assert "12 of 24 rows hold no whole pose, the first is in line 2" in outcome.err
     assert len(shown_poses(page)) == 12
     refused = run("view", "3RRR", tmp_path / "gone.csv", "--html", page, "--force")
     assert refused.code == 2

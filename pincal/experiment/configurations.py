@@ -172,7 +172,8 @@ def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the 
     """
     reasons = command(mechanism, planned)[2]
     if all(reasons):
-        why = f": row 1 is {reasons[0]}" if reasons else ", it is empty"
+        first = planned.place(0) if isinstance(planned, Plan) else "row 1"
+        why = f": {first} is {reasons[0]}" if reasons else ", it is empty"
         raise MeasurementError(f"no pose of {name} is in reach of {mechanism.name!r}{why}")
 
 

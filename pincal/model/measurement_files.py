@@ -41,7 +41,7 @@ def read_poses(path: str | Path, mechanism: Mechanism, *, partial: bool = False)
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
         readings = _readings(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
-    return Plan(poses, _sets(table, mechanism), readings)
+    return Plan(poses, _sets(table, mechanism), readings, lines=tuple(table.lines))
 
 
 def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
@@ -106,6 +106,7 @@ def read_measurements(
         },
         runs=_names(table, "run"),
         places=_names(table, "pose"),
+        lines=tuple(table.lines),
     )
     told = [data.poses, *(values[:, None] for values in extra.values())]
     blank = np.isnan(np.column_stack([*told, data.readings])).all(axis=1)
