@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -660,3 +663,26 @@ def test_columns_not_used_are_remarked(work: Path) -> None:
     assert "t.csv: columns not used: temperature" in outcome.err
     quiet = done("inverse", "3RRR", "t.csv", "-o", "again.csv", "--quiet")
     assert quiet.err == ""
+
+
+INTERRUPTED = """
+import os, signal, sys
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupts())
+sys.argv[:] = ["pincal", "check", "5R"]
+from pincal_command import main
+main()
+"""
+
+
+@pytest.mark.parametrize("name", ["pinocchio", "yourdfpy"])  # at the start, and in a command
+def test_ctrl_c_ends_without_a_traceback(name: str) -> None:
+    """Ctrl-C while modules are loaded, or later, ends the command as shells expect, silently."""
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED.format(name=name)], capture_output=True, text=True
+    )
+    assert done.returncode in (-signal.SIGINT, 128 + signal.SIGINT)
+    assert "Traceback" not in done.stderr
