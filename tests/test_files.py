@@ -667,3 +667,11 @@ def test_number_of_a_urdf_with_comma_or_unit_is_explained(number: str, folder: P
         MechanismError, match=rf"line \d+: '{number}' is not a finite number: .*point.*m or rad"
     ):
         pincal.load_mechanism(folder)
+
+
+def test_what_was_identified_is_read_whatever_its_home(folder: Path) -> None:
+    """A result's mechanism keeps the nominal home, which need not close with its parameters."""
+    edit(folder, (YAML, HOME, "home: {shoulder: 0.1, elbow: -1.0} #"))
+    (folder.parent / "result.json").write_text("{}")
+    folder.rename(folder.parent / "mechanism")
+    assert pincal.load_mechanism(folder.parent).name == "3RRR"
