@@ -56,7 +56,7 @@ def dyad(rng: Generator) -> Inner:
 
 def rail(rng: Generator) -> Inner:
     """PRR in the plane."""
-    p = {"delta": 0.0, "L": rng.uniform(0.7, 1.2)}
+    p = {"delta": rng.uniform(-0.3, 0.3), "L": rng.uniform(0.7, 1.2)}
     turn = rng.choice((0.0, np.pi)) + rng.uniform(-1.0, 1.0)  # the rod is not across the rail
     return Inner(
         (
@@ -102,7 +102,8 @@ def hexapod_strut(rng: Generator) -> Inner:
 
 def crank(rng: Generator) -> Inner:
     """RUS in space."""
-    p = {"yaw": 0.0, "roll": 0.0, "l": rng.uniform(0.3, 0.6), "L": rng.uniform(0.8, 1.2)}
+    p = {"yaw": rng.uniform(-0.3, 0.3), "roll": rng.uniform(-0.3, 0.3)}
+    p |= {"l": rng.uniform(0.3, 0.6), "L": rng.uniform(0.8, 1.2)}
     place = placed(p, along("rz", "yaw"), along("rx", "roll"))
     return Inner(
         (
@@ -119,7 +120,8 @@ def crank(rng: Generator) -> Inner:
 
 def carriage(rng: Generator) -> Inner:
     """PUS in space."""
-    p = {"yaw": 0.0, "pitch": 0.0, "L": rng.uniform(0.8, 1.2)}
+    p = {"yaw": rng.uniform(-0.3, 0.3), "pitch": rng.uniform(-0.3, 0.3)}
+    p |= {"L": rng.uniform(0.8, 1.2)}
     place = placed(p, along("rz", "yaw"), along("ry", "pitch"))
     a, b = rng.uniform(-0.9, 0.9, 2)
     return Inner(

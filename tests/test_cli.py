@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -686,3 +687,24 @@ def test_ctrl_c_ends_without_a_traceback(name: str) -> None:
     )
     assert done.returncode in (-signal.SIGINT, 128 + signal.SIGINT)
     assert "Traceback" not in done.stderr
+
+
+def test_a_prior_said_twice_is_refused(work: Path) -> None:
+    """Which of two standard deviations of one name holds, nobody knows: neither is taken."""
+    twice = ["--prior", "l=1e-3", "--prior", "l = 1e-4"]
+    outcome = run("calibrate", "3RRR", "measured.csv", *NOISE, *twice, "-o", "other")
+    assert outcome.code == 2
+    assert "--prior l is said twice" in outcome.trouble
+    assert not Path("other").exists()
+
+
+def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory that runs out is one message and exit code 2, no traceback."""
+
+    def greedy(**_: object) -> None:
+        np.empty(2**55)
+
+    monkeypatch.setattr(import_module("pincal.cli.main"), "app", greedy)
+    outcome = run("mechanisms")
+    assert outcome.code == 2
+    assert "not enough memory" in outcome.trouble

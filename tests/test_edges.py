@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -473,3 +474,78 @@ def test_a_million_rows(tmp_path: Path) -> None:
         assert (np.abs(error) < 5.0 * std).all()
         assert (std > 0.95 * bound).all()
         assert (std < 1.2 * bound).all()
+
+
+@pytest.mark.parametrize("protocol", ["independent", "symmetric", "orbits", "common"])
+@pytest.mark.parametrize("name", ["3RRR", "6UPS"])
+def test_one_pose_said_in_several_ways_is_chosen_once(name: str, protocol: Any) -> None:
+    """Candidates again a whole turn on, with the tilt reversed, and off in the last digit."""
+    mechanism = pincal.load_mechanism(name)
+    first = pincal.sample_workspace(mechanism, 60, seed=1)
+    turned, near = first.copy(), first + 1e-14
+    turned[:, -1] += 2 * np.pi
+    if name == "6UPS":
+        turned[:, 3:5] = np.column_stack((turned[:, 3] + np.pi, -turned[:, 4]))
+    poses = np.concatenate((first, turned, near, near))
+    plan = pincal.select_poses(mechanism, poses, 12, protocol, starts=2).plan
+    matrices = mechanism.platform.transforms(plan.poses).as_matrix().reshape(len(plan.poses), -1)
+    same = np.abs(matrices[:, None] - matrices[None]).max(axis=2) < 1e-9
+    sets = np.array(plan.sets)
+    assert not (np.triu(same, 1) & (sets[:, None] == sets[None])).any()
+    if protocol in ("symmetric", "common"):
+        alone = pincal.select_poses(mechanism, first, 12, protocol, starts=2)
+        np.testing.assert_array_equal(plan.poses, alone.plan.poses)
+
+
+@pytest.mark.parametrize("sigma", [-1.0, 1e-300, 1e-60, 1e13, np.inf, np.nan])
+def test_noise_that_no_arithmetic_bears_is_refused(sigma: float) -> None:
+    """Standard deviations whose squares underflow, or beyond all lengths, are refused by value."""
+    for name in ("position", "orientation", "reading"):
+        with pytest.raises(pincal.MeasurementError, match=f"noise of {name} is"):
+            Noise(**{name: sigma})
+
+
+def test_noise_of_rows_that_no_arithmetic_bears_is_refused() -> None:
+    """A standard deviation of a row whose square underflows is refused by its row."""
+    mechanism = pincal.load_mechanism("5R")
+    poses = pincal.sample_workspace(mechanism, 24, seed=1)
+    sigmas = np.full(poses.shape, 1e-5)
+    sigmas[6, 1] = 1e-200
+    data = Measurements(
+        poses, readings=pincal.inverse(mechanism, poses).readings, sigma_poses=sigmas
+    )
+    for method in ("per-leg", "together", "latent"):
+        with pytest.raises(pincal.MeasurementError, match="data row 7: a standard deviation is"):
+            pincal.calibrate(mechanism, data, method=method)
+
+
+@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+@pytest.mark.parametrize("noise", [Noise(1e-50, 1e-50), Noise(1e-5, 1e-5, 1e-50), Noise(1e4, 1e4)])
+def test_noise_at_its_limits_is_borne(noise: Noise, method: Any) -> None:
+    """The least standard deviations, and huge ones, have an answer, or an error that says why."""
+    mechanism = pincal.load_mechanism("5R")
+    poses = pincal.sample_workspace(mechanism, 24, seed=1)
+    data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), Noise(1e-6, 1e-6)).measurements
+    try:
+        result = pincal.calibrate(mechanism, data, noise=noise, method=method)
+    except pincal.PincalError:
+        return
+    assert np.isfinite(result.reduced_chi2)
+    assert np.isfinite(result.covariance).all()
+
+
+@pytest.mark.parametrize("name", ["3RRR", "3RPS"])
+def test_one_configuration_said_in_several_ways_is_chosen_once(name: str) -> None:
+    """For all parameters together too, of mechanisms told by poses or by readings."""
+    mechanism = pincal.load_mechanism(name)
+    first = pincal.sample_configurations(mechanism, 60, seed=1)
+    turned = first.poses.copy()
+    turned[:, -1] += 2 * np.pi
+    poses = np.concatenate((first.poses, turned))
+    readings = None if first.readings is None else np.tile(first.readings, (2, 1))
+    chosen = pincal.select_configurations(
+        mechanism, pincal.Plan(poses, readings=readings), 24, starts=2
+    )
+    matrices = mechanism.platform.transforms(chosen.plan.poses).as_matrix()
+    apart = np.abs(matrices[:, None] - matrices[None]).max(axis=(2, 3)) + np.eye(24)
+    assert apart.min() > 1e-9

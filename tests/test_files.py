@@ -675,3 +675,15 @@ def test_what_was_identified_is_read_whatever_its_home(folder: Path) -> None:
     (folder.parent / "result.json").write_text("{}")
     folder.rename(folder.parent / "mechanism")
     assert pincal.load_mechanism(folder.parent).name == "3RRR"
+
+
+def test_orientations_said_in_two_ways_are_refused(tmp_path: Path) -> None:
+    """Columns of tilt and torsion beside a quaternion: which of them holds, nobody knows."""
+    mechanism = pincal.load_mechanism("6UPS")
+    header = "x [m],y [m],z [m],azimuth [rad],tilt [rad],torsion [rad],qw [1],qx [1],qy [1],qz [1]"
+    path = tmp_path / "poses.csv"
+    path.write_text(f"{header}\n0,0,1.7,0,0.3,0,1,0,0,0\n")
+    with pytest.raises(
+        pincal.MeasurementError, match=r"poses\.csv: the orientation is said in 2 ways"
+    ):
+        pincal.read_poses(path, mechanism)

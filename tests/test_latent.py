@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -19,12 +20,14 @@ from measured import (
     targets,
 )
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.experiment.observation import Observation
 from pincal.identification.calibrate import calibration_task
 from pincal.identification.gauge import find_gauge
 from pincal.identification.latent_fit import latent_problem
+from pincal.kinematics.closure import largest_size
 
 KINDS = ["5R", "3RRR", "6UPS"]
 FRAME = pincal.Setup(unknown_frame=True)
@@ -470,6 +473,32 @@ def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> 
         data.readings[4, 0] = np.nan
     with pytest.raises(pincal.MeasurementError, match=message):
         pincal.calibrate(mechanism, data, method="latent", **({"noise": NOISE} | options))
+
+
+def test_refusals_say_true_numbers() -> None:
+    """What mirrored positions miss by, either way round, and what exchanged readings contradict."""
+    mechanism, _, data = machine("6UPS", 15)
+    seen = seen_from_elsewhere(mechanism, data)
+    seen.poses[:, 1] *= -1
+    seen.poses[:, 3:] = np.nan
+    with pytest.raises(pincal.MeasurementError) as refused:
+        pincal.calibrate(mechanism, seen, method="latent", noise=NOISE, setup=FRAME)
+    there = pincal.forward(mechanism, data.readings).poses[:, :3]
+    there = there - there.mean(axis=0)
+    wanted = []
+    for side in (1.0, -1.0):
+        points = (seen.poses[:, :3] - seen.poses[:, :3].mean(axis=0)) * [1.0, side, 1.0]
+        _, off = Rotation.align_vectors(points, there)
+        wanted.append(1e3 * off / np.sqrt(len(points)))
+    said = [float(n) for n in re.findall(r"by ([\d.]+) mm", str(refused.value))]
+    np.testing.assert_allclose(said, wanted, rtol=5e-3)
+    data.poses[:, 3:] = np.nan
+    data.readings[:, :2] = data.readings[:, 1::-1]
+    with pytest.raises(pincal.MeasurementError) as refused:
+        pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    millimetres, percent = re.findall(r"by ([\d.]+) mm .* (\d+) % of", str(refused.value))[0]
+    size = largest_size(mechanism.legs, mechanism.platform)
+    assert round(float(millimetres) / 10 / size) == int(percent) > 0
 
 
 @pytest.mark.slow

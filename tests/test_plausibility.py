@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -336,6 +337,29 @@ def test_repeated_measurements_are_no_copies() -> None:
     check_copies(pincal.Measurements(data.poses[twice], sets, readings=data.readings[twice]))
     with pytest.raises(pincal.MeasurementError, match=r"rows 1 and 2 are .*35 more"):
         check_copies(pincal.Measurements(data.poses[twice], readings=data.readings[twice]))
+
+
+@pytest.mark.parametrize(
+    ("method", "poses", "counts"),
+    [("per-leg", "own", False), ("per-leg", "all", True), ("latent", "own", True)],
+)
+def test_copies_for_several_legs_count_once(method: Any, poses: Any, counts: bool) -> None:
+    """Rows copied to each leg's set are refused where every row serves every leg.
+
+    There they would make standard errors √2 times too small.
+    """
+    mechanism, data, noise = nominal("5R"), measured("5R", 10), pincal.Noise(1e-4, 1e-4)
+    rows = np.tile(np.arange(len(data)), 2)
+    sets = tuple(np.repeat(mechanism.leg_names, len(data)))
+    copied = pincal.Measurements(data.poses[rows], sets, readings=data.readings[rows])
+    alone = pincal.calibrate(mechanism, data, noise=noise, method=method, poses=poses)
+    if counts:
+        with pytest.raises(pincal.MeasurementError, match=r"rows 1 and .* are identical"):
+            pincal.calibrate(mechanism, copied, noise=noise, method=method, poses=poses)
+        return
+    both = pincal.calibrate(mechanism, copied, noise=noise, method=method, poses=poses)
+    for one, other in zip(alone.legs, both.legs, strict=True):
+        np.testing.assert_allclose(one.std, other.std, rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", EVERY)

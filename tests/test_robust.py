@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from measured import EXACT, NOISE, error, machine
 from scipy.stats import chi2
 
 import pincal
-from pincal.identification.losses import LOSSES
+from pincal.identification.losses import LOSSES, robust_scale
 
 METHODS = ["per-leg", "together", "latent"]
 
@@ -92,6 +93,40 @@ def test_a_wrong_reading_is_named() -> None:
         assert worst.sigma > 10
 
 
+def test_losses_are_those_of_the_books() -> None:
+    """On one residual r: Huber's, Cauchy's and Tukey's weights as published, by their constants."""
+    r = np.array([0.0, 0.5, 1.0, 1.3, 1.4, 2.0, 4.6, 4.7, 100.0])
+    wanted = {
+        "huber": np.minimum(1.0, 1.345 / np.maximum(r, 1e-9)),
+        "cauchy": 1.0 / (1.0 + (r / 2.385) ** 2),
+        "tukey": np.where(r < 4.685, (1.0 - (r / 4.685) ** 2) ** 2, 0.0),
+        "reject": (r < 3.2905).astype(float),  # the two-sided quantile of one in a thousand
+    }
+    for name, loss in LOSSES.items():
+        found = loss.weights(r**2, np.ones(len(r), dtype=int))
+        np.testing.assert_allclose(found, wanted[name], atol=1e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("equations", [1, 3])
+def test_the_scale_is_that_of_the_rows_in_the_middle(equations: int) -> None:
+    """Of normal residuals their standard deviation; a tenth of gross errors, empty rows: as well.
+
+    Of one equation it is the median absolute deviation by its known factor, 1.4826.
+    """
+    x = 0.3 * np.random.default_rng(1).standard_normal((100_001, equations))
+    squares, count = (x**2).sum(axis=1), np.full(len(x), equations)
+    found = robust_scale(squares, count, 1.0)
+    assert found == pytest.approx(0.3, rel=0.01)
+    if equations == 1:
+        assert found == pytest.approx(1.4826 * np.median(np.abs(x)), rel=1e-4)
+    assert robust_scale(squares, count, 0.25) == pytest.approx(2 * found)
+    empty = np.r_[squares, np.zeros(50_000)], np.r_[count, np.zeros(50_000, dtype=int)]
+    assert robust_scale(*empty, 1.0) == found
+    assert robust_scale(np.zeros(3), np.zeros(3, dtype=int), 1.0) == 1.0
+    squares[::10] = 1e6
+    assert found < robust_scale(squares, count, 1.0) < 1.25 * found
+
+
 def test_without_a_loss_outliers_are_warned_of() -> None:
     """The plain fit keeps them, says which rows do not fit, and what to do."""
     mechanism, _, data = machine("3RRR", 60)
@@ -99,6 +134,12 @@ def test_without_a_loss_outliers_are_warned_of() -> None:
     result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
     assert result.outliers[0].row == 4
     assert result.outliers[0].weight == 1.0
+    for noise in (NOISE, None):  # also by the scale that is estimated; the pose gives way a little
+        found = pincal.calibrate(mechanism, data, method="latent", noise=noise)
+        said = re.fullmatch(r"measured x off by ([\d.]+) σ", found.outliers[0].why)
+        assert said
+        assert found.noise
+        assert 0.006 < float(said[1]) * found.noise.position < 0.0101
     assert any("data row 5" in text and "--robust reject" in text for text in result.warnings)
 
 
@@ -302,6 +343,7 @@ def test_priors_determine_what_measurements_do_not() -> None:
         ({"loss": "none at all"}, "unknown loss"),
         ({"method": "best"}, "unknown method"),
         ({"method": "latent", "residual": "joint"}, "closure residual"),
+        ({"priors": {"l": 1e-18}}, "the prior of 'l' is 1e-18; expected a standard deviation"),
     ],
 )
 def test_wrong_choices_are_named(options: dict, message: str) -> None:

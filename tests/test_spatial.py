@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.experiment.angles import angle
 from pincal.experiment.observability import r_diagonal
 from pincal.kinematics import starts
 from pincal.model.orientation import WAYS, columns_of, rotation_of
@@ -275,3 +276,24 @@ def test_standard_errors_equal_the_spread(
     ratio = np.mean(std, axis=0) / np.std(errors, axis=0)
     assert abs(ratio.mean() - 1) < 0.10
     assert 0.93 <= np.mean(hits) <= 0.97
+
+
+@pytest.mark.parametrize("name", ["yaw", "pitch", "roll", "azimuth", "tilt", "torsion"])
+def test_single_angles_and_their_derivatives(name: str) -> None:
+    """As SciPy's Euler angles have them, tilt and torsion as Z-Y-Z; derivatives by differences."""
+
+    def wanted(R: Rotation) -> np.ndarray:
+        z, y, x = R.as_euler("ZYX").T
+        first, tilt, last = R.as_euler("ZYZ").T
+        torsion = first + last
+        all_ = {"yaw": z, "pitch": y, "roll": x, "azimuth": first, "tilt": tilt, "torsion": torsion}
+        return np.asarray(all_[name])
+
+    R = Rotation.random(50, random_state=3)
+    value, slope = angle(name, R.as_matrix())
+    assert np.abs(np.angle(np.exp(1j * (value - wanted(R))))).max() < 1e-12
+    h = 1e-6
+    for axis, e in enumerate(np.eye(3)):
+        ahead, behind = (wanted(Rotation.from_rotvec(sign * h * e) * R) for sign in (1, -1))
+        difference = np.angle(np.exp(1j * (ahead - behind))) / (2 * h)
+        np.testing.assert_allclose(slope[:, axis], difference, rtol=1e-5, atol=1e-7)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from measured import EXACT, NOISE, machine, seen_from_elsewhere
+from scipy.stats import chi2, f
 
 import pincal
 
@@ -113,6 +114,28 @@ def test_runs_that_agree_and_runs_that_do_not() -> None:
     assert "something changed between runs" in found.warnings[0]
     with pytest.raises(pincal.MeasurementError, match="at least two runs"):
         pincal.compare_runs(mechanism, parts[0])
+
+
+@pytest.mark.parametrize("noise", [NOISE, None])
+def test_runs_are_compared_as_independent_estimates(noise: pincal.Noise | None) -> None:
+    """χ² of the runs about their weighted mean; by F where the noise is estimated.
+
+    Worked out again from the single calibrations, by inverses.
+    """
+    mechanism, truth, clean = machine("5R", 40, EXACT)
+    plan = pincal.Plan(clean.poses)
+    parts = [pincal.simulate(mechanism, truth, plan, NOISE, run).measurements for run in range(2)]
+    found = pincal.compare_runs(mechanism, joined(parts), noise=noise, poses="all")
+    alone = [pincal.calibrate(mechanism, part, noise=noise, poses="all") for part in parts]
+    values = [np.concatenate([leg.identified for leg in one.legs]) for one in alone]
+    weights = [np.linalg.inv(one.covariance) for one in alone]
+    mean = np.linalg.solve(sum(weights), sum(W @ v for W, v in zip(weights, values, strict=True)))
+    off = [(v - mean) @ W @ (v - mean) for W, v in zip(weights, values, strict=True)]
+    n, freedoms = len(mean), sum(one.degrees_of_freedom for one in alone)
+    assert found.ratio == pytest.approx(np.sqrt(sum(off) / n), rel=1e-6)
+    p = chi2.sf(sum(off), n) if noise else f.sf(sum(off) / n, n, freedoms)
+    assert found.p_value == pytest.approx(p, rel=1e-5)
+    np.testing.assert_allclose(found.spread, np.ptp(values, axis=0) / np.sqrt(2), rtol=1e-9)
 
 
 def joined(parts: list[pincal.Measurements]) -> pincal.Measurements:

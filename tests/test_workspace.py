@@ -115,3 +115,13 @@ def test_wrong_margins_are_refused(margin: float) -> None:
     """Margins outside 0 to 1 raise."""
     with pytest.raises(pincal.WorkspaceError, match="expected 0 to 1"):
         pincal.Margins(type1=margin)
+
+
+@pytest.mark.parametrize("kind", ["5R", "3RPS"])
+@pytest.mark.parametrize("count", [0, -1, 10**11])
+def test_numbers_of_poses_that_cannot_be_are_refused(kind: str, count: int) -> None:
+    """None, fewer, or more than any memory holds: refused by number, before anything is drawn."""
+    mechanism = pincal.load_mechanism(kind)
+    for sample in (pincal.sample_workspace, pincal.sample_configurations):
+        with pytest.raises(pincal.WorkspaceError, match=f"number of poses is {count}; expected"):
+            sample(mechanism, count)

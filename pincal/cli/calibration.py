@@ -210,13 +210,15 @@ def _priors(said: Sequence[str]) -> dict[str, float]:
     """Return priors by name.
 
     Raises:
-        MeasurementError: not a name and a number.
+        MeasurementError: not a name and a number, or a name said twice.
     """
-    priors = {}
+    priors: dict[str, float] = {}
     for text in said:
-        name, _, value = text.partition("=")
+        name, _, value = (part.strip() for part in text.partition("="))
+        if name in priors:
+            raise MeasurementError(f"--prior {name} is said twice; leave out one of them")
         try:
-            priors[name.strip()] = float(value)
+            priors[name] = float(value)
         except ValueError:
             raise MeasurementError(
                 f"--prior {text!r}: expected a name and a standard deviation, such as l=0.0005 [m]"

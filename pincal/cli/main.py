@@ -63,6 +63,14 @@ def main(argv: list[str] | None = None) -> None:
     except OSError as error:  # of files, errors are PincalErrors
         stderr.print(f"pincal: cannot write the answer: {error.strerror}", style="bold red")
         sys.exit(2)
+    except MemoryError as error:
+        stderr.print(
+            f"pincal: not enough memory ({error}); ask for less at once",
+            style="bold red",
+            markup=False,
+            highlight=False,
+        )
+        sys.exit(2)
     except np.linalg.LinAlgError as error:
         stderr.print(
             f"pincal: numbers of sizes with which nothing can be computed ({error}): look for "

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pincal.errors import ObservabilityError
 from pincal.experiment.certificate import continuous_design
 from pincal.experiment.configurations import as_plan, check_reached, legs_at
+from pincal.experiment.distinct import distinct
 from pincal.experiment.exchange import exchange
 from pincal.experiment.forecast import information_rows
 from pincal.experiment.observability import Identifiability, identifiability, scaled_axes
@@ -57,7 +58,8 @@ def select_configurations(
 
     Args:
         mechanism: The mechanism.
-        candidates: Poses of shape (M, dof), or a plan with readings.
+        candidates: Poses of shape (M, dof), or a plan with readings; one that is there twice
+            counts once, whatever its whole turns and its last digits.
         count: Number of configurations.
         noise: Standard deviations of the measurements to come; only their ratios matter.
         measured: What will be measured of the platform (see ``forecast``).
@@ -73,6 +75,8 @@ def select_configurations(
     """
     tell = progress or (lambda _: None)
     plan = as_plan(mechanism, candidates)
+    own = distinct(mechanism.platform, plan.poses, plan.readings)
+    plan = Plan(plan.poses[own], readings=None if plan.readings is None else plan.readings[own])
     tell("looking at candidates")
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):

@@ -20,6 +20,7 @@ from scipy.spatial import KDTree
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.experiment.certificate import continuous_design
 from pincal.experiment.configurations import block_diagonal
+from pincal.experiment.distinct import SAME, distinct, places_of
 from pincal.experiment.exchange import exchange
 from pincal.experiment.observability import Indices, identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import Demand, leg_demand
@@ -110,7 +111,7 @@ def select_poses(
     Args:
         mechanism: The mechanism.
         candidates: Poses to choose from, coordinates of shape (M, dof), [m] and [rad]; one that
-            is there twice counts once.
+            is there twice counts once, whatever its whole turns and its last digits.
         count: Poses for each leg; with ``orbits``, number of orbits; with ``common``, poses.
         protocol: See the module.
         noise: Standard deviations of the measurements to come; only their ratios matter.
@@ -127,7 +128,7 @@ def select_poses(
     rng = np.random.default_rng(seed)
     tell = progress or (lambda _: None)
     poses = np.asarray(candidates, dtype=np.float64)
-    poses = poses[np.sort(np.unique(poses, axis=0, return_index=True)[1])]
+    poses = poses[distinct(mechanism.platform, poses)]
     search = _Search(mechanism, poses, noise, rng, starts, tell)
     names = mechanism.leg_names
     if protocol == "independent":
@@ -199,11 +200,11 @@ class _Search:
         platform = self.mechanism.platform
         orbits = [g.poses(platform, self.candidates) for g in elements]
         blocks = np.concatenate([self.rows(leg, poses) for poses in orbits], axis=1)
-        span = np.ptp(self.candidates, axis=0).max()
-        tree, own = KDTree(self.candidates), np.arange(len(self.candidates))
-        for image in orbits[1:]:  # of itself or of an earlier one: it would be measured twice
+        places = places_of(platform, np.concatenate(orbits)).reshape(len(orbits), len(blocks), 12)
+        tree, own = KDTree(places[0]), np.arange(len(blocks))
+        for image in places[1:]:  # of itself or of an earlier one: it would be measured twice
             distance, other = tree.query(image, p=np.inf)
-            blocks[(distance <= 1e-6 * span) & (other <= own)] = np.nan
+            blocks[(distance <= SAME) & (other <= own)] = np.nan
         return self._choose(blocks, count, self.mechanism.leg(leg).parameter_names, leg)
 
     def common(self, count: int) -> tuple[NDArray[np.intp], float]:

@@ -95,7 +95,7 @@ def calibrate(
         hold_undetermined=hold_undetermined,
         progress=progress,
     )
-    check_copies(measurements)
+    check_copies(measurements, every_pose=task.every_pose)
     if task.setup.plain and not task.rough:
         check_plausible(mechanism, measurements)
     found = estimate(task)

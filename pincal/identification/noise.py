@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -84,8 +84,17 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
     """Raise if some quantities have standard deviations, and others that were measured have none.
 
     Raises:
-        MeasurementError: naming the column that is missing.
+        MeasurementError: naming the column that is missing, or a row whose standard deviation is
+            too small to compute with.
     """
+    given = [v for v in (data.sigma_poses, data.sigma_readings) if v is not None]
+    sigmas = np.column_stack([*given, *data.sigma_extra.values()])
+    tiny = (sigmas > 0.0) & (sigmas < SMALLEST_SIGMA)
+    if tiny.any():
+        raise MeasurementError(
+            f"data row {int(np.argmax(tiny.any(axis=1))) + 1}: a standard deviation is "
+            f"{sigmas[tiny][0]:g}; expected {SMALLEST_SIGMA:g} or more, or 0 for what is exact"
+        )
     platform = mechanism.platform
     measured = np.isfinite(data.poses)
     known = np.zeros_like(measured) if data.sigma_poses is None else np.isfinite(data.sigma_poses)

@@ -49,9 +49,11 @@ def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
     _check_readings(mechanism, data, complete)
 
 
-def check_copies(data: Measurements) -> None:
-    """Raise if rows chosen for the same leg are equal in all that was measured.
+def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
+    """Raise if rows that serve the same leg are equal in all that was measured.
 
+    Rows chosen for several legs may be copies of each other: each leg has its own. But if
+    ``every_pose`` serves every leg, whatever its set, copies would count as so many measurements.
     Where equal readings come with different poses, measurements were repeated, and poses
     written with few digits may be equal by chance.
 
@@ -62,7 +64,7 @@ def check_copies(data: Measurements) -> None:
     first: dict[tuple[str, bytes], int] = {}
     copies = []
     for row in range(len(data)):
-        served = "" if data.sets is None else data.sets[row]
+        served = "" if data.sets is None or every_pose else data.sets[row]
         other = first.setdefault((served, data.readings[row].tobytes()), row)
         if other == row:
             continue

@@ -17,6 +17,7 @@ from pincal.errors import MeasurementError
 from pincal.model.leg import Leg
 
 Array = NDArray[np.float64]
+_SMALLEST_PRIOR = 1e-15  # [m], [rad] or [1], below which rounding is larger
 _ROUNDING = 1e-13  # of the largest entry of a column: that of a parameter that does not move
 _ALIKE = 0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
 
@@ -135,10 +136,10 @@ def unknowns(
     single = [i for i in range(n) if i not in bound]
     sigmas = np.full(n, np.inf)
     for name, sigma in (priors or {}).items():
-        if not (np.isfinite(sigma) and sigma > 0.0):
+        if not _SMALLEST_PRIOR <= sigma < np.inf:
             raise MeasurementError(
-                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0 (for a "
-                "parameter that is known exactly, fix it)"
+                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
+                f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
             )
         sigmas[_places(pairs, name)] = sigma
     sigmas[list(held)] = np.inf

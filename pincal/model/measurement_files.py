@@ -177,8 +177,17 @@ def _unit_in(column: str, name: str, dimension: str) -> str | None:
 
 
 def _way(table: Table) -> str | None:
-    """Return the way in which a table gives orientations in full, if it does."""
+    """Return the way in which a table gives orientations in full, if it does.
+
+    Raises:
+        MeasurementError: it does so in several ways, which may say different things.
+    """
     ways = [way for way, (names, _) in WAYS.items() if all(name in table for name in names)]
+    if len(ways) > 1:
+        said = " and ".join(", ".join(WAYS[way][0]) for way in ways)
+        raise MeasurementError(
+            f"{table.path}: the orientation is said in {len(ways)} ways, {said}; leave one of them"
+        )
     return ways[0] if ways else None
 
 
@@ -188,7 +197,7 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     If they may be partial, NaN where a column is missing or a cell empty.
     """
     platform = mechanism.platform
-    way = _way(table)
+    way = _way(table) if platform.kind == "spatial" else None
     places = platform.coordinates[: platform.units.count("m")]
     told = [name for name in places if name in table]
     if not partial and told and len(told) < len(places):

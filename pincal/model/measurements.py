@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.model.input import LARGEST
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 EVERY_LEG = "all"
+SMALLEST_SIGMA = 1e-50
+"""Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +32,10 @@ class Noise:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (np.isfinite(value) and value >= 0.0):
+            if not (value == 0.0 or SMALLEST_SIGMA <= value <= LARGEST):
                 raise MeasurementError(
-                    f"the noise of {name} is {value}; expected a standard deviation, 0 or more"
+                    f"the noise of {name} is {value}; expected a standard deviation, 0 or more "
+                    f"({SMALLEST_SIGMA:g} to {LARGEST:g}, or 0 for what is exact)"
                 )
 
     def of_poses(self, mechanism: Mechanism) -> Array:

@@ -29,6 +29,7 @@ _BATCH = 16_384
 _PILOT = 1_500  # accepted poses from which the box is tightened and connected
 _WIDEN = 0.1  # of the box around the accepted poses, on each side
 _MOST = 400  # batches without enough poses before giving up
+_MOST_POSES = 10_000_000
 
 
 def sample_configurations(
@@ -55,6 +56,7 @@ def sample_configurations(
     """
     if not mechanism.by_readings:
         return Plan(sample_workspace(mechanism, count, seed, least, progress))
+    _check_count(count)
     rng = np.random.default_rng(seed)
     low, high = _reading_limits(mechanism)
     arm = all(not leg.passive for leg in mechanism.legs)
@@ -110,10 +112,9 @@ def sample_workspace(
     Raises:
         WorkspaceError: no or too few poses count.
     """
-    if count < 1:
-        raise WorkspaceError(f"the number of poses is {count}; expected at least 1")
     if mechanism.by_readings:
         return sample_configurations(mechanism, count, seed, least).poses
+    _check_count(count)
     rng = np.random.default_rng(seed)
     low, high, connected = _explore(mechanism, rng, least)
     found = [np.empty((0, mechanism.platform.dof))]
@@ -131,6 +132,18 @@ def sample_workspace(
     raise WorkspaceError(
         f"only {total} of {count} poses found in the workspace; lower the margins or the count"
     )
+
+
+def _check_count(count: int) -> None:
+    """Raise if no such number of poses can be sampled.
+
+    Raises:
+        WorkspaceError: none, or too many.
+    """
+    if not 1 <= count <= _MOST_POSES:
+        raise WorkspaceError(
+            f"the number of poses is {count}; expected at least 1 and at most {_MOST_POSES:,}"
+        )
 
 
 def _explore(

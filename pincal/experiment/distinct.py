@@ -1,0 +1,62 @@
+"""Candidates that say one configuration in other words, or off in the last digits, are one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+SAME = 1e-6
+"""Of the candidates' extent, within which two of them are one."""
+_ROUNDING = 1e-6  # of the size of coordinates: the least extent
+
+
+def places_of(platform: Platform, poses: Array, readings: Array | None = None) -> Array:
+    """Return positions, rotation matrices and readings over their extents, shape (N, 12 or more).
+
+    Coordinates that say the same pose, such as angles a whole turn apart, have the same place.
+
+    Args:
+        platform: The platform.
+        poses: Coordinates, shape (N, dof), [m] and [rad].
+        readings: Shape (N, n_readings), where poses do not tell them, [rad] or [m].
+
+    Raises:
+        MechanismError: a pose of a wrong shape, or not finite.
+    """
+    matrices = platform.transforms(poses).as_matrix()
+    parts = [matrices[:, :3, 3], matrices[:, :3, :3].reshape(-1, 9)]
+    parts += [] if readings is None else list(readings.T[:, :, None])
+    sizes = [np.abs(part).max(initial=0.0) for part in parts]
+    extents = [
+        max(np.ptp(part, axis=0).max(), _ROUNDING * size) if size > 0.0 else 1.0
+        for part, size in zip(parts, sizes, strict=True)
+    ]
+    return np.concatenate([p / e for p, e in zip(parts, extents, strict=True)], axis=1)
+
+
+def distinct(platform: Platform, poses: Array, readings: Array | None = None) -> NDArray[np.intp]:
+    """Return the configurations that are no copies of earlier ones, as indices in order.
+
+    Args:
+        platform: The platform.
+        poses: Coordinates, shape (N, dof), [m] and [rad].
+        readings: Shape (N, n_readings), where poses do not tell them, [rad] or [m].
+
+    Raises:
+        MechanismError: a pose of a wrong shape, or not finite.
+    """
+    places = places_of(platform, poses, readings)
+    kept = np.sort(np.unique(places, axis=0, return_index=True)[1])
+    while len(kept) > 1:  # of a pair of nearest neighbours the later one goes
+        distance, other = KDTree(places[kept]).query(places[kept], k=2, p=np.inf)
+        own = np.arange(len(kept))
+        nearest = np.where(other[:, 0] == own, 1, 0)
+        copies = (distance[own, nearest] <= SAME) & (other[own, nearest] < own)
+        if not copies.any():
+            break
+        kept = kept[~copies]
+    return kept
