@@ -123,6 +123,7 @@ def hexapod(folder: Path) -> Path:
             pairs.append([f"{leg}_A", f"{leg}_B"])
     yaml = f"closed_loop: {pairs}\ntype: {['3D'] * 5}\nname_mot: ['mot']\n"
     yaml += f"joint_name: {names}\njoint_type: {kinds}\n"
+    yaml += f"home: {{{', '.join(f'leg{i}_mot: 0.0' for i in range(6))}}}\n"  # upright: wide open
     return written(folder, urdf("hexapod", joints, "base"), yaml)
 
 

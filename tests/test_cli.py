@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -316,7 +319,9 @@ PARTIAL = ["--noise-position", "--noise-orientation"]
 BAD = {
     # mechanisms
     "mechanism-unknown": Case("inverse 6R plan.csv", ["'6R'", "3RRR", "5R"]),
-    "mechanism-folder-empty": Case("inverse .. plan.csv", ["mechanism.yaml", "No such file"]),
+    "mechanism-folder-empty": Case(
+        "inverse .. plan.csv", ["'..' is no mechanism folder", "mechanism.yaml"]
+    ),
     "mechanism-without-leg": Case(
         ROBOT, ["robot/leg_2.urdf", "No such file"], lambda: Path("robot/leg_2.urdf").unlink()
     ),
@@ -431,10 +436,31 @@ BAD = {
     "margin-nan": Case("workspace 3RRR --count 10 --margin-type2 nan", ["type-2", "nan"]),
     # what cannot be solved
     "pose-unreachable": Case(
-        "inverse 3RRR t.csv", ["t.csv", "row 2", "leg_1", "reach"], table(POSES, "0,0,0", "9,0,0")
+        "inverse 3RRR t.csv",
+        ["t.csv", "line 4", "leg_1", "reach"],
+        table(POSES, "", "0,0,0", "9,0,0"),
+    ),
+    "candidates-unreachable": Case(
+        "select 3RRR --candidates t.csv --unknown-frame -o new.csv",
+        ["no pose of t.csv", "leg_1"],
+        table(POSES, "5,0,0"),
+    ),
+    "target-far-off": Case(
+        "select 3RRR --candidates plan.csv --setup s.yaml -o new.csv",
+        ["'platform'", "50 m", "millimetres"],
+        lambda: Path("s.yaml").write_text(
+            "pincal_setup: 1\ntargets: {platform: {offset: [0.2, 0, 50]}}\n"
+        ),
+    ),
+    "distance-missing": Case(
+        "calibrate 3RRR measured.csv --method latent --setup s.yaml",
+        ["measured.csv", "no column 'wire'", "'wire [m]'"],
+        lambda: Path("s.yaml").write_text(
+            "pincal_setup: 1\ndistances: {wire: {from: [2.0, 0, 0]}}\n"
+        ),
     ),
     "pose-far-beyond": Case(
-        "inverse 3RRR t.csv", ["t.csv", "row 2"], table(POSES, "0,0,0", "1e11,0,0")
+        "inverse 3RRR t.csv", ["t.csv", "line 3"], table(POSES, "0,0,0", "1e11,0,0")
     ),
     "pose-beyond-numbers": Case(
         "inverse 3RRR t.csv", ["t.csv", "line 3", "1e200"], table(POSES, "0,0,0", "1e200,0,0")
@@ -527,7 +553,8 @@ def test_existing_output_is_refused(command: str, readings: Path) -> None:
     outcome = run(*WRITERS[command], "-o", "taken")
     assert outcome.code == 2
     assert "taken exists" in outcome.trouble
-    assert "--force" in outcome.trouble
+    helps = command != "calibrate"  # whose folder would not replace a file
+    assert ("say --force" in outcome.trouble) == helps
     assert contents(readings) == before
 
 
@@ -547,14 +574,16 @@ def test_force_writes_what_a_new_name_gets(command: str, readings: Path) -> None
 
 @pytest.mark.parametrize("command", ["inverse", "calibrate"])  # a table, a folder
 @pytest.mark.parametrize("output", ["thesis", "."])
+@pytest.mark.parametrize("force", [("--force",), ()])
 def test_force_spares_folders_of_other_things(
-    command: str, output: str, work: Path, monkeypatch: pytest.MonkeyPatch
+    force: tuple[str, ...], command: str, output: str, work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Even with --force a folder that pincal did not write is refused and stays as it was."""
+    """A folder that pincal did not write is refused, and --force is not offered, nor helps."""
     Path("thesis").mkdir()
     Path("thesis/chapter.tex").write_text("years of work")
     before = contents(work)
-    outcome = run(*WRITERS[command], "-o", output, "--force")
+    outcome = run(*WRITERS[command], "-o", output, *force)
+    assert "say --force" not in outcome.err
     monkeypatch.chdir("/")
     assert contents(work) == before
     assert outcome.code == 2
@@ -624,10 +653,50 @@ def test_failed_simulation_leaves_no_truth(work: Path, monkeypatch: pytest.Monke
 
 def test_check_tells_a_home_that_does_not_close(work: Path) -> None:
     """'check' says which leg misses the platform at home, by how much, and what home is for."""
-    edited("robot/mechanism.yaml", "home: {shoulder:", "home: {shoulder: 0.7, elbow: -1} #")()
+    edited("robot/mechanism.yaml", "shoulder: 1.047197551197", "shoulder: 0.95")()
     outcome = run("check", "robot")
     assert outcome.code == 0
-    assert "leg_1: home is rough, it closes within 0.78 m only" in " ".join(outcome.out.split())
+    assert "leg_1: home is rough, it closes within 0.22 m only" in " ".join(outcome.out.split())
+
+
+def test_identifiability_of_a_plan_out_of_reach(work: Path) -> None:
+    """A plan of which no pose is in reach is named as such, not blamed on what is measured."""
+    table(POSES, "5,0,0")()
+    outcome = run("identifiability", "3RRR", "t.csv")
+    assert outcome.code == 2
+    assert "no pose of t.csv is in reach of '3RRR': line 2 is out of reach" in outcome.trouble
+
+
+def test_columns_not_used_are_remarked(work: Path) -> None:
+    """The command line says which columns it leaves out, on stderr, and not if quiet."""
+    table(f"{POSES},temperature [degC]", "0,0,0,21")()
+    outcome = done("inverse", "3RRR", "t.csv", "-o", "readings.csv")
+    assert "t.csv: columns not used: temperature" in outcome.err
+    quiet = done("inverse", "3RRR", "t.csv", "-o", "again.csv", "--quiet")
+    assert quiet.err == ""
+
+
+INTERRUPTED = """
+import os, signal, sys
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupts())
+sys.argv[:] = ["pincal", "check", "5R"]
+from pincal_command import main
+main()
+"""
+
+
+@pytest.mark.parametrize("name", ["pinocchio", "yourdfpy"])  # at the start, and in a command
+def test_ctrl_c_ends_without_a_traceback(name: str) -> None:
+    """Ctrl-C while modules are loaded, or later, ends the command as shells expect, silently."""
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED.format(name=name)], capture_output=True, text=True
+    )
+    assert done.returncode in (-signal.SIGINT, 128 + signal.SIGINT)
+    assert "Traceback" not in done.stderr
 
 
 def test_a_prior_said_twice_is_refused(work: Path) -> None:

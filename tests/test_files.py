@@ -20,6 +20,7 @@ from pincal.errors import FileError, MechanismError, PincalError
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import tips_by_reader
 from pincal.model import files
+from pincal.model.home import home_gap
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
 Edit = tuple[str, str, str]  # file, text in it, replacement (everywhere)
@@ -268,6 +269,7 @@ LIMITS = 'lower="-6.283185307179586" upper="6.283185307179586"'
 LIMIT = f'<limit effort="0" velocity="0" {LIMITS}/>'
 ELBOW = '<origin xyz="1.5 0.0 0.0" rpy="0.0 0.0 0.0"/>'
 HOME = "home: {shoulder:"
+SHOULDERS = (1.047197551197, 3.14159265359, -1.047197551197)
 
 
 def more(text: str) -> Edit:
@@ -374,7 +376,7 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
     "key-unknown": ([(YAML, "description:", "remark:")], [YAML, "'remark'", "unknown"]),
     "zero-word": ([(YAML, "zero: 0.0", "zero: house")], [YAML, "sensors.0.zero", "'home'"]),
     "zero-infinite": ([(YAML, "zero: 0.0", "zero: .inf")], [YAML, "sensors.0.zero", "'home'"]),
-    "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensors.0.form"]),
+    "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensors.0.forms", "'form'?"]),
     "key-missing": ([(YAML, "  tip: tip\n", "")], [YAML, "tip", "missing"]),
     "key-twice": ([(YAML, "    k: 1.0\n", "    k: 1.0\n    k: 1.1\n")], [YAML, "k"]),
     "type-wrong": ([(YAML, "    l: 1.5\n", "    l: long\n")], [YAML, "parameters.l", "'long'"]),
@@ -442,9 +444,12 @@ def test_bad_mechanism_is_refused_by_name(case: str, folder: Path) -> None:
 def test_missing_file_is_named(name: str, folder: Path) -> None:
     """A file that is missing raises FileError with its path."""
     (folder / name).unlink()
-    with pytest.raises(FileError, match="No such file") as caught:
+    with pytest.raises(FileError) as caught:
         pincal.load_mechanism(folder)
-    assert str(folder / name) in str(caught.value)
+    if name == YAML:
+        assert f"'{folder}' is no mechanism folder: it has no {YAML}" in str(caught.value)
+    else:
+        assert f"{folder / name}: No such file" in str(caught.value)
 
 
 def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
@@ -453,6 +458,16 @@ def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
         pincal.load_mechanism("nowhere")
     with pytest.raises(FileError, match="absent"):
         pincal.load_mechanism(tmp_path / "absent")
+
+
+def test_nearly_the_name_of_a_bundled_one_is_asked_about() -> None:
+    """Other case or a slip brings the question which one is meant; a wholly other name does not."""
+    for name, meant in (("3rrr", "3RRR"), ("6ups", "6UPS"), ("linear-delta", "linear_delta")):
+        with pytest.raises(FileError, match=f"did you mean '{meant}'"):
+            pincal.load_mechanism(name)
+    with pytest.raises(FileError) as caught:
+        pincal.load_mechanism("nowhere")
+    assert "did you mean" not in str(caught.value)
 
 
 def test_overlong_name_is_a_file_error(tmp_path: Path) -> None:
@@ -547,7 +562,7 @@ def test_urdf_entities_read_no_files(folder: Path) -> None:
 def test_rough_home_says_only_on_which_side_a_leg_bends(folder: Path) -> None:
     """A home where a leg's tip misses its platform point gives the readings of the exact one."""
     exact = pincal.load_mechanism(folder)
-    edit(folder, (YAML, HOME, "home: {shoulder: 0.7, elbow: -1.0} #"))
+    edit(folder, *((YAML, f"shoulder: {at},", f"shoulder: {at - 0.1},") for at in SHOULDERS))
     rough = pincal.load_mechanism(folder)
     assert rough != exact
     poses = pincal.sample_workspace(exact, 200)
@@ -562,6 +577,104 @@ def test_home_within_disturbance_still_loads(tmp_path: Path) -> None:
     leg = three.legs[0].with_home(three.legs[0].home + 1e-3)
     near = replace(three, legs=(leg, *three.legs[1:]))
     assert pincal.load_mechanism(near.save(tmp_path / "m")) == near
+
+
+WIDE = {
+    "degrees": (HOME, "home: {shoulder: 60, elbow: -60} #", "is this degrees (1.0472 rad)?"),
+    "wrong-side": (HOME, "home: {shoulder: 1.047, elbow: 1.047} #", "'home' of leg_1"),
+    "platform": ("y: 0.0, phi: 0.0}", "y: 0.0, phi: 30.0}", "phi of the platform is 30"),
+    "millimetres": ("home: {x: 0.0, y", "home: {x: 400, y", "or of the platform"),
+}
+
+
+@pytest.mark.parametrize("case", WIDE)
+def test_home_that_leaves_a_leg_open_is_refused(case: str, folder: Path) -> None:
+    """A gap at home beyond a tenth of the leg is refused; angles beyond a turn are asked about."""
+    old, new, said = WIDE[case]
+    edit(folder, (YAML, old, new))
+    with pytest.raises(MechanismError, match="leg_1 does not close at home") as caught:
+        pincal.load_mechanism(folder)
+    assert said in str(caught.value)
+
+
+def test_home_beyond_a_turn_that_closes_is_taken(folder: Path) -> None:
+    """Positions of a turn more close the leg as well: nothing is asked about them."""
+    exact = pincal.load_mechanism(folder)
+    turns = ((YAML, f"shoulder: {at},", f"shoulder: {at + 2 * np.pi},") for at in SHOULDERS)
+    edit(folder, *turns)
+    turned = pincal.load_mechanism(folder)
+    poses = pincal.sample_workspace(exact, 50)
+    assert pincal.in_workspace(turned, poses).all()
+
+
+@pytest.mark.parametrize("name", pincal.bundled())
+def test_gap_at_home_is_that_of_the_closure(name: str) -> None:
+    """The gap of the model's own chain is that of Pinocchio's closure, home bent by 0.01."""
+    mechanism = pincal.load_mechanism(name)
+    T = mechanism.platform.home_pose.as_matrix()
+    for leg in mechanism.legs:
+        bent = leg.with_home(leg.home + 0.01)
+        c = LegClosure(bent, mechanism.platform).evaluate(bent.home[None], T).gap[0]
+        n = len([row for row in mechanism.platform.closing(leg.closes) if row < 3])
+        expected = max(np.linalg.norm(c[:n]), np.linalg.norm(c[n:]))
+        assert home_gap(bent, mechanism.platform) == pytest.approx(expected, rel=1e-9)
+
+
+FAULTS = {
+    "brace": ("phi: 0.0}", "phi: 0.0", [", line 9", "begins in line 8", "expected ',' or '}'"]),
+    "tab": ("  kind: planar", "\tkind: planar", [", line 6", "not by tabs"]),
+    "misspelt": ("  sensors:", "  sensor:", [", line 15", "legs.leg_1.sensor'", "'sensors'?"]),
+    "misspelt-choice": ("offset: gamma", "ofset: gamma", [", line 16", "mean 'offset'?"]),
+    "unlike": ("form: joint", "quark: joint", [", line 16", "expected joint, form, gain"]),
+    "decimal-comma": ("    l: 1.5", "    l: 0,02", [", line 18", "take a point", "'0,02'"]),
+    "unit": ("- {x: l}", "- {x: 0.02mm}", [", line 30", "elbow.0.x: '0.02mm'", "m or rad"]),
+    "key-number": ("{shoulder:", "{shoulder: 0,5, q:", [", line 14", "decimals take a point"]),
+    "missing": ("  tip: tip\n", "", [", line 10", "'legs.leg_1.tip' is missing"]),
+}
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_fault_in_yaml_is_told_by_line_and_key(case: str, folder: Path) -> None:
+    """The line is that of the fault, an unknown key comes before what is missing for it."""
+    old, new, said = FAULTS[case]
+    text = (folder / YAML).read_text()
+    assert old in text
+    (folder / YAML).write_text(text.replace(old, new, 1))
+    with pytest.raises(MechanismError) as caught:
+        pincal.load_mechanism(folder)
+    message = str(caught.value)
+    assert [part for part in said if part not in message] == [], message
+    assert "Value error" not in message
+    assert "more)" not in message or case == "unlike"
+
+
+def test_fault_in_xml_is_told_by_its_line(folder: Path) -> None:
+    """A URDF that does not parse is named with the line, once."""
+    (folder / LEG).write_text('<robot name="a">\n<link name="b">\n</robot>\n')
+    with pytest.raises(MechanismError) as caught:
+        pincal.load_mechanism(folder)
+    message = str(caught.value)
+    assert f"{LEG}, line 3: the file does not parse: Opening and ending tag mismatch" in message
+    assert "<string>" not in message
+    assert "column" not in message
+
+
+@pytest.mark.parametrize("number", ["0,02", "0.02mm"])
+def test_number_of_a_urdf_with_comma_or_unit_is_explained(number: str, folder: Path) -> None:
+    """A decimal comma or a unit in a URDF is named with its line and what is expected."""
+    edit(folder, (LEG, "1.5 0.0 0.0", f"{number} 0.0 0.0"))
+    with pytest.raises(
+        MechanismError, match=rf"line \d+: '{number}' is not a finite number: .*point.*m or rad"
+    ):
+        pincal.load_mechanism(folder)
+
+
+def test_what_was_identified_is_read_whatever_its_home(folder: Path) -> None:
+    """A result's mechanism keeps the nominal home, which need not close with its parameters."""
+    edit(folder, (YAML, HOME, "home: {shoulder: 0.1, elbow: -1.0} #"))
+    (folder.parent / "result.json").write_text("{}")
+    folder.rename(folder.parent / "mechanism")
+    assert pincal.load_mechanism(folder.parent).name == "3RRR"
 
 
 def test_orientations_said_in_two_ways_are_refused(tmp_path: Path) -> None:

@@ -53,7 +53,9 @@ def equal(first: object, second: object) -> bool:
     if isinstance(first, dict) and isinstance(second, dict):
         return set(first) == set(second) and all(equal(first[k], second[k]) for k in first)
     if isinstance(first, (pincal.Plan, pincal.Measurements)):
-        pairs = ((getattr(first, f.name), getattr(second, f.name)) for f in fields(first))
+        pairs = (
+            (getattr(first, f.name), getattr(second, f.name)) for f in fields(first) if f.compare
+        )
         return all(equal(a, b) for a, b in pairs)
     return first == second
 

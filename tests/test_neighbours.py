@@ -39,9 +39,9 @@ from pincal.formats.tree_urdf import loops_urdf, loops_yaml
 from pincal.kinematics.closed_forms import closed_form, pointing_slide
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.forest import cross
-from pincal.kinematics.links import link_placements
 from pincal.kinematics.reach import reach_of
 from pincal.model.leg import Leg
+from pincal.model.links import link_placements
 
 FAMILIES = ("5R", "3RRR", "6UPS", "3RPS", "linear_delta", "4cable")
 
@@ -722,3 +722,55 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     original = ("--original", file)
     told = run("export", out, *original, "-o", tmp_path / "new.xml").trouble
     assert "--original goes with URDF" in told
+
+
+def opened(folder: Path, by: float) -> Path:
+    """Write the five-bar with one end that misses the other, as drawn."""
+    joints = [one.replace('xyz="-0.2 0.2 0"', f'xyz="{by - 0.2} 0.2 0"') for one in FIVE_BAR]
+    return written(folder, urdf("fivebar", joints, "base"), FIVE_BAR_YAML)
+
+
+def test_an_open_loop_is_said(tmp_path: Path) -> None:
+    """By how much loops are open as drawn, and how far joints moved, is a warning; else not."""
+    outcome = done("import", opened(tmp_path / "open", 0.03), "-o", tmp_path / "bar")
+    mechanism = pincal.load_mechanism(tmp_path / "bar")
+    moved = max(abs(joint.home) for leg in mechanism.legs for joint in leg.moving)
+    text = " ".join(outcome.err.split())
+    assert "warning: as drawn the loops are open by 0.03 m" in text
+    assert f"moved by up to {moved:.3g} rad" in text
+    assert f"loops closed by {tmp_path / 'open' / 'robot.yaml'}" in outcome.out
+    closed = done("import", five_bar(tmp_path / "closed"), "-o", tmp_path / "bar2")
+    assert "warning" not in closed.err
+    assert "the loops close as drawn" in closed.out
+
+
+def test_a_wide_open_loop_is_refused(tmp_path: Path) -> None:
+    """Open by a tenth of a leg it is refused, and nothing is written."""
+    outcome = run("import", opened(tmp_path / "open", 0.08), "-o", tmp_path / "bar")
+    assert outcome.code == 2
+    assert "0.08 m apart" in outcome.trouble
+    assert "0.506 m" in outcome.trouble
+    assert not (tmp_path / "bar").exists()
+
+
+def test_degrees_and_millimetres_are_asked_about(tmp_path: Path) -> None:
+    """Origins turned by more than a turn, and legs of hundreds of metres, are warned of."""
+    joints = [one.replace('rpy="0 0 0"', 'rpy="0 0 90"', 1) for one in ARM[:1]] + ARM[1:]
+    (tmp_path / "arm.urdf").write_text(urdf("arm", joints, "base_link"))
+    outcome = done("import", tmp_path / "arm.urdf", "--tip", "tool0", "-o", tmp_path / "arm")
+    assert "rpy='0 0 90' is more than a turn: radians are expected" in " ".join(outcome.err.split())
+    large = re.sub(r"0\.(\d\d\d)", r"\1", urdf("arm", ARM, "base_link"))
+    (tmp_path / "large.urdf").write_text(large)
+    outcome = done("import", tmp_path / "large.urdf", "--tip", "tool0", "-o", tmp_path / "large")
+    assert "is this millimetres?" in outcome.err
+
+
+def test_misspelt_key_of_loops_is_named(tmp_path: Path) -> None:
+    """A key like one that is absent is asked about; keys of other tools stay ignored."""
+    file = written(
+        tmp_path,
+        urdf("fivebar", FIVE_BAR, "base"),
+        FIVE_BAR_YAML.replace("closed_loop:", "closed_loops:"),
+    )
+    with pytest.raises(pincal.MechanismError, match="'closed_loops'; did you mean 'closed_loop'"):
+        read(file)

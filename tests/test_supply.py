@@ -80,7 +80,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in names:
         ignored = shutil.ignore_patterns("__pycache__", ".*")
         shutil.copytree(ROOT / name, folder / "source" / name, ignore=ignored)
-    for name in ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE"):
+    for name in ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "pincal_command.py"):
         shutil.copy(ROOT / name, folder / "source")
     command = [python, "-m", "build", "-o", folder / "dist", folder / "source"]
     subprocess.run(command, check=True, capture_output=True)
@@ -104,7 +104,7 @@ def test_wheel_and_sdist_hold_what_they_should(built: Path) -> None:
     }
     assert source <= names
     assert {name for name in robots if name.endswith((".yaml", ".urdf"))} <= names
-    assert {name.split("/")[0].split("-")[0] for name in names} == {"pincal"}
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"pincal", "pincal_command.py"}
     with tarfile.open(sdist) as file:
         held = {name.partition("/")[2] for name in file.getnames()}
     assert {"tests/test_supply.py", "docs/dependencies.md", "LICENSE", "pyproject.toml"} <= held

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -199,7 +200,7 @@ BAD: dict[str, tuple[bytes, list[str]]] = {
     "header-only": (table(), ["rows"]),
     "column-missing": (
         table("1,2,4,5,6", header=HEADER.replace("phi [rad],", "")),
-        ["'phi'", "'phi [rad]'", "leg_1"],
+        ["'phi'", "'phi [rad]'", "leg_1", "--method latent"],
     ),
     "reading-missing": (
         table("1,2,3,4,5", header=HEADER.replace(",leg_3 [rad]", "")),
@@ -211,24 +212,47 @@ BAD: dict[str, tuple[bytes, list[str]]] = {
     "unit-of-angle-for-length": (under("x [m]", "x [deg]"), ["'x'", "[deg]", "[mm]"]),
     "unit-unknown": (under("leg_2 [rad]", "leg_2 [turns]"), ["'leg_2'", "[turns]", "[rad]"]),
     "header-malformed": (under("x [m]", "x [m"), ["'x [m'", "unit"]),
+    "unit-in-parentheses": (under("x [m]", "x (mm)"), ["'x (mm)'", "write 'x [mm]'"]),
+    "unit-of-angle-in-parentheses": (under("phi [rad]", "phi (°)"), ["write 'phi [°]'"]),
+    "unit-after-underscore": (under("x [m]", "x_mm"), ["'x_mm'", "write 'x [mm]'"]),
+    "unit-after-blank": (under("y [m]", "y mm"), ["'y mm'", "write 'y [mm]'"]),
+    "unit-after-slash": (under("leg_2 [rad]", "leg_2/deg"), ["write 'leg_2 [deg]'"]),
+    "name-in-capitals": (under("x [m]", "X [mm]"), ["'X [mm]'", "write 'x [mm]'"]),
+    "unit-wrong-in-parentheses": (under("x [m]", "x (°)"), ["'x (°)'", "write 'x [m]'"]),
     "header-nameless": (under("x [m]", "[m]"), ["'[m]'", "name"]),
     "header-twice": (under("y [m]", "x [mm]"), ["'x'", "twice"]),
-    "cell-text": (table(ROW, "1,two,3,4,5,6"), ["line 3", "'two'", "'y'"]),
-    "cell-empty": (table(ROW, ROW, "1,2,,4,5,6"), ["line 4", "''", "'phi'"]),
+    "cell-text": (
+        table(ROW, "1,two,3,4,5,6"),
+        ["line 3: 'two' in column 'y' is not a finite number;"],
+    ),
+    "cell-empty": (table(ROW, ROW, "1,2,,4,5,6"), ["line 4: empty cell in column 'phi';"]),
     "cell-nan": (table("1,2,3,nan,5,6"), ["line 2", "'nan'", "'leg_1'"]),
     "cell-inf": (table(ROW, "-inf,2,3,4,5,6"), ["line 3", "'-inf'", "'x'"]),
     "cell-overflow": (table("1,1e999,3,4,5,6"), ["line 2", "'1e999'", "'y'"]),
     "cell-after-blank-rows": (table("", ROW, "", "1,2,x,4,5,6"), ["line 5", "'x'", "'phi'"]),
-    "cell-comma-decimal": (table('"1,5",2,3,4,5,6'), ["line 2", "'1,5'", "'x'"]),
+    "cell-comma-decimal": (
+        table('"1,5",2,3,4,5,6'),
+        ["line 2", "'1,5'", "'x'", "decimals take a point"],
+    ),
+    "cell-with-unit": (table("0.02mm,2,3,4,5,6"), ["line 2", "'x'", "units (in the header) are"]),
     "cell-comma-decimal-bare": (table("1,5,2,3,4,5,6"), ["line 2", "7 cells", "6"]),
     "cell-underscore": (table("1_0,2,3,4,5,6"), ["line 2", "'1_0'", "'x'"]),
     "row-short": (table(ROW, "1,2,3"), ["line 3", "3 cells", "6"]),
-    "row-long": (table("1,2,3,4,5,6,"), ["line 2", "7 cells", "6"]),
+    "title-above": (b"Measured on Monday\n" + table(ROW), ["line 1", "remove the lines above"]),
+    "comment-above": (b"# tracker, day 2\n" + table(ROW), ["line 1", "remove the lines above"]),
+    "separator-above": (b"sep=,\n" + table(ROW), ["column 2 has no header in line 1", "above"]),
+    "title-of-excel": (b"Title,,,,,\n" + table(ROW), ["column 2 has no header in line 1", "above"]),
+    "column-unnamed": (table(ROW + ",", header=HEADER + ","), ["column 7 has no header"]),
+    "row-long": (table("1,2,3,4,5,6,"), ["line 2", "7 cells", "6", "commas at the end"]),
     "semicolons": (table(ROW).replace(b",", b";"), ["semicolons", "commas"]),
     "tabs": (table(ROW).replace(b",", b"\t"), ["commas"]),
     "quote-open": (table('"1,2,3,4,5,6'), ["CSV", "line 2"]),
     "latin-1": (under("phi [rad]", "phi [°]").decode().encode("latin-1"), ["UTF-8"]),
-    "utf-16": (table(ROW).decode().encode("utf-16"), ["UTF-8"]),
+    "utf-16": (table(ROW).decode().encode("utf-16"), ["UTF-16 text", "CSV UTF-8"]),
+    "utf-16-big": (b"\xfe\xff" + table(ROW).decode().encode("utf-16-be"), ["UTF-16 text"]),
+    "utf-16-bare": (table(ROW).decode().encode("utf-16-le"), ["UTF-16 text", "CSV UTF-8"]),
+    "utf-16-bare-big": (table(ROW).decode().encode("utf-16-be"), ["UTF-16 text"]),
+    "nul": (table(ROW, "1,2,\0,4,5,6"), ["line 3", "NUL"]),
     "binary": (bytes(range(256)), ["UTF-8"]),
     "set-unknown": (
         table("leg_1," + ROW, "leg_9," + ROW, header="set," + HEADER),
@@ -322,3 +346,18 @@ def test_missing_parent_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"absent does not exist"):
         write_table(tmp_path / "absent" / "t.csv", {"x [m]": [1.0]})
     assert names(tmp_path) == []
+
+
+def test_columns_without_a_meaning_are_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Columns that nothing reads are named once; sets, sigmas and readings are known."""
+    extra = ",leg_4 [rad],temperature [degC],set,sigma_phi [rad]"
+    path = tmp_path / "t.csv"
+    path.write_text(f"{HEADER}{extra}\n{ROW},7,21,all,1\n")
+    monitored = logging.getLogger("pincal")
+    monitored.propagate = True  # the command line, if it ran before, keeps them to itself
+    with caplog.at_level(logging.INFO, logger="pincal"):
+        pincal.read_poses(path, THREE)
+    (message,) = (record.getMessage() for record in caplog.records)
+    assert message == f"{path}: columns not used: leg_4, temperature"

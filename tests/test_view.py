@@ -19,8 +19,8 @@ import pytest
 from command_line import contents, done, run
 
 import pincal
-from pincal.kinematics.links import link_placements
 from pincal.kinematics.readers import skeleton
+from pincal.model.links import link_placements
 from pincal.show.bodies import Body, body
 from pincal.show.scene import scene
 from pincal.symmetry.domain import in_domain
@@ -287,7 +287,7 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
     page = tmp_path / "view.html"
 
     outcome = done("view", "3RRR", tmp_path / "holes.csv", "--html", page)
-    assert "12 of 24 rows hold no whole pose, the first is row 1" in outcome.err
+    assert "12 of 24 rows hold no whole pose, the first is in line 2" in outcome.err
     assert len(shown_poses(page)) == 12
     refused = run("view", "3RRR", tmp_path / "gone.csv", "--html", page, "--force")
     assert refused.code == 2
@@ -350,3 +350,11 @@ def test_interrupt_ends_the_server() -> None:
         _, errors = process.communicate(timeout=30)
     assert process.returncode == 0, errors
     assert "Traceback" not in errors
+
+
+def test_a_page_has_the_ending_of_one(tmp_path: Path) -> None:
+    """What a browser would not open as a page is refused before anything is drawn."""
+    outcome = run("view", "5R", "--html", tmp_path / "page.txt")
+    assert outcome.code == 2
+    assert "page.txt would be a page; give it the ending .html" in outcome.trouble
+    assert contents(tmp_path) == {}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import logging
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -177,6 +178,21 @@ def counting(text: str, total: int) -> Iterator[Callable[[int], None]]:
 def remark(text: str) -> None:
     """Say what is done, or was found by the way (stderr)."""
     _remarks.print(text, markup=False)
+
+
+class _Remarks(logging.Handler):
+    """Says what the package logs, such as columns that are not used."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        remark(record.getMessage())
+
+
+def listen() -> None:
+    """Say on stderr what the package logs."""
+    log = logging.getLogger("pincal")
+    log.setLevel(logging.INFO)
+    log.handlers = [_Remarks()]
+    log.propagate = False
 
 
 def warn(text: str) -> None:

@@ -20,6 +20,7 @@ from pincal.cli.setups import (
     measured_of,
     setup_from,
 )
+from pincal.experiment.configurations import check_reached
 from pincal.experiment.forecast import forecast
 from pincal.experiment.leg_by_leg import leg_by_leg
 from pincal.model.files import load_mechanism
@@ -67,6 +68,7 @@ def identifiability(
     measured = measured_of(mechanism, measure or "pose", how)
     if plan is not None:
         poses = read_poses(plan, mechanism)
+        check_reached(mechanism, poses, str(plan))
     with working("sampling the workspace"):
         over = sample_configurations(mechanism, 1000, seed)
         if plan is None:

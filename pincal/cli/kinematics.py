@@ -52,7 +52,7 @@ def inverse(
     solution = solve_inverse(mechanism, plan.poses)
     reached = solution.reached.all(axis=1)
     lost = np.flatnonzero(~reached).tolist()
-    _refuse_lost(poses, [(row, solution.reason(row)) for row in lost], "pose")
+    _refuse_lost(poses, [(plan.place(row), solution.reason(row)) for row in lost], "pose")
     write_readings(output, mechanism, solution.readings, force=force)
     wrote(output)
     read = mechanism.reading_names, mechanism.reading_units
@@ -84,7 +84,7 @@ def forward(
         mechanism, values, samples[np.minimum(tree.query(values)[1], len(samples) - 1)]
     )
     lost = np.flatnonzero(~solution.converged).tolist()
-    _refuse_lost(readings, [(row, solution.reasons[row]) for row in lost], "reading")
+    _refuse_lost(readings, [(f"row {row + 1}", solution.reasons[row]) for row in lost], "reading")
     write_poses(output, mechanism, Plan(solution.poses), force=force)
     if mechanism.redundant:
         row, leg = np.unravel_index(np.argmax(solution.gap), solution.gap.shape)
@@ -111,10 +111,10 @@ def _columns(
     return {name: {"unit": unit, "values": column} for name, unit, column in columns}
 
 
-def _refuse_lost(path: Path, lost: list[tuple[int, str]], what: str) -> None:
+def _refuse_lost(path: Path, lost: list[tuple[str, str]], what: str) -> None:
     """Raise if some rows have no solution."""
     if lost:
-        named = "; ".join(f"row {row + 1}: {reason}" for row, reason in lost[:_SHOWN])
+        named = "; ".join(f"{place}: {reason}" for place, reason in lost[:_SHOWN])
         more = f"; and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
         raise MeasurementError(
             f"{path}: {len(lost)} {what}(s) without a solution, nothing written. {named}{more}. "

@@ -22,7 +22,7 @@ from pincal.cli import (
     view,
     workspace,
 )
-from pincal.cli.app import app, remember, stderr
+from pincal.cli.app import app, listen, remember, stderr
 from pincal.errors import PincalError
 
 # as people come to need them
@@ -54,6 +54,7 @@ def main(argv: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")
     remember(sys.argv[1:] if argv is None else argv)
+    listen()
     try:
         app(args=argv, prog_name="pincal")
     except PincalError as error:

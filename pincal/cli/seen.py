@@ -119,7 +119,9 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
     ):  # which say where the mechanism is, in its own base frame
         solution = forward(mechanism, plan.readings)
         if not solution.converged.any():
-            raise MeasurementError(f"{table}: {solution.reasons[0]} at row 1, and at all others")
+            raise MeasurementError(
+                f"{table}: {solution.reasons[0]} at {plan.place(0)}, and at all others"
+            )
         rows = np.flatnonzero(solution.converged)
         sets = None if plan.sets is None else tuple(plan.sets[row] for row in rows)
         return Plan(solution.poses[rows], sets, plan.readings[rows])
@@ -146,7 +148,7 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
             raise MeasurementError(f"{error}. {advice}") from error
     warn(
         f"{table}: {len(whole) - whole.sum()} of {len(whole)} rows hold no whole pose, the first "
-        f"is row {int(np.argmin(whole)) + 1}; only the others are drawn. {advice}"
+        f"is in {plan.place(int(np.argmin(whole)))}; only the others are drawn. {advice}"
     )
     sets = None if plan.sets is None else tuple(np.array(plan.sets)[whole].tolist())
     return Plan(plan.poses[whole], sets, None if plan.readings is None else plan.readings[whole])

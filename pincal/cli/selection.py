@@ -33,6 +33,7 @@ from pincal.cli.setups import (
 )
 from pincal.errors import MechanismError, ObservabilityError, SymmetryError
 from pincal.experiment.configuration_choice import select_configurations
+from pincal.experiment.configurations import check_reached
 from pincal.experiment.selection import Protocol, select_poses
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.collision import free_of_collision
@@ -194,6 +195,7 @@ def _together(
             offered = sample_configurations(mechanism, _CONFIGURATIONS, seed)
         else:
             offered = read_poses(candidates, mechanism)
+            check_reached(mechanism, offered, str(candidates))
         offered = offered if collision is None else _free(mechanism, offered, collision)
         chosen = select_configurations(
             mechanism,

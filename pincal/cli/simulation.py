@@ -93,7 +93,7 @@ def simulate(
     if truth is not None and not given:
         wrote(truth)
     for row, reason in simulation.unreachable:
-        remark(f"row {row + 1} of the plan is not measured: {reason}")
+        remark(f"{planned.place(row)} of the plan is not measured: {reason}")
     lost = len(simulation.unreachable)
     remark(f"{len(simulation.measurements)} poses measured, {lost} not reached")
     wrote(output)

@@ -10,6 +10,7 @@ from pincal.cli.app import remark, stdout, warn, wrote
 from pincal.errors import FileError, MechanismError
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism
+from pincal.formats.drawn import closing_in_words
 from pincal.formats.loops_yaml import read_loops
 from pincal.formats.mjcf import read_mjcf
 from pincal.formats.serial import serial_arm
@@ -17,11 +18,14 @@ from pincal.formats.tree_mjcf import mjcf
 from pincal.formats.tree_of import tree_of, unwritten
 from pincal.formats.tree_urdf import loops_urdf, loops_yaml
 from pincal.kinematics.arm import load_arm
+from pincal.kinematics.closure import largest_size
 from pincal.model.files import save_mechanism
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import refuse_existing, writing
+from pincal.model.urdf import turns_beyond
 
 TREES = ("urdf", "mjcf")
+_LARGE = 20.0  # [m]
 
 
 def import_tree(
@@ -48,19 +52,46 @@ def import_tree(
         raise MechanismError("--tip is for serial arms, --platform and --loops for closed loops")
     if whose == "mjcf" and loops is not None:
         raise MechanismError("--loops goes with URDF; MJCF holds its loops in <equality>")
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = _turned(file) if whose == "urdf" else ()
     if tip is not None:
         serial = whose == "urdf"
         found = load_arm(file, tip, base) if serial else serial_arm(read_mjcf(file), tip, base)
     else:
-        tree = read_mjcf(file) if whose == "mjcf" else read_loops(file, loops or _beside(file))
-        found, remarks = closed_mechanism(tree, platform)
+        yaml = None if whose == "mjcf" else loops or _beside(file)
+        tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
+        found, more = closed_mechanism(tree, platform)
+        if yaml is not None:
+            stdout.print(f"loops closed by {yaml}", markup=False, soft_wrap=True)
+        words, moved = closing_in_words(tree, found)
+        if moved:
+            remarks += (words,)
+        else:
+            stdout.print(words, markup=False, soft_wrap=True)
+        remarks += more
+    remarks += _huge(found)
     name = re.sub(r"\W+", "_", output.absolute().name).strip("_") or found.name
     save_mechanism(replace(found, name=name), output, force=force)
     _say(found)
     for text in remarks:
         warn(text)
     wrote(output)
+
+
+def _turned(file: Path) -> tuple[str, ...]:
+    """Return what to say of origins that are turned by more than a full turn."""
+    beyond = turns_beyond(file)
+    if not beyond:
+        return ()
+    more = f" (and {len(beyond) - 1} more)" if len(beyond) > 1 else ""
+    return (f"{beyond[0]}{more} is more than a turn: radians are expected; is this degrees?",)
+
+
+def _huge(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return what to say of a mechanism larger than machines are."""
+    size = largest_size(mechanism.legs, mechanism.platform)
+    if size <= _LARGE:
+        return ()
+    return (f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?",)
 
 
 def _beside(file: Path) -> Path:

@@ -11,6 +11,7 @@ import typer
 
 from pincal.cli.app import Force, Mech, app, stderr, stdout, working, wrote
 from pincal.cli.seen import Cloud, Files, Magnify, seen, tell_unreached
+from pincal.errors import FileError
 from pincal.model.output import refuse_existing
 from pincal.show.view import View
 from pincal.show.view import view as viewed
@@ -39,6 +40,8 @@ def view(
     magnified. The page is served to this machine alone, until Ctrl-C.
     """
     if html is not None:
+        if html.suffix.lower() not in (".html", ".htm"):
+            raise FileError(f"{html} would be a page; give it the ending .html")
         refuse_existing(html, force=force)
     what = seen(mech, files, workspace, magnify)
     with working("placing the legs"):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
 from pincal.experiment.certificate import continuous_design
-from pincal.experiment.configurations import as_plan, legs_at
+from pincal.experiment.configurations import as_plan, check_reached, legs_at
 from pincal.experiment.distinct import distinct
 from pincal.experiment.exchange import exchange
 from pincal.experiment.forecast import information_rows
@@ -70,7 +70,8 @@ def select_configurations(
 
     Raises:
         ObservabilityError: too few configurations for what can be identified.
-        MeasurementError: unknown freedoms, or measurements without noise or equations.
+        MeasurementError: unknown freedoms, or measurements without noise or equations, or no
+            candidate in reach.
     """
     tell = progress or (lambda _: None)
     plan = as_plan(mechanism, candidates)
@@ -78,6 +79,8 @@ def select_configurations(
     plan = Plan(plan.poses[own], readings=None if plan.readings is None else plan.readings[own])
     tell("looking at candidates")
     legs = legs_at(mechanism, plan)
+    if not len(legs.poses):
+        check_reached(mechanism, plan, "the candidates")
     rows, names, kept = information_rows(
         mechanism, legs, noise or Noise(), measured, setup or Setup()
     )

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.errors import MeasurementError
 from pincal.kinematics.closure import LegClosure, least_squares
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.forward import forward
@@ -155,6 +156,25 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
     solved = inverse(mechanism, plan.poses)
     reasons = [solved.reason(row) for row in range(len(plan.poses))]
     return plan.poses, solved.readings, reasons
+
+
+def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the plan") -> None:
+    """Raise if no planned configuration is in reach.
+
+    Args:
+        mechanism: The mechanism.
+        planned: Configurations.
+        name: Of the plan, for the message.
+
+    Raises:
+        MeasurementError: none is.
+        MechanismError: poses or readings of a wrong shape, or not finite.
+    """
+    reasons = command(mechanism, planned)[2]
+    if all(reasons):
+        first = planned.place(0) if isinstance(planned, Plan) else "row 1"
+        why = f": {first} is {reasons[0]}" if reasons else ", it is empty"
+        raise MeasurementError(f"no pose of {name} is in reach of {mechanism.name!r}{why}")
 
 
 def nearby(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.experiment.configurations import Legs, legs_at, nearby
+from pincal.experiment.configurations import Legs, check_reached, legs_at, nearby
 from pincal.experiment.external import ExternalUnknowns
 from pincal.experiment.frames import frames_moved, split_frames
 from pincal.experiment.observability import Identifiability, identifiability, scaled_axes
@@ -124,11 +124,13 @@ def forecast(
         setup: What measured numbers will mean: unknown frame, targets, distances.
 
     Raises:
-        MeasurementError: unknown freedoms, or measurements without any noise.
+        MeasurementError: unknown freedoms, measurements without any noise, or no pose in reach.
         MechanismError: poses of a wrong shape, or not finite.
     """
     noise, setup, platform = noise or Noise(), setup or Setup(), mechanism.platform
     legs = legs_at(mechanism, poses)
+    if not len(legs.poses):
+        check_reached(mechanism, poses)
     rows, unknowns, kept = information_rows(mechanism, legs, noise, measured, setup)
     n = rows.shape[2]
     n_legs = legs.parameter.shape[2]

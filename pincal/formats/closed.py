@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
+from pincal.formats.drawn import check_drawn
 from pincal.formats.graph import Way, ways_of
 from pincal.formats.limbs import Limb, limb, point_platform, poses_at_zero
 from pincal.formats.tree import Tree, listed
@@ -81,6 +82,7 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
     made = tuple(
         _leg(name, one, tree, kind, own) for name, one, own in zip(names, limbs, stems, strict=True)
     )
+    check_drawn(tree, made, kind)
     try:
         made, placed = assembled(_apart(made), kind)
     except MechanismError as error:

@@ -21,9 +21,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pincal.errors import MechanismError
 from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns
-from pincal.model.schema import Number, read_yaml
+from pincal.model.schema import Number
 from pincal.model.urdf import link_of, read_joint
 from pincal.model.xml import read_xml
+from pincal.model.yaml_files import meant, read_yaml
 
 _TURNED = {"SPHERICAL": "xyz", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 
@@ -31,7 +32,7 @@ _TURNED = {"SPHERICAL": "xyz", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX"
 class LoopsSpec(BaseModel):
     """What the YAML file says; other keys (rotor inertias and such) do not matter here."""
 
-    model_config = ConfigDict(extra="ignore", strict=False)
+    model_config = ConfigDict(extra="allow", strict=False)
 
     closed_loop: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = []
     type: list[Literal["3d", "3D", "6d", "6D"]] = []
@@ -50,6 +51,10 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         MechanismError: a file that does not say what it should, or names what the other lacks.
     """
     spec = read_yaml(loops, LoopsSpec, MechanismError)
+    absent = sorted(set(LoopsSpec.model_fields) - spec.model_fields_set)
+    for key in spec.model_extra or ():
+        if question := meant(key, absent):
+            raise MechanismError(f"{loops}: unknown key {key!r}; {question}")
     for first, second in (("closed_loop", "type"), ("joint_name", "joint_type")):
         one, other = getattr(spec, first), getattr(spec, second)
         if len(one) != len(other) and (other or first == "joint_name"):

@@ -74,6 +74,21 @@ def assembled(legs: Sequence[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform
     return placed, Platform(kind, tuple(home.tolist()))
 
 
+def opening(legs: Sequence[Leg], kind: str) -> float:
+    """Return how far ends that should meet are apart at home, the platform put in between, [m].
+
+    Where whole frames meet, their turn counts times the leg's size.
+    """
+    free = Platform(kind, (0.0,) * Platform.dof_of(kind))
+    closures = [LegClosure(leg, free) for leg in legs]
+    joints = [leg.home[None] for leg in legs]
+    pose = _fitted(closures, joints, free)
+    gaps = [one.evaluate(q, pose).gap[0] for one, q in zip(closures, joints, strict=True)]
+    ends = np.array([gap[: free.space] for gap in gaps])
+    apart = np.linalg.norm(ends[:, None] - ends, axis=2).max()
+    return float(max(apart, *(np.linalg.norm(gap[free.space :]) for gap in gaps)))
+
+
 def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: Platform) -> Array:
     """Return the pose in which the platform's points are nearest to the tips, shape (1, 4, 4)."""
     for one, q in zip(closures, joints, strict=True):

@@ -113,22 +113,15 @@ class LegClosure:
         self._b, self._turn = b[0], turn[0]
         self._db = db[:, 0] @ point.from_parameters
 
-    @cached_property
+    @property
     def size(self) -> float:
-        """Length of the stretched leg, [m]: the scale against which gaps are small.
+        """Length of the stretched leg, [m] (see ``Leg.size``)."""
+        return self.leg.size
 
-        Its reach if it has no length at home, a metre if it has none anywhere.
-        """
-        arms = [np.linalg.norm(j.placement.xyz) for j in (*self.leg.joints[1:], self.leg.point)]
-        slides = [abs(j.home) for j in self.leg.moving if j.kind == "prismatic"]
-        return float(sum(arms) + sum(slides)) or self.reach or 1.0
-
-    @cached_property
+    @property
     def reach(self) -> float:
         """Largest distance of the platform's origin from the leg's base, [m]."""
-        arms = [np.linalg.norm(j.placement.xyz) for j in (*self.leg.joints[1:], self.leg.point)]
-        slides = [max(abs(j.lower), abs(j.upper)) for j in self.leg.moving if j.kind == "prismatic"]
-        return float(sum(arms) + sum(slides))
+        return self.leg.reach
 
     @property
     def by_name(self) -> dict[str, float]:

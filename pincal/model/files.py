@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from pincal.errors import FileError, MechanismError
+from pincal.model.home import check_home
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.output import writing
@@ -70,13 +72,20 @@ def _folder(name_or_path: str | Path) -> Path:
     folder = Path(name_or_path)
     if not is_folder(folder) and str(name_or_path) in bundled():
         folder = bundled()[str(name_or_path)]
+    name = str(name_or_path)[:200]
     if not is_folder(folder):
+        alike = get_close_matches(name.lower(), known := {one.lower(): one for one in bundled()}, 1)
+        question = f"; did you mean {known[alike[0]]!r}?" if alike else ""
         raise FileError(
-            f"no mechanism {str(name_or_path)[:200]!r}: neither a folder nor one of the bundled "
-            f"ones ({', '.join(bundled()) or 'none found'})"
+            f"no mechanism {name!r}: neither a folder nor one of the bundled "
+            f"ones ({', '.join(bundled()) or 'none found'}){question}"
         )
     if (folder / "result.json").is_file() and (folder / "mechanism").is_dir():
-        folder = folder / "mechanism"  # a result of 'pincal calibrate'
+        return folder / "mechanism"  # a result of 'pincal calibrate'
+    if not (folder / _YAML).is_symlink() and not (folder / _YAML).exists():
+        result = (folder / "result.json").is_file()
+        why = "a result whose fit did not converge" if result else "no mechanism folder"
+        raise FileError(f"{name!r} is {why}: it has no {'mechanism' if result else _YAML}")
     return folder
 
 
@@ -97,7 +106,11 @@ def _mechanism(spec: MechanismSpec, folder: Path) -> Mechanism:
         )
     points = read_points(_inside(folder, spec.platform.urdf))
     legs = tuple(_leg(leg, folder, points) for leg in spec.legs)
-    return Mechanism(spec.name, platform, legs, spec.description)
+    mechanism = Mechanism(spec.name, platform, legs, spec.description)
+    identified = (folder.parent / "result.json").is_file()  # at the nominal home
+    for leg in () if identified else legs:
+        check_home(leg, platform)
+    return mechanism
 
 
 def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:

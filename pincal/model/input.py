@@ -12,6 +12,8 @@ from pincal.errors import FileError, PincalError
 LARGEST = 1e12
 """Size of a mechanism's numbers, [m] or [rad], beyond which its squares mean nothing."""
 _CHUNK = 64 * 1024  # bytes
+_UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)
+_BEGUN = re.compile(r"\s*[-+.]?[0-9].*[^-+.0-9eE\s]")  # 0,02 and 0.02mm
 _LINE = re.compile("\r\n|\r|\n")
 
 
@@ -58,15 +60,21 @@ def read_text(
 
     Raises:
         FileError: the file is missing or cannot be read.
-        PincalError: of the given type: it is too large, or not UTF-8.
+        PincalError: of the given type: it is too large, not UTF-8, or no text.
     """
     data = read_bytes(path, largest, error_type, pipe=pipe)
+    excel = " (in Excel: CSV UTF-8)" if path.suffix.lower() == ".csv" else ""
+    if _UTF16.match(data):
+        raise error_type(f"{path}: UTF-16 text; save it as UTF-8{excel}")
+    if (nul := data.find(b"\0")) >= 0:
+        line = len(_LINE.findall(data[:nul].decode("latin-1"))) + 1
+        raise error_type(f"{path}: no text, line {line} has NUL bytes; save it as UTF-8{excel}")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = len(_LINE.findall(data[: error.start].decode("latin-1"))) + 1
         raise error_type(
-            f"{path}: not UTF-8 text ({error.reason} in line {line}); save it in that encoding"
+            f"{path}: not UTF-8 text ({error.reason} in line {line}); save it as UTF-8{excel}"
         ) from error
 
 
@@ -86,3 +94,19 @@ def plain_number(text: str) -> float:
         return float(bare) if bare.isascii() and "_" not in bare else nan
     except ValueError:
         return nan
+
+
+def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
+    """Return why a text is no number that can be used, in words.
+
+    Args:
+        text: What stands where a number should; ``plain_number`` is NaN, or beyond ``LARGEST``.
+        units: In which numbers are expected there.
+        place: In words that follow the text.
+    """
+    named = f"{text[:100]!r}{place}"
+    if abs(plain_number(text)) > LARGEST:
+        return f"{named} is not a finite number, at most {LARGEST:g} in size"
+    if not _BEGUN.match(text):
+        return f"{named} is not a finite number"
+    return f"{named} is not a finite number: decimals take a point, units ({units}) are not written"

@@ -42,6 +42,11 @@ class Joint:
         turns = self.kind == "revolute" and self.upper - self.lower >= 2 * np.pi
         return self.kind != "fixed" and not turns
 
+    @property
+    def turns(self) -> bool:
+        """Whether positions are angles."""
+        return self.kind == "revolute"
+
 
 @dataclass(frozen=True)
 class Leg:
@@ -189,6 +194,28 @@ class Leg:
     def home(self) -> Array:
         """Home positions of the moving joints, shape (n_joints,), [rad] or [m]."""
         return np.array([joint.home for joint in self.moving])
+
+    @cached_property
+    def size(self) -> float:
+        """Length of the stretched leg, [m]: the scale against which gaps are small.
+
+        Its reach if it has no length at home, a metre if it has none anywhere.
+        """
+        return self._arms + sum(abs(j.home) for j in self._slides) or self.reach or 1.0
+
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance of the platform's origin from the leg's base, [m]."""
+        return self._arms + sum(max(abs(j.lower), abs(j.upper)) for j in self._slides)
+
+    @property
+    def _arms(self) -> float:
+        arms = [np.linalg.norm(j.placement.xyz) for j in (*self.joints[1:], self.point)]
+        return float(sum(arms))
+
+    @property
+    def _slides(self) -> tuple[Joint, ...]:
+        return tuple(joint for joint in self.moving if joint.kind == "prismatic")
 
     def with_parameters(self, values: Mapping[str, float] | Sequence[float] | Array) -> Leg:
         """Return the leg with other nominal parameter values, its URDF origins moved along.

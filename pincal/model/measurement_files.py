@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,9 +15,11 @@ from pincal.model.measurements import EVERY_LEG, Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
-from pincal.model.table import Table, read_table
+from pincal.model.table import UNITS, Table, read_table
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
+_LISTED = 12  # names in a message
 
 
 def read_poses(path: str | Path, mechanism: Mechanism, *, partial: bool = False) -> Plan:
@@ -38,7 +41,7 @@ def read_poses(path: str | Path, mechanism: Mechanism, *, partial: bool = False)
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
         readings = _readings(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
-    return Plan(poses, _sets(table, mechanism), readings)
+    return Plan(poses, _sets(table, mechanism), readings, lines=tuple(table.lines))
 
 
 def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
@@ -66,11 +69,19 @@ def read_measurements(
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
-    more = (setup or Setup()).columns(mechanism)
+    setup = setup or Setup()
+    more = setup.columns(mechanism)
     table = _read(path, mechanism, more)
+    if missing := [name for name in setup.distances if name not in table]:
+        raise MeasurementError(
+            f"{table.path}: no column {missing[0]!r}, a distance that the setup names; expected "
+            f"'{missing[0]} [m]'"
+        )
     platform = mechanism.platform
     if platform.kind == "spatial" and partial and _way(table) is None:
         more |= {name: "rad" for name in SINGLE_ANGLES if name in table}
+    if not partial:
+        _whole(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
     extra = {
         name: table.numbers(name, unit, blank=True)
@@ -95,6 +106,7 @@ def read_measurements(
         },
         runs=_names(table, "run"),
         places=_names(table, "pose"),
+        lines=tuple(table.lines),
     )
     told = [data.poses, *(values[:, None] for values in extra.values())]
     blank = np.isnan(np.column_stack([*told, data.readings])).all(axis=1)
@@ -109,21 +121,59 @@ def read_measurements(
 
 
 def _read(path: str | Path, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
-    """Return a table; a column whose name differs from a known one by its case is refused."""
+    """Return a table; a column whose header is nearly that of a known one is refused.
+
+    Columns without a meaning are logged.
+    """
     table = read_table(path)
-    turns = [name for names, _ in WAYS.values() for name in names]
-    values = [*mechanism.platform.coordinates, *turns, *mechanism.reading_names]
-    values += list(more or ())
-    known = ["set", "run", "pose", *values, *(f"sigma_{name}" for name in values)]
-    for column in table.units:
-        bare = column.split("(")[0].strip().lower()
-        meant = [name for name in known if name.lower() == bare and name not in table]
-        if column not in known and meant:
+    units = _known(mechanism, more or {})
+    for column, own in table.units.items():
+        meant = [name for name in units if name not in table and _nearly(column, name, units[name])]
+        if column not in units and meant:
+            name, unit = meant[0], own or _unit_in(column, meant[0], units[meant[0]])
+            written = f"{column} [{own}]" if own else column
             raise MeasurementError(
-                f"{table.path}: column {column!r} is ignored as it stands; write {meant[0]!r}, and "
-                "units in brackets: 'x [mm]'"
+                f"{table.path}: column {written!r} is not understood; write "
+                f"{f'{name} [{unit}]' if unit else name!r}"
             )
+    unused = [name for name in table.units if name not in units]
+    if unused:
+        names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
+        names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)
+        _log.info("%s: columns not used: %s", table.path, ", ".join(names))
     return table
+
+
+def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns that mean something, with their units; empty for names."""
+    platform = mechanism.platform
+    units = dict(zip(platform.freedoms, platform.units, strict=True))
+    units |= dict(zip(platform.coordinates, platform.units, strict=True))
+    units |= {name: unit for names, unit in WAYS.values() for name in names}
+    units |= dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+    units |= more
+    units |= {f"sigma_{name}": unit for name, unit in units.items()}
+    return {"set": "", "run": "", "pose": "", **units}
+
+
+def _nearly(column: str, name: str, unit: str) -> bool:
+    """Return whether a column is meant by name, but in other case, or with its unit otherwise."""
+    bare = column.lower()
+    return bare == name.lower() or (
+        bare.startswith(name.lower()) and _unit_in(column, name, unit) is not None
+    )
+
+
+def _unit_in(column: str, name: str, dimension: str) -> str | None:
+    """Return the unit that follows a name as in ``x (mm)``, ``x_mm``, ``x/mm``.
+
+    That of the dimension where the brackets say another one, or nothing.
+    """
+    rest = column[len(name) :]
+    inner = rest.strip(" _/-(){}<>")
+    if inner in UNITS and UNITS[inner][0] == dimension and inner != rest:
+        return inner
+    return (dimension or "") if rest.strip().startswith("(") or not rest else None
 
 
 def _way(table: Table) -> str | None:
@@ -152,8 +202,7 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     told = [name for name in places if name in table]
     if not partial and told and len(told) < len(places):
         raise MeasurementError(
-            f"{table.path}: of {', '.join(places)} only {', '.join(told)}; add the others. (Poses "
-            "that were measured in part are calibrated with by --method latent)"
+            f"{table.path}: of {', '.join(places)} only {', '.join(told)}; add the others"
         )
 
     def numbers(name: str, unit: str) -> Array:
@@ -176,6 +225,25 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     at = RigidTransform.from_components(np.zeros((int(given.sum()), 3)), rotation)
     turns[given] = platform.coordinates_of(at)[:, 3:]
     return np.concatenate((position, turns), axis=1)
+
+
+def _whole(table: Table, mechanism: Mechanism) -> None:
+    """Raise if a table has some columns of the pose, but not all.
+
+    Raises:
+        MeasurementError: it was measured in part.
+    """
+    platform = mechanism.platform
+    places = platform.units.count("m")
+    needed = platform.coordinates[: places if _way(table) else None]
+    missing = [name for name in needed if name not in table]
+    if missing and len(missing) < len(needed):
+        unit = platform.units[platform.coordinates.index(missing[0])]
+        raise MeasurementError(
+            f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} [{unit}]', or say "
+            "--method latent, which calibrates with poses that were measured in part. The file "
+            f"has {', '.join(table.units)}"
+        )
 
 
 def _names(table: Table, column: str) -> tuple[str, ...] | None:

@@ -54,6 +54,12 @@ class Plan:
     """Leg for which each pose was chosen, ``"all"`` for every leg; None if not said."""
     readings: Array | None = None
     """Readings to command, shape (N, n_readings), where poses do not tell them."""
+    lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
+    """Line of the file in which each row stands, if they were read from one."""
+
+    def place(self, row: int) -> str:
+        """Return in words where a row stands: the line of its file, else its number."""
+        return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
 
     def serves(self, leg: str) -> Mask:
         """Return which poses were chosen for a leg, shape (N,)."""
@@ -109,4 +115,5 @@ class Measurements(Plan):
             sigma_extra={name: values[index] for name, values in self.sigma_extra.items()},
             runs=names(self.runs),
             places=names(self.places),
+            lines=None if self.lines is None else tuple(self.lines[i] for i in index),
         )

@@ -36,15 +36,15 @@ def refuse_existing(path: str | Path, *, force: bool, folder: bool = False) -> P
         raise FileError(f"cannot write {str(path)[:200]!r}: {error}") from error
     if special:
         raise FileError(f"{path} is a device or a pipe; name a file to write")
-    if exists and not force:
-        raise FileError(f"{path} exists; choose another name, or say --force to replace it")
     if exists and is_folder and not folder:
         raise FileError(f"{path} is a folder; name a file to write")
     if exists and folder and not (is_folder and any((path / m).is_file() for m in MARKERS)):
         raise FileError(
-            f"{path} is not a folder that pincal wrote, so --force does not replace it; choose "
+            f"{path} exists and is not a folder that pincal wrote, so it is not replaced; choose "
             "another name"
         )
+    if exists and not force:
+        raise FileError(f"{path} exists; choose another name, or say --force to replace it")
     if not has_parent:
         raise FileError(f"cannot write {path}: the folder {parent} does not exist")
     return path

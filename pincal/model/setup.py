@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import hypot
 from pathlib import Path
 from typing import Literal
 
@@ -16,9 +17,11 @@ from pydantic import Field
 from pincal.errors import MeasurementError
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
-from pincal.model.schema import Name, Number, Strict, read_yaml
+from pincal.model.schema import Name, Number, Strict
+from pincal.model.yaml_files import read_yaml
 
 Point = tuple[float, float, float]
+_FAR = 3.0  # times the longest leg: no target is that far from its platform
 ORIGIN = "platform"  # the target whose position is x, y, z
 
 
@@ -68,7 +71,19 @@ class Setup:
         return not self.unknown_frame and not self.distances and self.targets == {ORIGIN: Target()}
 
     def columns(self, mechanism: Mechanism) -> dict[str, str]:
-        """Return columns that this setup adds to those of the pose, and their units."""
+        """Return columns that this setup adds to those of the pose, and their units.
+
+        Raises:
+            MeasurementError: a column that means something else; a target far off the mechanism.
+        """
+        size = max(leg.size for leg in mechanism.legs)
+        for name, target in self.targets.items():
+            if (far := hypot(*target.offset)) > _FAR * size:
+                raise MeasurementError(
+                    f"target {name!r} is {far:.4g} m from the platform's origin, and the longest "
+                    f"leg of {mechanism.name!r} is {size:.3g} m; expected metres: is this "
+                    "millimetres?"
+                )
         axes = "xyz"[: mechanism.platform.space]
         further = [name for name in self.targets if name != ORIGIN]
         points = {f"{name}_{axis}": "m" for name in further for axis in axes}

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.model.input import LARGEST, plain_number, read_text
+from pincal.model.input import LARGEST, plain_number, read_text, why_no_number
 from pincal.model.output import writing
 
 Array = NDArray[np.float64]
@@ -36,6 +37,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "deg": ("rad", np.pi / 180),
     "°": ("rad", np.pi / 180),
 }
+_HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _MOST_COLUMNS = 1000
 _LARGEST = 256 * 1024 * 1024  # bytes
 
@@ -96,10 +98,15 @@ class Table:
         sound = np.abs(values) <= LARGEST
         if not (sound | empty).all():
             row = int(np.argmin(sound | empty))
+            cell = self.text[column][row]
+            place = f" in column {column!r}"
+            why = (
+                why_no_number(cell, "in the header", place)
+                if cell.strip()
+                else f"empty cell{place}"
+            )
             raise MeasurementError(
-                f"{self.path}, line {self.lines[row]}: {self.text[column][row][:100]!r} in column "
-                f"{column!r} is not a finite number, at most {LARGEST:g} in size; correct it or "
-                "remove the row"
+                f"{self.path}, line {self.lines[row]}: {why}; correct it or remove the row"
             )
         return values
 
@@ -119,15 +126,13 @@ def read_table(path: str | Path) -> Table:
         header = next((row for row in reader if any(cell.strip() for cell in row)), None)
         if not header:
             raise MeasurementError(f"{path}: empty; expected a header line and rows")
-        units = _header(path, header)
+        top = reader.line_num
+        units = _header(path, header, top)
         for row in reader:
             if not row or not any(cell.strip() for cell in row):
                 continue
             if len(row) != len(header):
-                raise MeasurementError(
-                    f"{path}, line {reader.line_num}: {len(row)} cells under "
-                    f"{len(header)} headers; separate cells by commas, decimals by points"
-                )
+                raise MeasurementError(f"{path}{_uneven(row, reader.line_num, header, top)}")
             rows.append(row)
             lines.append(reader.line_num)
     except csv.Error as error:
@@ -138,7 +143,25 @@ def read_table(path: str | Path) -> Table:
     return Table(path, units, dict(zip(units, map(list, columns), strict=True)), lines)
 
 
-def _header(path: Path, header: Sequence[str]) -> dict[str, str | None]:
+def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
+    """Return what is wrong with a row that is not as long as the header."""
+    if any(_HEADER.search(cell) for cell in row) or (len(header) == 1 and len(row) > 2):
+        return (
+            f", line {top} is taken for the header ({', '.join(header)[:60]!r}), but line {line} "
+            f"has {len(row)} cells; remove the lines above the header, or comments and titles"
+        )
+    if len(row) > len(header) and not any(cell.strip() for cell in row[len(header) :]):
+        return (
+            f", line {line}: {len(row)} cells under {len(header)} headers, the last ones empty; "
+            "remove the commas at the end of the row"
+        )
+    return (
+        f", line {line}: {len(row)} cells under {len(header)} headers; separate cells by commas, "
+        "decimals by points"
+    )
+
+
+def _header(path: Path, header: Sequence[str], line: int) -> dict[str, str | None]:
     if len(header) > _MOST_COLUMNS:
         raise MeasurementError(f"{path}: {len(header)} columns; more than {_MOST_COLUMNS}")
     for name, separator in (("semicolons", ";"), ("tabs", "\t")):
@@ -147,6 +170,11 @@ def _header(path: Path, header: Sequence[str]) -> dict[str, str | None]:
                 f"{path}: cells are separated by {name}; separate them by commas"
             )
     units: dict[str, str | None] = {}
+    if nameless := [index + 1 for index, cell in enumerate(header) if not cell.strip()]:
+        raise MeasurementError(
+            f"{path}: column {nameless[0]} has no header in line {line}, which is taken for the "
+            "headers; name the column or remove it, and remove lines above the headers"
+        )
     for cell in header:
         name, bracket, unit = (part.strip() for part in cell.strip().partition("["))
         inner = unit.removesuffix("]")

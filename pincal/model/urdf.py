@@ -9,7 +9,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.input import LARGEST, plain_number
+from pincal.model.input import LARGEST, plain_number, why_no_number
 from pincal.model.leg import Joint, JointKind
 from pincal.model.placement import Placement
 from pincal.model.xml import read_xml
@@ -170,6 +170,22 @@ def read_joint(element: etree._Element, path: Path) -> Joint:
     return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
 
 
+def turns_beyond(path: Path) -> tuple[str, ...]:
+    """Return in words the origins of a URDF whose rpy exceeds a full turn: degrees, perhaps.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: not well-formed, or a number that is none.
+    """
+    found = []
+    for element in read_xml(path, "robot").iterfind("joint/origin"):
+        where = f"{path}, line {element.sourceline}"
+        rpy = _triple(element, "rpy", where, (0.0, 0.0, 0.0))
+        if np.abs(rpy).max() > 2 * np.pi:
+            found.append(f"{where}: rpy={element.get('rpy')!r}")
+    return tuple(found)
+
+
 def _unlimited(element: etree._Element) -> bool:
     """Return whether a <limit> says no range, as CAD exporters write for joints that may turn."""
     limit = element.find("limit")
@@ -217,7 +233,5 @@ def _triple(element: etree._Element | None, key: str, where: str, default: Tripl
 def _number(text: str, where: str) -> float:
     value = plain_number(text)
     if not abs(value) <= LARGEST:
-        raise MechanismError(
-            f"{where}: {text[:100]!r} is not a finite number, at most {LARGEST:g} in size"
-        )
+        raise MechanismError(f"{where}: {why_no_number(text)}")
     return value

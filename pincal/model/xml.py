@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from lxml import etree
@@ -9,6 +10,7 @@ from lxml import etree
 from pincal.errors import MechanismError
 from pincal.model.input import read_bytes
 
+_PLACE = re.compile(r", line \d+, column \d+$")
 _LARGEST = 16 * 1024 * 1024  # bytes
 
 
@@ -28,7 +30,10 @@ def read_xml(path: Path, root: str) -> etree._Element:
     try:
         element = etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
-        raise MechanismError(f"{path}: the file does not parse: {error}") from error
+        why = _PLACE.sub("", str(error.msg))
+        raise MechanismError(
+            f"{path}, line {error.lineno or 1}: the file does not parse: {why}"
+        ) from error
     if element.tag != root:
         raise MechanismError(f"{path}: expected a <{root}> element, found <{element.tag}>")
     dtd = element.getroottree().docinfo.internalDTD

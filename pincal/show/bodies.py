@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.experiment.configurations import as_plan, joints_at
-from pincal.kinematics.links import link_placements
 from pincal.model.leg import Leg
+from pincal.model.links import link_placements
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.urdf_writing import leg_urdf, platform_urdf

@@ -1,0 +1,57 @@
+"""A home must nearly close its legs, or it does not fix the side on which they bend."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MechanismError
+from pincal.model.leg import Leg
+from pincal.model.links import link_placements
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+_ROUGH = 0.1  # of the leg's size: beyond it, a home is wrong rather than rough
+
+
+def check_home(leg: Leg, platform: Platform) -> None:
+    """Raise if the home positions of a leg leave it wide open at the platform's home pose.
+
+    Raises:
+        MechanismError: it does not close within a tenth of its size; angles beyond a full turn
+            are asked about.
+    """
+    gap = home_gap(leg, platform)
+    if gap <= _ROUGH * leg.size:
+        return
+    angles = {f"{joint.name} of {leg.name}": joint.home for joint in leg.moving if joint.turns}
+    angles |= {
+        f"{name} of the platform": value
+        for name, value, unit in zip(
+            platform.coordinates, platform.home, platform.units, strict=True
+        )
+        if unit == "rad"
+    }
+    beyond = {name: value for name, value in angles.items() if abs(value) > 2 * np.pi}
+    asked = "".join(
+        f". {name} is {value:g} at home: radians are expected; is this degrees "
+        f"({np.radians(value):.6g} rad)?"
+        for name, value in list(beyond.items())[:1]
+    )
+    raise MechanismError(
+        f"{leg.name} does not close at home: its tip is {gap:.2g} m from the platform's point "
+        f"{leg.point.name!r}, the leg is {leg.size:.2g} m long; expected a tenth of that at most. "
+        f"Correct 'home' of {leg.name} or of the platform{asked}"
+    )
+
+
+def home_gap(leg: Leg, platform: Platform) -> float:
+    """Return by how much a leg is open at home, [m]; a turn of its frame counts times its size."""
+    tip = link_placements(leg, leg.home[None])[0, -1]
+    point = platform.home_pose.as_matrix()[0] @ leg.point.placement.origin()
+    gap = float(np.linalg.norm((tip - point)[: platform.space, 3]))
+    if leg.closes == "point":
+        return gap
+    turn = Rotation.from_matrix(point[:3, :3].T @ tip[:3, :3]).magnitude()
+    return max(gap, leg.size * float(turn))
