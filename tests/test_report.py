@@ -22,6 +22,7 @@ from lxml import html as lxml_html
 
 import pincal
 from pincal.identification.robust import Outlier
+from pincal.show.calibration import calibration_summary
 from pincal.show.findings import Findings
 from pincal.show.markup import serialised
 from pincal.show.report import Origin, Report
@@ -107,21 +108,47 @@ def test_the_first_section_answers(planar: Any) -> None:
     assert order[-1] == "reproduction"
 
 
+def verdicts_of(report: Any, result: Any) -> tuple[list[str], str]:
+    """Return the three verdicts on a result, and all of the first section's text."""
+    section = serialised(answers(replace(report.found, result=result), []))
+    first = lxml_html.fromstring(section)
+    return [one.text_content() for one in first.find_class("verdict")], first.text_content()
+
+
 def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     """Where χ² contradicts the noise, no answer takes the uncertainties at their word."""
-    result, _, report = planar
-    poor = replace(result, reduced_chi2=36.0, warnings=("reduced χ² is 36",))
-    section = serialised(answers(replace(report.found, result=poor), []))
-    first = lxml_html.fromstring(section)
-    verdicts = [one.text_content() for one in first.find_class("verdict")]
-    assert verdicts[0] == "Probably"
-    assert verdicts[1].endswith("mm or more")
-    assert verdicts[2] == "Not as it stands: one warning above"
+    result, data, report = planar
+    poor = replace(result, reduced_chi2=4.0, warnings=("reduced χ² is 4",))
+    verdicts, text = verdicts_of(report, poor)
     after = 1e3 * report.found.errors.mean_after()[0]
-    assert f"{6 * after:.3g} mm" in first.text_content()
-    assert "Residuals are 6 times" in first.text_content()
+    assert verdicts[0] == "Probably"
+    assert verdicts[1].endswith(f"→ {2 * after:.3g} mm or more")
+    assert verdicts[2] == "Not as it stands: one warning above"
+    assert "Residuals are 2 times" in text
+    told = calibration_summary(data, poor, report.found.errors)
+    assert any(f"by about {2 * after:.3g} mm" in line and "2 times" in line for line in told)
     sound = page_of(report).get_element_by_id("answers").find_class("verdict")
     assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
+
+
+def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
+    """Residuals far beyond the noise: no number after; if they hardly fell, it is not better."""
+    result, data, report = planar
+    far = replace(result, reduced_chi2=1e4)
+    legs = tuple(replace(leg, residuals=0.9 * leg.residuals_before) for leg in result.legs)
+    for poor, verdict in ((far, "Not shown"), (replace(far, legs=legs), "No")):
+        verdicts, text = verdicts_of(report, poor)
+        assert verdicts[:2] == [verdict, "No accuracy can be promised"]
+        assert "100 times as large as the noise" in text
+        assert "→" not in text
+        (told,) = (
+            line
+            for line in calibration_summary(data, poor, report.found.errors)
+            if line.startswith("platform")
+        )
+        assert "no accuracy can be promised" in told
+        assert "by about" not in told
+        assert ("hardly fell" in told) == (verdict == "No")
 
 
 def test_parameters_are_those_of_the_result(planar: Any) -> None:

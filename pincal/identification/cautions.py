@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import gammainc
 
-from pincal.identification.result import LegResult, TieTest
+from pincal.identification.result import UNEXPLAINED, LegResult, TieTest
 from pincal.identification.robust import Outlier
 from pincal.identification.task import Task
 from pincal.identification.undetermined import plausible_changes
 
-_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 _HOLD = ", hold what is not told (--method latent --hold-undetermined)"
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
 
@@ -69,7 +68,7 @@ def warnings_of(
             f"the noise was not given: equal standard deviations of {what}{exact} were assumed, "
             "and the scale estimated from the residuals"
         )
-    elif dof and not _UNLIKELY <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - _UNLIKELY:
+    elif dof and not UNEXPLAINED <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - UNEXPLAINED:
         given = "repeated rows show" if source == "repeats" else "given"
         found.append(
             f"reduced χ² is {chi2:.3g} where 1 is expected: the noise is "

@@ -217,16 +217,23 @@ def noise_in_words(result: CalibrationResult) -> str:
 
 
 def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
-    """Return by how much the platform was off, and within what it should be now."""
-    turns = "rad" in result.nominal.platform.units
+    """Return by how much the platform was off, and by about how much it should be now."""
+    turns, more = "rad" in result.nominal.platform.units, result.excess
+    before = size_in_words(*errors.mean_before(), turns)
+    text = f"platform, root mean square {errors.where}: "
+    if not (result.promises and result.corrects):
+        return (
+            f"{text}the calibrated model differs from the nominal one by {before}, but no accuracy "
+            f"can be promised of it: residuals are {more:.3g} times as large as the noise given "
+            f"makes them{'' if result.corrects else ', and hardly fell'}"
+        )
     frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
+    after = size_in_words(*(more * value for value in errors.mean_after()), turns)
+    scaled = f", {more:.2g} times as large as the noise given says, as residuals are"
     return (
-        f"platform, root mean square {errors.where}: the nominal model was off by "
-        + size_in_words(*errors.mean_before(), turns)
-        + ", the calibrated one should be within "
-        + size_in_words(*errors.mean_after(), turns)
-        + f"{frames} (by the parameters' uncertainties; ± of single parameters may be larger where "
-        "they compensate each other)"
+        f"{text}the nominal model was off by {before}, the calibrated one by about {after}{frames} "
+        f"(expected by the parameters' uncertainties{scaled if more > 1.0 else ''}; ± of single "
+        "parameters may be larger where they compensate each other)"
     )
 
 
