@@ -303,6 +303,33 @@ def test_exact_readings_are_no_proof() -> None:
     assert page.xpath("//*[@id='figure-histogram']")
 
 
+def test_the_limit_holds_in_95_of_100_calibrations(planar: Any) -> None:
+    """Of machines whose parameters differ by the covariance; and the report names the limit."""
+    result, _, report = planar
+    poses = report.found.errors.poses[:40]
+    found = errors_at(result, poses)
+    n, draws = len(result.covariance), 200
+    values, axes = np.linalg.eigh(result.covariance)
+    shifts = (axes * np.sqrt(values.clip(0.0))) @ np.random.default_rng(0).standard_normal(
+        (n, draws)
+    )
+    sizes = np.cumsum([len(leg.parameters) for leg in result.legs])[:-1]
+    actual = []
+    for shift in shifts.T:
+        changed = {
+            leg.name: leg.identified + own
+            for leg, own in zip(result.legs, np.split(shift, sizes), strict=True)
+        }
+        one = pincal.accuracy(result.identified, result.nominal.with_parameters(changed), poses)
+        actual.append((one.position, one.orientation))
+    below = (np.array(actual) < found.limit).mean(axis=0)
+    assert (np.abs(below - 0.95) < 0.055).all()  # 3.5 standard deviations
+    assert (np.array(found.limit) > found.mean_after()).all()
+    text = page_of(report).get_element_by_id("answers").text_content()
+    assert f"stay below {1e3 * report.found.errors.limit[0]:.3g} mm" in text
+    assert "with 95 % confidence" in text
+
+
 def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:
     """A fit that did not converge says so first, and shows and writes no calibrated mechanism."""
     result, data, _ = planar

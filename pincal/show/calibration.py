@@ -228,12 +228,14 @@ def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
             f"makes them{'' if result.corrects else ', and hardly fell'}"
         )
     frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
-    after = size_in_words(*(more * value for value in errors.mean_after()), turns)
+    after = scaled_in_words(errors.mean_after(), more, turns)
+    limit = scaled_in_words(errors.limit, more, turns)
     scaled = f", {more:.2g} times as large as the noise given says, as residuals are"
     return (
         f"{text}the nominal model was off by {before}, the calibrated one by about {after}{frames} "
-        f"(expected by the parameters' uncertainties{scaled if more > 1.0 else ''}; ± of single "
-        "parameters may be larger where they compensate each other)"
+        f"(expected by the parameters' uncertainties{scaled if more > 1.0 else ''}; 95 of 100 such "
+        f"calibrations stay below {limit}; ± of single parameters may be larger where they "
+        "compensate each other)"
     )
 
 
@@ -257,6 +259,11 @@ def trust_in_words(result: CalibrationResult) -> list[str]:
             f"much as their standard errors say (p = {result.runs.p_value:.2g})"
         )
     return lines
+
+
+def scaled_in_words(sizes: tuple[float, float], by: float, turns: bool) -> str:
+    """Return errors of the platform, [m] and [rad], times a factor."""
+    return size_in_words(by * sizes[0], by * sizes[1], turns)
 
 
 def size_in_words(position: float, orientation: float, turns: bool) -> str:
