@@ -111,7 +111,7 @@ def fit(
             break
         linear = problem.linearise(problem.moved(linear, unknowns.map @ step))
         evaluations += 1
-    ranks = check_rank(problem, unknowns, linear)
+    ranks = check_rank(problem, unknowns, linear, ended=True)
     chi2, dof = system.chi2(linear, weights)
     if dof < 1 and not known:
         raise ObservabilityError(

@@ -18,6 +18,7 @@ from pincal.identification.explanation import (
     beyond,
     check_gaps,
     doubtful,
+    explained,
 )
 from pincal.identification.leg_fit import LegFit, leg_fits
 from pincal.identification.suspects import mirrored, shifted
@@ -41,18 +42,39 @@ def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
     Raises:
         MeasurementError: they do not fit; the message says what would explain it.
     """
-    complete = np.flatnonzero(np.isfinite(data.poses).all(axis=1))
+    complete, some = _complete(data)
     if len(complete) < 2:
         return
-    some = complete[:: -(-len(complete) // _ROWS)]
     poses, readings = data.poses[some], data.readings[some]
-    _check_constant(mechanism, poses, readings)
+    still = _still(mechanism, poses, readings)
+    if still:
+        raise MeasurementError(still)
     fits = leg_fits(mechanism, poses, readings)
     if doubtful(fits).any():
         check_gaps(mechanism, poses, readings, fits, shifted(data.poses, data.readings, some))
     _check_modes(mechanism, fits)
     _check_side(mechanism, poses, readings)
     _check_readings(mechanism, data, complete)
+
+
+def suspected(mechanism: Mechanism, data: Measurements) -> str:
+    """Return what would explain that measurements do not fit, in words; empty if nothing does."""
+    complete, some = _complete(data)
+    if len(complete) < 2:
+        return ""
+    poses, readings = data.poses[some], data.readings[some]
+    fits = leg_fits(mechanism, poses, readings)
+    still = _still(mechanism, poses, readings)
+    if still or not doubtful(fits).any():
+        return still
+    shifts = shifted(data.poses, data.readings, some)
+    return explained(mechanism, poses, readings, fits, shifts)
+
+
+def _complete(data: Measurements) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows with complete poses, and enough of them to judge by."""
+    complete = np.flatnonzero(np.isfinite(data.poses).all(axis=1))
+    return complete, complete[:: max(-(-len(complete) // _ROWS), 1)]
 
 
 def check_copies(data: Measurements) -> None:
@@ -83,15 +105,14 @@ def check_copies(data: Measurements) -> None:
         )
 
 
-def _check_constant(mechanism: Mechanism, poses: Array, readings: Array) -> None:
-    """Raise if a reading is the same in all rows though the poses move its sensor.
+def _still(mechanism: Mechanism, poses: Array, readings: Array) -> str:
+    """Return which readings are the same in all rows though the poses move their sensors.
 
-    Raises:
-        MeasurementError: naming the legs and what they read.
+    In words; empty if there are none.
     """
     still = np.ptp(readings, axis=0) == 0.0
     if mechanism.by_readings or not still.any():
-        return
+        return ""
     nominal = inverse(mechanism, poses).readings
     found, moves = [], []
     for index, (leg, name) in enumerate(zip(mechanism.legs, mechanism.reading_names, strict=True)):
@@ -101,11 +122,12 @@ def _check_constant(mechanism: Mechanism, poses: Array, readings: Array) -> None
         if still[index] and len(told) > 1 and np.ptp(told) > _STILL * size:
             found.append(f"{name} reads the same in all rows ({readings[0, index]:.6g} {unit})")
             moves.append(f"{np.ptp(told):.2g} {unit}")
-    if found:
-        raise MeasurementError(
-            f"{', '.join(found)}, where readings of the nominal mechanism differ by "
-            f"{', '.join(moves)} over these poses. Check the sensor, its cable and the log"
-        )
+    if not found:
+        return ""
+    return (
+        f"{', '.join(found)}, where readings of the nominal mechanism differ by "
+        f"{', '.join(moves)} over these poses. Check the sensor, its cable and the log"
+    )
 
 
 def _check_modes(mechanism: Mechanism, fits: list[LegFit]) -> None:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from pincal.errors import PincalError
+from pincal.errors import ObservabilityError, PincalError
 from pincal.identification.fit import Fit, fit
 from pincal.identification.losses import LOSSES, LossName, outlying
 from pincal.identification.problem import Problem
 from pincal.identification.task import Task
+from pincal.identification.undetermined import check_told
 from pincal.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -58,9 +59,18 @@ def robust_fit(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[n
         rows: Rows of the measurements that are the problem's poses, shape (N,).
 
     Raises:
-        ObservabilityError: parameters are not determined, or by the noise only.
+        ObservabilityError: parameters are not determined, hardly, or by the noise only; a search
+            that ran away.
         MeasurementError: residuals that do not exist, or have no noise.
     """
+    try:
+        return _fitted(task, problem, unknowns, rows)
+    except ObservabilityError as error:
+        check_told(task.mechanism, problem, unknowns, error)
+        raise
+
+
+def _fitted(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[np.intp]) -> Robust:
     known = task.noise.known
     if task.loss == "none":
         one = fit(problem, unknowns, known=known, tell=task.tell)

@@ -1,0 +1,101 @@
+"""Fits that fail: what explains them is named, poses are not blamed, nothing is promised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pincal
+
+NOISE = pincal.Noise(2e-5, 5e-5)
+FRAME = pincal.Setup(unknown_frame=True)
+
+
+def measured(
+    kind: str, reach: float = 0.03, count: int = 60
+) -> tuple[pincal.Mechanism, pincal.Measurements]:
+    """Return measurements near home, of a machine 2e-3 off."""
+    mechanism = pincal.load_mechanism(kind)
+    truth = pincal.disturb(mechanism, 2e-3, 1)
+    home = np.tile(mechanism.platform.home, (count, 1))
+    shift = np.random.default_rng(0).uniform(-reach, reach, home.shape)
+    plan = pincal.Plan(mechanism.platform.moved(home, shift))
+    return mechanism, pincal.simulate(mechanism, truth, plan, NOISE, 0).measurements
+
+
+def other_sign(data: pincal.Measurements, column: int) -> pincal.Measurements:
+    """Return measurements with the sign of one coordinate of the poses changed."""
+    poses = data.poses.copy()
+    poses[:, column] *= -1.0
+    return replace(data, poses=poses)
+
+
+def still(data: pincal.Measurements) -> pincal.Measurements:
+    """Return measurements in which no reading moves."""
+    return replace(data, readings=np.tile(data.readings[:1], (len(data), 1)))
+
+
+def said(mechanism: pincal.Mechanism, data: pincal.Measurements, **options: Any) -> str:
+    """Return what a calibration refuses with, or else its first warning, if it promises nothing."""
+    try:
+        result = pincal.calibrate(mechanism, data, poses="all", noise=NOISE, **options)
+    except pincal.PincalError as error:
+        return str(error)
+    return "" if result.promises else result.warnings[0]
+
+
+@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+def test_what_a_rough_mechanism_hides_is_named_when_the_fit_fails(method: str) -> None:
+    """Nothing is checked before, but what explains the failure is said, and no pose is blamed."""
+    mechanism, data = measured("3RRR")
+    for wrong, words in (
+        (other_sign(data, 0), "if x has the other sign and the orientations are right"),
+        (replace(data, readings=np.roll(data.readings, 1, axis=0)), "stand 1 row below"),
+        (still(data), "leg_1 reads the same in all rows"),
+    ):
+        assert words in said(mechanism, wrong, method=method, rough=True)
+
+
+def test_a_frame_found_by_the_fit_hides_no_sign() -> None:
+    """Torsion of the other sign in a tracker's frame: the fit fails, and its sign is named."""
+    mechanism, data = measured("6UPS", 0.15)
+    wrong = other_sign(data, 5)
+    text = said(mechanism, wrong, method="together", setup=FRAME)
+    assert "torsion has the other sign" in text
+
+
+def test_a_slip_is_named_first() -> None:
+    """One cell typed as 0 spoils the fit of all rows: its row is named before all else."""
+    mechanism, data = measured("6UPS", 0.15)
+    data.poses[7, 2] = 0.0
+    result = pincal.calibrate(mechanism, data, poses="all", noise=NOISE)
+    assert not result.promises
+    assert result.warnings[0].startswith("data row 8 misses the nominal mechanism")
+    clean = pincal.calibrate(mechanism, data, poses="all", noise=NOISE, loss="reject")
+    assert clean.promises
+    assert clean.warnings == ()
+
+
+@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+def test_a_search_that_ran_away_says_so(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where poses tell everything at nominal parameters, they are not said to lack anything."""
+    monkeypatch.setattr("pincal.identification.failure.suspected", lambda *_: "")
+    mechanism, data = measured("3RRR", 0.2)
+    wrong = replace(data, readings=np.roll(data.readings, 1, axis=0))
+    text = said(mechanism, wrong, method=method, rough=True)
+    assert "the search ran away" in text or "reduced χ² is" in text
+    assert "Measure poses" not in text
+
+
+@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+def test_a_sound_fit_is_silent(method: str) -> None:
+    """Nothing is said to have failed where nothing has."""
+    mechanism, data = measured("3RRR", 0.2)
+    result = pincal.calibrate(mechanism, data, method=method, poses="all", noise=NOISE, rough=True)
+    assert result.promises
+    assert result.corrects
+    assert result.excess == 1.0
+    assert result.warnings == ()
