@@ -16,6 +16,7 @@ from pincal.identification.estimate import Estimate
 from pincal.identification.failure import causes
 from pincal.identification.fit import Fit
 from pincal.identification.latent import LatentPoses
+from pincal.identification.misaligned import misaligned
 from pincal.identification.problem import State
 from pincal.identification.result import (
     CalibrationResult,
@@ -92,7 +93,8 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         if latent is None
         else mechanism.platform.from_matrices(fits[0].last.state.matrices),
     )
-    return replace(result, warnings=(*causes(task, result), *result.warnings))
+    first = (*causes(task, result), *misaligned(task, result))
+    return replace(result, warnings=(*first, *result.warnings))
 
 
 def _leg_results(task: Task, one: Robust, std: dict[str, Array]) -> list[LegResult]:
