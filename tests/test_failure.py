@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal.identification.calibrate import calibration_task
+from pincal.identification.cautions import warnings_of
 
 NOISE = pincal.Noise(2e-5, 5e-5)
 FRAME = pincal.Setup(unknown_frame=True)
@@ -99,3 +101,22 @@ def test_a_sound_fit_is_silent(method: str) -> None:
     assert result.corrects
     assert result.excess == 1.0
     assert result.warnings == ()
+
+
+def test_what_uncertainty_explains_is_not_said_to_have_moved() -> None:
+    """A parameter is far off only if its interval lies beyond what machines differ by."""
+    mechanism, data = measured("3RRR", 0.2)
+    noise = pincal.Noise(1e-4, 1e-4)
+    task = calibration_task(mechanism, data, noise=noise, setup=FRAME)
+    legs = pincal.calibrate(mechanism, data, poses="all", noise=noise).legs
+    told = []
+    for std in (0.04, 0.01):  # of a gain that may differ by 0.05
+        one = legs[0].parameters[-1]
+        low, high = one.nominal + 0.1 - 2 * std, one.nominal + 0.1 + 2 * std
+        far = replace(one, identified=one.nominal + 0.1, std=std, low=low, high=high)
+        changed = replace(legs[0], parameters=(*legs[0].parameters[:-1], far))
+        told.append(" ".join(warnings_of(task, (changed, *legs[1:]), (), (), (), 50, 1.0)))
+    assert "moved by" not in told[0]
+    assert f"{legs[0].parameters[-1].name} of leg_1 moved by +0.1" in told[1]
+    assert "--unknown-frame" not in told[1]  # that is said already
+    assert "--unknown-target" in told[1]

@@ -9,7 +9,7 @@ from scipy.special import gammainc
 
 from pincal.identification.result import UNEXPLAINED, LegResult, TieTest
 from pincal.identification.robust import Outlier
-from pincal.identification.task import Task
+from pincal.identification.task import Task, unsaid
 from pincal.identification.undetermined import plausible_changes
 
 _HOLD = ", hold what is not told (--method latent --hold-undetermined)"
@@ -32,12 +32,14 @@ def _far(task: Task, legs: Sequence[LegResult]) -> list[str]:
             f"± {half:.2g} {found[worst].unit} only: measure poses that tell more{hold}, or say "
             "how well nominal values are known (--prior)"
         )
-    worst = int(np.argmax(np.abs(moved) / plausible))
-    if abs(moved[worst]) > plausible[worst] and not (task.rough or warnings):
+    within = np.array([(p.high - p.low) / 2 for p in found])
+    surely = (np.abs(moved) - within) / plausible  # what the uncertainty does not explain
+    worst = int(np.argmax(surely))
+    if surely[worst] > 1.0 and not (task.rough or warnings):
         warnings.append(
             f"{names[worst]} moved by {moved[worst]:+.3g} {found[worst].unit}, farther than a "
-            "machine differs from its drawing: check the frame and target of the measurements "
-            "(--unknown-frame, --unknown-target), units, and the order of the readings"
+            "machine differs from its drawing: check units, the order of the readings, and the "
+            f"frame of the measurements{unsaid(task.setup)}"
         )
     return warnings
 
