@@ -25,6 +25,7 @@ from pincal.identification.result import (
     Observed,
 )
 from pincal.identification.robust import Outlier, Robust
+from pincal.identification.scales import unequal_noise
 from pincal.identification.task import Task
 from pincal.identification.ties import tie_tests
 from pincal.kinematics.closure import LegClosure
@@ -93,7 +94,7 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         if latent is None
         else mechanism.platform.from_matrices(fits[0].last.state.matrices),
     )
-    first = (*causes(task, result), *misaligned(task, result))
+    first = (*causes(task, result), *misaligned(task, result), *unequal_noise(task, estimate))
     return replace(result, warnings=(*first, *result.warnings))
 
 
