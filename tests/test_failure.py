@@ -120,3 +120,22 @@ def test_what_uncertainty_explains_is_not_said_to_have_moved() -> None:
     assert f"{legs[0].parameters[-1].name} of leg_1 moved by +0.1" in told[1]
     assert "--unknown-frame" not in told[1]  # that is said already
     assert "--unknown-target" in told[1]
+
+
+def test_readings_alone_are_told_what_they_lack() -> None:
+    """The scale where gains are free; everything where readings are no more than freedoms."""
+    for kind, words in (
+        ("4cable", r"the scale\. .*\(--fix k\)"),
+        ("6UPS", "all of them, as readings"),
+    ):
+        mechanism = pincal.load_mechanism(kind)
+        plan = pincal.Plan(pincal.sample_workspace(mechanism, 60, 0))
+        noise = pincal.Noise(0.0, 0.0, 1e-3)
+        data = pincal.simulate(mechanism, mechanism, plan, noise, 0).measurements
+        data = replace(data, poses=np.full_like(data.poses, np.nan))
+        with pytest.raises(pincal.ObservabilityError, match=words) as caught:
+            pincal.calibrate(mechanism, data, method="latent", noise=noise)
+        assert len(str(caught.value)) < 300
+        if kind == "4cable":
+            result = pincal.calibrate(mechanism, data, method="latent", noise=noise, fixed=["k"])
+            assert result.promises
