@@ -38,12 +38,12 @@ def misaligned(task: Task, result: CalibrationResult) -> tuple[str, ...]:
         return ()
     legs = legs_at(task.mechanism, Plan(poses[rows], readings=readings))
     gain = legs.gain
-    if not len(gain) or not np.isfinite(gain).all():
+    changes = np.array([p.identified - p.nominal for leg in result.legs for p in leg.parameters])
+    if not len(gain) or not np.isfinite(gain).all() or not changes.any():
         return ()
     platform = task.mechanism.platform
     size = largest_size(task.mechanism.legs, platform)
     motions = frame_motions(platform, platform.transforms(legs.poses).as_matrix())
-    changes = np.array([p.identified - p.nominal for leg in result.legs for p in leg.parameters])
     moved = gain @ changes
     n_base, space = motions.shape[2] - platform.dof, platform.space
     base = ("base", "is the tracker's frame the base's (--unknown-frame)?")
@@ -54,9 +54,11 @@ def misaligned(task: Task, result: CalibrationResult) -> tuple[str, ...]:
         (motions[:, :, n_base:], body if "rad" in platform.units else base),
     ):
         chance, amounts = _as_one(gain, own, changes, plausible_changes(task.mechanism))
+        if chance > _CHANCE:
+            continue
         left = beyond(platform, moved[:, :, None], own, size)[:, :, 0]
         share = 1.0 - ((left * lengths) ** 2).sum() / ((moved * lengths) ** 2).sum()
-        if chance > _CHANCE or share < _MUCH:
+        if share < _MUCH:
             continue
         shift = f"{1e3 * np.linalg.norm(amounts[:space]):.3g} mm"
         if len(amounts) > space:

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from pincal.errors import ObservabilityError, PincalError
+from pincal.identification.determined import RanAwayError
 from pincal.identification.fit import Fit, fit
+from pincal.identification.latent import LatentPoses
 from pincal.identification.losses import LOSSES, LossName, outlying
 from pincal.identification.problem import Problem
 from pincal.identification.task import Task
@@ -66,7 +68,8 @@ def robust_fit(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[n
     try:
         return _fitted(task, problem, unknowns, rows)
     except ObservabilityError as error:
-        check_told(task.mechanism, problem, unknowns, error)
+        if isinstance(error, RanAwayError) or isinstance(problem, LatentPoses):
+            check_told(task.mechanism, problem, unknowns, error)
         raise
 
 
