@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 
 import pincal
 from pincal.identification.calibrate import calibration_task
 from pincal.identification.cautions import warnings_of
+from pincal.show.calibration import calibration_summary
 
 NOISE = pincal.Noise(2e-5, 5e-5)
 FRAME = pincal.Setup(unknown_frame=True)
@@ -139,3 +142,25 @@ def test_readings_alone_are_told_what_they_lack() -> None:
         if kind == "4cable":
             result = pincal.calibrate(mechanism, data, method="latent", noise=noise, fixed=["k"])
             assert result.promises
+
+
+def test_one_fold_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    """At once, with exit code 2: neither mechanism nor measurements are looked at."""
+    outcome = run("calibrate", "none", tmp_path / "no.csv", "--folds", 1, "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert "--folds 1: expected 2 or more, or 0" in " ".join(outcome.trouble.split())
+
+
+def test_one_row_is_spoken_of_as_one() -> None:
+    """One row that does not fit, and no rows."""
+    mechanism, data = measured("3RRR", 0.2)
+    data.poses[4, 0] += 2e-4
+    result = pincal.calibrate(mechanism, data, method="together", poses="all", noise=NOISE)
+    (text,) = (one for one in result.warnings if "not fit the others" in one)
+    assert text.startswith("1 of 60 rows does not fit the others, data row 5 by")
+    assert "look at it" in text
+    robust = pincal.calibrate(
+        mechanism, data, method="together", poses="all", noise=NOISE, loss="reject"
+    )
+    summary = " ".join(calibration_summary(data, robust, None))
+    assert "with the row that does not fit" in summary

@@ -337,7 +337,9 @@ def test_whole_turns_are_named(kind: str) -> None:
     """A reading that is a whole turn off raises, with its leg and row."""
     data = measured(kind, 18)
     data.readings[4, 1] += 2 * np.pi
-    with pytest.raises(pincal.MeasurementError, match=r"leg_2: 1 readings .* first in data row 5"):
+    with pytest.raises(
+        pincal.MeasurementError, match=r"leg_2: 1 reading is .* first in data row 5"
+    ):
         check_plausible(nominal(kind), data)
 
 

@@ -28,6 +28,8 @@ from pincal.model.measurements import Noise
 from pincal.show.tables import forecast_table
 from pincal.workspace.sampling import sample_configurations
 
+_MANY = 1e5  # poses: more are not measured
+
 
 @command(answers=True)
 def identifiability(
@@ -76,6 +78,8 @@ def identifiability(
     needed = None if accuracy is None else found.poses_for(accuracy, over)
     if accuracy is not None and needed is not None:
         text = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
+        if _MANY < needed < np.inf:
+            text += ", which nobody measures: that takes less noise, not more poses"
         stdout.print(f"for {1e3 * accuracy:g} mm: {text}", markup=False)
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
     answer(

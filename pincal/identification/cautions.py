@@ -83,9 +83,10 @@ def warnings_of(
     if listed and task.loss == "none":
         worst = outliers[0]
         found.append(
-            f"{listed} of {len(task.data)} rows do not fit the others, the worst data row "
-            f"{worst.row + 1} by {worst.sigma:.1f} standard deviations ({worst.why}); look at "
-            "them, or use a robust loss (--robust reject)"
+            f"{listed} of {len(task.data)} rows do{'es' * (listed == 1)} not fit the others, "
+            f"{'data row' if listed == 1 else 'the worst data row'} {worst.row + 1} by "
+            f"{worst.sigma:.1f} standard deviations ({worst.why}); look at "
+            f"{'it' if listed == 1 else 'them'}, or use a robust loss (--robust reject)"
         )
     if listed > _MUCH * len(task.data):
         found.append(

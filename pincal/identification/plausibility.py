@@ -196,11 +196,13 @@ def _check_readings(mechanism: Mechanism, data: Measurements, complete: NDArray[
             turns = np.round((given - expected) / turn)
             if turns.any():
                 first = int(np.argmax(turns != 0))
+                count = int((turns != 0).sum())
+                many = "reading is" if count == 1 else "readings are"
                 raise MeasurementError(
-                    f"{leg.name}: {int((turns != 0).sum())} readings are off by whole turns, the "
+                    f"{leg.name}: {count} {many} off by whole turns, the "
                     f"first in data row {rows[first] + 1}: {given[first]:.6g} rad, where the "
-                    f"nominal mechanism reads {expected[first]:.6g} rad. Count them without "
-                    "the turns, or correct the nominal offset"
+                    f"nominal mechanism reads {expected[first]:.6g} rad. Count without the turns, "
+                    " or correct the nominal offset"
                 )
         spread, off = _spread(expected), _spread(given - expected)
         size = 1.0 if unit == "rad" else LegClosure(leg, mechanism.platform).size

@@ -144,7 +144,7 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     if not partial and told and len(told) < len(places):
         raise MeasurementError(
             f"{table.path}: of {', '.join(places)} only {', '.join(told)}; add the others. (Poses "
-            "that were measured in part are calibrated with by --method latent)"
+            "that were measured in part are calibrated by --method latent)"
         )
 
     def numbers(name: str, unit: str) -> Array:

@@ -162,9 +162,11 @@ def calibration_summary(
         lines.append(_platform(result, errors))
     lines += trust_in_words(result)
     if result.shift is not None and result.outliers:
+        count = len(result.outliers)
+        rows = "the row that does" if count == 1 else f"the {count} rows that do"
         lines.append(
-            f"with the {len(result.outliers)} rows that do not fit, parameters would move by up to "
-            f"{result.shift:.1f} standard errors"
+            f"with {rows} not fit, parameters would move by up to {result.shift:.1f} standard "
+            "errors"
         )
     unused = len(data) - min(leg.n_poses for leg in result.legs)
     if unused and result.poses == "own" and data.sets is not None:
