@@ -24,10 +24,6 @@ _POSES = 500  # enough to judge by: both grow alike with the number of poses
 _TAKES_PART = 0.1  # of the largest entry of a direction
 
 
-class RanAwayError(ObservabilityError):
-    """Rank that was full where a search began, and is lost where it ended."""
-
-
 def check_rank(
     problem: Problem, unknowns: Unknowns, linear: Linear, *, ended: bool = False
 ) -> list[tuple[int, float]]:
@@ -54,7 +50,7 @@ def check_rank(
     _, prior = unknowns.prior_rows(unknowns.start)
     all_ = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
     if ended and not all_.complete:
-        raise RanAwayError(
+        raise ObservabilityError(
             "the search ran away: the measurements tell the parameters apart at their nominal "
             f"values, but not where it ended ({all_.in_words()}). {NOT_THIS_MACHINE}"
         )

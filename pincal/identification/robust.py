@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from pincal.errors import ObservabilityError, PincalError
-from pincal.identification.determined import RanAwayError
 from pincal.identification.fit import Fit, fit
 from pincal.identification.latent import LatentPoses
 from pincal.identification.losses import LOSSES, LossName, outlying
@@ -68,34 +68,29 @@ def robust_fit(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[n
     try:
         return _fitted(task, problem, unknowns, rows)
     except ObservabilityError as error:
-        if isinstance(error, RanAwayError) or isinstance(problem, LatentPoses):
+        if isinstance(problem, LatentPoses):
             check_told(task.mechanism, problem, unknowns, error)
         raise
 
 
 def _fitted(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[np.intp]) -> Robust:
     known = task.noise.known
+    told = partial(check_told, task.mechanism, problem, unknowns)
+    search = partial(fit, problem, unknowns, known=known, tell=task.tell, ran_away=told)
     if task.loss == "none":
-        one = fit(problem, unknowns, known=known, tell=task.tell)
+        one = search()
         scale = (
             1.0 if known else float(np.sqrt(max(one.chi2 / max(one.degrees_of_freedom, 1), 0.0)))
         )
         return Robust(one, rows, _outliers(one, scale, rows), None)
     name: LossName = "tukey" if task.loss == "reject" else task.loss
-    coarse = fit(problem, unknowns, known=known, loss=LOSSES["cauchy"], tell=task.tell)
-    one = fit(
-        problem,
-        unknowns,
-        known=known,
-        loss=LOSSES[name],
-        start=coarse.last.state,
-        tell=task.tell,
-    )
+    coarse = search(loss=LOSSES["cauchy"])
+    one = search(loss=LOSSES[name], start=coarse.last.state)
     scale = one.scale
     if task.loss == "reject":
         one = _without_outliers(task, problem, unknowns, one)
     try:
-        plain = fit(problem, unknowns, known=known, tell=task.tell)
+        plain = search()
     except PincalError:
         plain = None
     return Robust(
