@@ -72,6 +72,25 @@ WARNINGS: dict[str, tuple[tuple[str, str, str], ...]] = {
             "only, say so (`--rough`).",
         ),
         (
+            "misses the nominal mechanism",
+            "The fit failed, and few rows are far from where the others are; in its place, or "
+            "beside it, may stand what explains all rows: a sign, a unit, exchanged legs, a frame.",
+            "Correct the file, or leave such rows out (`--robust reject`). No accuracy is promised "
+            "before.",
+        ),
+        (
+            "of what the nominal model is off by",
+            "Parameters moved so that the machine moved as one body: more likely the tracker, or "
+            "the target, was not aligned, than that the machine is such.",
+            "`--unknown-frame`, `--unknown-target`; or align and measure again.",
+        ),
+        (
+            "equal noise was assumed in position",
+            "The noise was not given, and residuals of positions and of orientations tell two "
+            "scales.",
+            "Give the two that the warning names, if they are what the instrument has.",
+        ),
+        (
             "hardly told",
             "A standard error is larger than machines differ from their drawings: the number is "
             "noise.",
@@ -85,7 +104,7 @@ WARNINGS: dict[str, tuple[tuple[str, str, str], ...]] = {
             "Measure elsewhere too, or use it only there.",
         ),
         (
-            "do not fit the others",
+            "not fit the others",
             "Rows miss by more than one good row in a thousand does; the worst is named.",
             "Look at them: a slip, a lost beam, a wrong set. `--robust reject` leaves them out and "
             "lists them.",

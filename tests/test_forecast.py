@@ -240,6 +240,9 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     outcome = done("identifiability", "3RRR", plan, *noise, "--accuracy", 1e-5)
     assert "rank 24 of 24" in outcome.out
     assert "for 0.01 mm: " in outcome.out
+    assert "less noise" not in outcome.out
+    far = done("identifiability", "3RRR", plan, *noise, "--accuracy", 1e-9)
+    assert "which nobody measures: that takes less noise" in " ".join(far.out.split())
     std = pincal.forecast(mechanism, poses["3RRR"], NOISE).std
     assert f"{1e3 * std[0]:.4g}" in outcome.out
     outcome = done("identifiability", "3RRR", plan, "--measure", "position", "--accuracy", 1e-5)

@@ -225,6 +225,87 @@ def test_healthy_measurements_pass(kind: str, count: int) -> None:
         check_plausible(mechanism, measured(kind, seed, (2e-3, 5e-3)[seed % 2], count=24))
 
 
+def near_home(kind: str, seed: int, noise: float = 2e-5) -> pincal.Measurements:
+    """Return healthy measurements within 30 mm and 30 mrad of home, of a machine 2e-3 off."""
+    mechanism = nominal(kind)
+    rng = np.random.default_rng(seed)
+    home = np.tile(mechanism.platform.home, (72, 1))
+    poses = mechanism.platform.moved(home, rng.uniform(-0.03, 0.03, home.shape))
+    readings = pincal.inverse(pincal.disturb(mechanism, 2e-3, rng), poses).readings
+    seen = mechanism.platform.moved(poses, noise * rng.standard_normal(poses.shape))
+    return pincal.Measurements(seen, readings=readings)
+
+
+def other_sign(index: int) -> Fault:
+    """Return what changes the sign of one coordinate of the poses."""
+
+    def fault(_: pincal.Mechanism, data: pincal.Measurements) -> pincal.Measurements:
+        poses = data.poses.copy()
+        poses[:, index] *= -1.0
+        return replace(data, poses=poses)
+
+    return fault
+
+
+def late(rows: int) -> Fault:
+    """Return what moves readings down by rows against their poses."""
+
+    def fault(_: pincal.Mechanism, data: pincal.Measurements) -> pincal.Measurements:
+        return replace(data, readings=np.roll(data.readings, rows, axis=0))
+
+    return fault
+
+
+BACKWARDS = "the orientations turn the other way (that of the base seen from the platform)"
+
+
+@pytest.mark.parametrize("data", [measured, near_home])
+@pytest.mark.parametrize(
+    ("kind", "fault", "words"),
+    [
+        ("6UPS", other_sign(0), X + RIGHT),
+        ("6UPS", other_sign(3), "azimuth has the other sign"),
+        ("6UPS", other_sign(5), "torsion has the other sign"),
+        ("6UPS", order(1, 0), SWAPPED),
+        ("3RRR", other_sign(0), X + RIGHT),
+        ("3RRR", other_sign(2), BACKWARDS),
+        ("3RRR", order(1, 0), SWAPPED),
+        ("5R", late(1), "the readings stand 1 row below the poses they belong to"),
+        ("3RRR", late(-1), "the readings stand 1 row above the poses they belong to"),
+        ("6UPS", late(2), "the readings stand 2 rows below the poses they belong to"),
+        ("6UPS", late(-2), "the readings stand 2 rows above the poses they belong to"),
+    ],
+)
+def test_faults_are_named_however_short_the_motion(
+    data: Callable[[str, int], pincal.Measurements], kind: str, fault: Fault, words: str
+) -> None:
+    """Over the workspace and within 30 mm of home, where faults leave gaps below 0.1 % of a leg."""
+    with pytest.raises(pincal.MeasurementError) as caught:
+        check_plausible(nominal(kind), fault(nominal(kind), data(kind, 4)))
+    assert words in named(str(caught.value))
+    assert len(named(str(caught.value))) <= 3
+
+
+@pytest.mark.parametrize("kind", EVERY)
+@pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3])
+def test_healthy_measurements_near_home_pass(kind: str, noise: float) -> None:
+    """Within 30 mm of home too, with noise up to a tenth of the motion."""
+    for seed in range(10):
+        check_plausible(nominal(kind), near_home(kind, seed, noise))
+
+
+@pytest.mark.parametrize("legs", [[0], [0, 1]])
+@pytest.mark.parametrize("kind", EVERY)
+def test_readings_that_stand_still_are_named(kind: str, legs: list[int]) -> None:
+    """A reading that is the same in all rows, over the workspace or near home: leg and value."""
+    for data in (measured(kind, 4), near_home(kind, 4)):
+        data.readings[:, legs] = data.readings[0, legs]
+        with pytest.raises(pincal.MeasurementError, match="reads the same in all rows") as caught:
+            check_plausible(nominal(kind), data)
+        assert str(caught.value).count("reads the same") == len(legs)
+        assert f"{data.readings[0, 0]:.6g}" in str(caught.value)
+
+
 @pytest.mark.parametrize("kind", EVERY)
 def test_no_suspect_is_tried_where_the_gaps_are_small(
     kind: str, monkeypatch: pytest.MonkeyPatch
@@ -257,7 +338,9 @@ def test_whole_turns_are_named(kind: str) -> None:
     """A reading that is a whole turn off raises, with its leg and row."""
     data = measured(kind, 18)
     data.readings[4, 1] += 2 * np.pi
-    with pytest.raises(pincal.MeasurementError, match=r"leg_2: 1 readings .* first in data row 5"):
+    with pytest.raises(
+        pincal.MeasurementError, match=r"leg_2: 1 reading is .* first in data row 5"
+    ):
         check_plausible(nominal(kind), data)
 
 

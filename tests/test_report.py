@@ -25,7 +25,12 @@ from rich.console import Console
 import pincal
 from pincal.identification.result_files import as_json
 from pincal.identification.robust import Outlier
-from pincal.show.calibration import legs_table, result_table, trust_in_words
+from pincal.show.calibration import (
+    calibration_summary,
+    legs_table,
+    result_table,
+    trust_in_words,
+)
 from pincal.show.findings import Findings
 from pincal.show.markup import serialised
 from pincal.show.report import Origin, Report
@@ -111,22 +116,30 @@ def test_the_first_section_answers(planar: Any) -> None:
     assert order[-1] == "reproduction"
 
 
+def verdicts_of(report: Any, result: Any) -> tuple[list[str], str]:
+    """Return the three verdicts on a result, and all of the first section's text."""
+    section = serialised(answers(replace(report.found, result=result), []))
+    first = lxml_html.fromstring(section)
+    return [one.text_content() for one in first.find_class("verdict")], first.text_content()
+
+
 def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     """Where χ² contradicts the noise, no answer takes the uncertainties at their word."""
-    result, _, report = planar
-    poor = replace(result, reduced_chi2=36.0, warnings=("reduced χ² is 36",))
-    section = serialised(answers(replace(report.found, result=poor), []))
-    first = lxml_html.fromstring(section)
-    verdicts = [one.text_content() for one in first.find_class("verdict")]
-    assert verdicts[0] == "Probably"
-    assert verdicts[1].endswith("mm or more")
-    assert verdicts[2] == "Not as it stands: one warning above"
+    result, data, report = planar
+    poor = replace(result, reduced_chi2=4.0, warnings=("reduced χ² is 4",))
+    verdicts, text = verdicts_of(report, poor)
     after = 1e3 * report.found.errors.mean_after()[0]
-    assert f"{6 * after:.3g} mm" in first.text_content()
-    assert "Residuals are 6 times" in first.text_content()
+    assert verdicts[0] == "Probably"
+    assert verdicts[1].endswith(f"→ {2 * after:.3g} mm or more")
+    assert verdicts[2] == "Not as it stands: one warning above"
+    assert "Residuals are 2 times" in text
+    told = calibration_summary(data, poor, report.found.errors)
+    assert any(f"by about {2 * after:.3g} mm" in line and "2 times" in line for line in told)
     sound = page_of(report).get_element_by_id("answers").find_class("verdict")
     assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
-    assert [card.get("class") for card in first.iter("article")] == ["care", "", "bad"]
+    section = serialised(answers(replace(report.found, result=poor), []))
+    cards = lxml_html.fromstring(section).iter("article")
+    assert [card.get("class") for card in cards] == ["care", "", "bad"]
     cards = page_of(report).get_element_by_id("answers").iter("article")
     assert [card.get("class") for card in cards] == ["good", "", "good"]
 
@@ -141,6 +154,26 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
         assert "misses even its own rows by 316 σ" in text
         assert "1361.71" not in text
         assert "405.02" not in text
+
+
+def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
+    """Residuals far beyond the noise: no number after; if they hardly fell, it is not better."""
+    result, data, report = planar
+    far = replace(result, reduced_chi2=1e4)
+    legs = tuple(replace(leg, residuals=0.9 * leg.residuals_before) for leg in result.legs)
+    for poor, verdict in ((far, "Not shown"), (replace(far, legs=legs), "No")):
+        verdicts, text = verdicts_of(report, poor)
+        assert verdicts[:2] == [verdict, "No accuracy can be promised"]
+        assert "100 times as large as the noise" in text
+        assert "→" not in text
+        (told,) = (
+            line
+            for line in calibration_summary(data, poor, report.found.errors)
+            if line.startswith("platform")
+        )
+        assert "no accuracy can be promised" in told
+        assert "by about" not in told
+        assert ("hardly fell" in told) == (verdict == "No")
 
 
 def test_parameters_are_those_of_the_result(planar: Any) -> None:
@@ -348,6 +381,33 @@ def test_exact_readings_are_no_proof() -> None:
     Console(file=text, width=100).print(legs_table(result))
     assert "exact" in text.getvalue()
     assert "0.0000" not in text.getvalue()
+
+
+def test_the_limit_holds_in_95_of_100_calibrations(planar: Any) -> None:
+    """Of machines whose parameters differ by the covariance; and the report names the limit."""
+    result, _, report = planar
+    poses = report.found.errors.poses[:40]
+    found = errors_at(result, poses)
+    n, draws = len(result.covariance), 200
+    values, axes = np.linalg.eigh(result.covariance)
+    shifts = (axes * np.sqrt(values.clip(0.0))) @ np.random.default_rng(0).standard_normal(
+        (n, draws)
+    )
+    sizes = np.cumsum([len(leg.parameters) for leg in result.legs])[:-1]
+    actual = []
+    for shift in shifts.T:
+        changed = {
+            leg.name: leg.identified + own
+            for leg, own in zip(result.legs, np.split(shift, sizes), strict=True)
+        }
+        one = pincal.accuracy(result.identified, result.nominal.with_parameters(changed), poses)
+        actual.append((one.position, one.orientation))
+    below = (np.array(actual) < found.limit).mean(axis=0)
+    assert (np.abs(below - 0.95) < 0.055).all()  # 3.5 standard deviations
+    assert (np.array(found.limit) > found.mean_after()).all()
+    text = page_of(report).get_element_by_id("answers").text_content()
+    assert f"stay below {1e3 * report.found.errors.limit[0]:.3g} mm" in text
+    assert "with 95 % confidence" in text
 
 
 def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:

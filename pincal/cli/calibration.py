@@ -140,6 +140,8 @@ def calibrate(
     result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
     exit code is 1, and no mechanism is written, if the fit does not converge.
     """
+    if folds == 1:
+        raise MeasurementError("--folds 1: expected 2 or more, or 0 for no held-out validation")
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force, folder=True)
     how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)

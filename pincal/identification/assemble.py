@@ -13,8 +13,10 @@ from pincal.identification.alignment import settle
 from pincal.identification.cautions import warnings_of
 from pincal.identification.covariance import covariances
 from pincal.identification.estimate import Estimate
+from pincal.identification.failure import causes
 from pincal.identification.fit import Fit
 from pincal.identification.latent import LatentPoses
+from pincal.identification.misaligned import misaligned
 from pincal.identification.problem import State
 from pincal.identification.result import (
     CalibrationResult,
@@ -23,6 +25,7 @@ from pincal.identification.result import (
     Observed,
 )
 from pincal.identification.robust import Outlier, Robust
+from pincal.identification.scales import unequal_noise
 from pincal.identification.task import Task
 from pincal.identification.ties import tie_tests
 from pincal.kinematics.closure import LegClosure
@@ -60,7 +63,7 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
     latent = estimate.latent
     ties = () if without_ties is None else tie_tests(task, without_ties)
     outliers = _merged([outlier for one in estimate.fits for outlier in one.outliers])
-    return CalibrationResult(
+    result = CalibrationResult(
         nominal=mechanism,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
         legs=legs,
@@ -91,6 +94,8 @@ def assemble(task: Task, estimate: Estimate, without_ties: Estimate | None) -> C
         if latent is None
         else mechanism.platform.from_matrices(fits[0].last.state.matrices),
     )
+    first = (*causes(task, result), *misaligned(task, result), *unequal_noise(task, estimate))
+    return replace(result, warnings=(*first, *result.warnings))
 
 
 def _leg_results(task: Task, one: Robust, std: dict[str, Array]) -> list[LegResult]:

@@ -13,9 +13,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalError
 from pincal.identification.assemble import assemble
 from pincal.identification.estimate import Estimate
+from pincal.identification.failure import check_cause
 from pincal.identification.latent_fit import latent_fit
 from pincal.identification.losses import LossName
 from pincal.identification.measured import measured_fits
@@ -98,7 +99,11 @@ def calibrate(
     check_copies(measurements, every_pose=task.every_pose)
     if task.setup.plain and not task.rough:
         check_plausible(mechanism, measurements)
-    found = estimate(task)
+    try:
+        found = estimate(task)
+    except PincalError as error:
+        check_cause(task, error)
+        raise
     return assemble(task, found, estimate(replace(task, untied=True)) if task.tied else None)
 
 

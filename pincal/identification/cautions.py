@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import gammainc
 
-from pincal.identification.result import LegResult, TieTest
+from pincal.identification.result import UNEXPLAINED, LegResult, TieTest
 from pincal.identification.robust import Outlier
-from pincal.identification.task import Task
+from pincal.identification.task import Task, unsaid
 from pincal.identification.undetermined import plausible_changes
 
-_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 _HOLD = ", hold what is not told (--method latent --hold-undetermined)"
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted
 
@@ -33,12 +32,14 @@ def _far(task: Task, legs: Sequence[LegResult]) -> list[str]:
             f"± {half:.2g} {found[worst].unit} only: measure poses that tell more{hold}, or say "
             "how well nominal values are known (--prior)"
         )
-    worst = int(np.argmax(np.abs(moved) / plausible))
-    if abs(moved[worst]) > plausible[worst] and not (task.rough or warnings):
+    within = np.array([(p.high - p.low) / 2 for p in found])
+    surely = (np.abs(moved) - within) / plausible  # what the uncertainty does not explain
+    worst = int(np.argmax(surely))
+    if surely[worst] > 1.0 and not (task.rough or warnings):
         warnings.append(
             f"{names[worst]} moved by {moved[worst]:+.3g} {found[worst].unit}, farther than a "
-            "machine differs from its drawing: check the frame and target of the measurements "
-            "(--unknown-frame, --unknown-target), units, and the order of the readings"
+            "machine differs from its drawing: check units, the order of the readings, and the "
+            f"frame of the measurements{unsaid(task.setup)}"
         )
     return warnings
 
@@ -69,7 +70,7 @@ def warnings_of(
             f"the noise was not given: equal standard deviations of {what}{exact} were assumed, "
             "and the scale estimated from the residuals"
         )
-    elif dof and not _UNLIKELY <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - _UNLIKELY:
+    elif dof and not UNEXPLAINED <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - UNEXPLAINED:
         given = "repeated rows show" if source == "repeats" else "given"
         found.append(
             f"reduced χ² is {chi2:.3g} where 1 is expected: the noise is "
@@ -82,9 +83,10 @@ def warnings_of(
     if listed and task.loss == "none":
         worst = outliers[0]
         found.append(
-            f"{listed} of {len(task.data)} rows do not fit the others, the worst data row "
-            f"{worst.row + 1} by {worst.sigma:.1f} standard deviations ({worst.why}); look at "
-            "them, or use a robust loss (--robust reject)"
+            f"{listed} of {len(task.data)} rows do{'es' * (listed == 1)} not fit the others, "
+            f"{'data row' if listed == 1 else 'the worst data row'} {worst.row + 1} by "
+            f"{worst.sigma:.1f} standard deviations ({worst.why}); look at "
+            f"{'it' if listed == 1 else 'them'}, or use a robust loss (--robust reject)"
         )
     if listed > _MUCH * len(task.data):
         found.append(

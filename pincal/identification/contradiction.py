@@ -8,6 +8,7 @@ from pincal.errors import MeasurementError
 from pincal.identification.alignment import settle
 from pincal.identification.latent import LatentPoses
 from pincal.identification.problem import State
+from pincal.identification.task import unsaid
 from pincal.kinematics.closure import largest_size
 
 _MISSED = 0.03  # of the mechanism's size, median over the rows, from which nothing is identified
@@ -35,8 +36,7 @@ def check_start(problem: LatentPoses, state: State) -> None:
         raise MeasurementError(
             f"readings and measured positions contradict each other by {1e3 * worst:.3g} mm in the "
             f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
-            "length). Check the units, the order and signs of the readings, and the frame (if the "
-            "base stands elsewhere in it: --unknown-frame; if the target is not the platform's "
-            "origin: --unknown-target or --setup). If the mechanism is known but roughly, say so "
+            "length). Check the units, the order and signs of the readings, and the frame"
+            f"{unsaid(problem.observation.setup)}. If the mechanism is known but roughly, say so "
             "(--rough)"
         )

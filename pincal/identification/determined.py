@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.experiment.observability import identifiability
-from pincal.identification.problem import Linear, Problem
+from pincal.identification.problem import NOT_THIS_MACHINE, Linear, Problem
 from pincal.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -24,8 +24,16 @@ _POSES = 500  # enough to judge by: both grow alike with the number of poses
 _TAKES_PART = 0.1  # of the largest entry of a direction
 
 
-def check_rank(problem: Problem, unknowns: Unknowns, linear: Linear) -> list[tuple[int, float]]:
+def check_rank(
+    problem: Problem, unknowns: Unknowns, linear: Linear, *, ended: bool = False
+) -> list[tuple[int, float]]:
     """Return rank and condition of each leg's part of the whitened Jacobian.
+
+    Args:
+        problem: The problem.
+        unknowns: What is free.
+        linear: Residuals and derivatives where to look.
+        ended: Whether a search ended there that began where the rank was full.
 
     Raises:
         ObservabilityError: a parameter is not determined; the message names it.
@@ -41,6 +49,11 @@ def check_rank(problem: Problem, unknowns: Unknowns, linear: Linear) -> list[tup
     J = np.asarray(np.linalg.qr(J, mode="r"))  # the same columns but for a rotation
     _, prior = unknowns.prior_rows(unknowns.start)
     all_ = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
+    if ended and not all_.complete:
+        raise ObservabilityError(
+            "the search ran away: the measurements tell the parameters apart at their nominal "
+            f"values, but not where it ended ({all_.in_words()}). {NOT_THIS_MACHINE}"
+        )
     if not all_.complete:
         raise ObservabilityError(
             f"the measured poses leave parameters undetermined: {all_.in_words()} "

@@ -74,6 +74,7 @@ def fit(
     kept: NDArray[np.bool_] | None = None,
     start: State | None = None,
     tell: Callable[[str], None] | None = None,
+    ran_away: Callable[[ObservabilityError], None] | None = None,
 ) -> Fit:
     """Return the least-squares fit of a problem.
 
@@ -85,6 +86,7 @@ def fit(
         kept: Rows that take part, shape (N,); all if not given.
         start: Where the search starts; the nominal parameters if not given.
         tell: Called with what is being done.
+        ran_away: Called if the rank is lost where the search ended; may raise what says more.
 
     Raises:
         ObservabilityError: parameters are not determined, or by the noise only.
@@ -111,7 +113,12 @@ def fit(
             break
         linear = problem.linearise(problem.moved(linear, unknowns.map @ step))
         evaluations += 1
-    ranks = check_rank(problem, unknowns, linear)
+    try:
+        ranks = check_rank(problem, unknowns, linear, ended=True)
+    except ObservabilityError as error:
+        if ran_away:
+            ran_away(error)
+        raise
     chi2, dof = system.chi2(linear, weights)
     if dof < 1 and not known:
         raise ObservabilityError(

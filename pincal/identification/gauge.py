@@ -26,6 +26,8 @@ from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+_SCALE = 1e-6  # relative misfit of lost directions in which all lengths grow
+_LISTED = 4  # groups of what moves together
 _TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
 
 
@@ -62,10 +64,9 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
     moved = (directions @ T.T)[:, :n_legs].T
     _, beyond = split_frames(mechanism.platform, generic.matrices, gain, moved, size)
     if beyond.shape[1]:
-        lost_words = identifiability(J, unknowns.free_labels).in_words()
         raise ObservabilityError(
-            f"what is measured leaves parameters undetermined at any poses: {lost_words}. Measure "
-            "more of the platform, or fix one of them, or make it a constant in mechanism.yaml"
+            f"what is measured leaves parameters undetermined at any poses: "
+            f"{_untold(mechanism, J, unknowns, moved, beyond.shape[1])}"
         )
     weight = np.array([_weight(label) for label in unknowns.free_labels])
     n_still = still(gain, moved) if len(lost) else 0
@@ -74,6 +75,47 @@ def find_gauge(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -
         words = (*words, _redundant(gain, unknowns.labels[:n_legs], n_still))
     frames = frames_moved(mechanism.platform, generic.matrices, gain, moved)
     return Gauge(directions, lost * lengths * weight, words, moved if words else None, frames)
+
+
+def _untold(mechanism: Mechanism, J: Array, unknowns: Unknowns, lost: Array, count: int) -> str:
+    """Return in words what is lost but for motions of frames, and what to do about it.
+
+    Args:
+        mechanism: The mechanism.
+        J: What free unknowns do to the measurements, shape (m, n_free).
+        unknowns: The unknowns.
+        lost: Directions of the legs' parameters that are lost, columns of shape (n_params, n_lost).
+        count: How many of them are no motions of frames.
+    """
+    if lost.shape[1] == len(unknowns.free_labels):
+        return (
+            "all of them, as readings that are no more than the platform's freedoms fit any "
+            "machine. Measure the platform, or a part of its pose, or distances"
+        )
+    parameters = [(leg, name) for leg in mechanism.legs for name in leg.parameter_names]
+    units = np.array([leg.units[name] for leg, name in parameters])
+    nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
+    Q = np.linalg.qr(lost / np.linalg.norm(lost, axis=0))[0]
+    for sign in (1.0, -1.0):
+        grown = np.where(units == "m", nominal, np.where(units == "1", sign * nominal, 0.0))
+        if count == 1 and np.linalg.norm(grown - Q @ (Q.T @ grown)) < _SCALE * np.linalg.norm(
+            grown
+        ):
+            gains = dict.fromkeys(
+                name for (_, name), unit in zip(parameters, units, strict=True) if unit == "1"
+            )
+            return (
+                "the scale. Lengths alone do not fix it where the gains of their sensors "
+                f"({', '.join(gains)}) are free: a machine twice as large reads the same. Fix the "
+                f"gains ({' '.join(f'--fix {name}' for name in gains)}), or measure a position or "
+                "a distance"
+            )
+    groups = identifiability(J, unknowns.free_labels).in_words().split("; ")
+    more = f"; and {len(groups) - _LISTED} more such" if len(groups) > _LISTED else ""
+    return (
+        f"{'; '.join(groups[:_LISTED])}{more}. Measure more of the platform, or fix one of them, "
+        "or make it a constant in mechanism.yaml"
+    )
 
 
 def _weight(label: str) -> float:

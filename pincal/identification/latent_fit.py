@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pincal.errors import ObservabilityError
 from pincal.experiment.observation import Observation
 from pincal.identification.alignment import align
 from pincal.identification.contradiction import check_start
@@ -13,7 +12,7 @@ from pincal.identification.gauge import find_gauge
 from pincal.identification.latent import LatentPoses
 from pincal.identification.robust import robust_fit
 from pincal.identification.task import Task
-from pincal.identification.undetermined import check_told, hold_undetermined
+from pincal.identification.undetermined import hold_undetermined
 from pincal.identification.unknowns import Unknowns
 
 
@@ -65,11 +64,7 @@ def latent_fit(task: Task) -> Estimate:
     held = hold_undetermined(task.mechanism, problem, free) if task.hold else None
     free = free if held is None else held.unknowns
     task.tell("identifying all legs and poses")
-    try:
-        found = robust_fit(task, problem, free, np.arange(len(task.data)))
-    except ObservabilityError as error:
-        check_told(task.mechanism, problem, free, error)
-        raise
+    found = robust_fit(task, problem, free, np.arange(len(task.data)))
     outside = problem.observation.external
     external = found.fit.last.state.external
     return Estimate([found], outside, external, gauge, unknowns, problem, held)

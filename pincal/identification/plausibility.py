@@ -1,8 +1,8 @@
 """Are the measurements such as this mechanism can have made?
 
 Readings and poses that fit the nominal mechanism leave closure gaps that are small against
-the legs, with the legs bent as at home, and readings follow those of nominal inverse
-kinematics. If the gaps are not small, what often goes wrong is put right, one suspect at a
+the legs, and that machines near it explain, with the legs bent as at home; and readings follow
+those of nominal inverse kinematics. Else what often goes wrong is put right, one suspect at a
 time, and those that then fit much better are named. If none does, nothing is identified.
 """
 
@@ -12,17 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.identification.explanation import DOUBTFUL, EXPLAINED, REFUSED, check_gaps
+from pincal.identification.explanation import (
+    EXPLAINED,
+    REFUSED,
+    beyond,
+    check_gaps,
+    doubtful,
+    explained,
+)
 from pincal.identification.leg_fit import LegFit, leg_fits
-from pincal.identification.suspects import mirrored
+from pincal.identification.suspects import mirrored, shifted
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.inverse import inverse
-from pincal.kinematics.singularity import margins
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _FOLLOWS = 0.5  # spread of measured less nominal readings, over the spread of the nominal ones
+_STILL = 1e-3  # of a leg's size, and [rad]: readings that differ by less hardly move
 _ROWS = 500  # enough to judge by
 _LARGEST_NOISE = 0.02  # of a leg's size, and [rad]: beyond it, nothing can be calibrated
 
@@ -35,18 +42,39 @@ def check_plausible(mechanism: Mechanism, data: Measurements) -> None:
     Raises:
         MeasurementError: they do not fit; the message says what would explain it.
     """
-    complete = np.flatnonzero(np.isfinite(data.poses).all(axis=1))
+    complete, some = _complete(data)
     if len(complete) < 2:
         return
-    some = complete[:: -(-len(complete) // _ROWS)]
     poses, readings = data.poses[some], data.readings[some]
+    still = _still(mechanism, poses, readings)
+    if still:
+        raise MeasurementError(still)
     fits = leg_fits(mechanism, poses, readings)
-    gaps = np.array([fit.gap if fit.rows > 1 else 0.0 for fit in fits])
-    if (gaps > DOUBTFUL).any():
-        check_gaps(mechanism, poses, readings, gaps)
+    if doubtful(fits).any():
+        check_gaps(mechanism, poses, readings, fits, shifted(data.poses, data.readings, some))
     _check_modes(mechanism, fits)
     _check_side(mechanism, poses, readings)
     _check_readings(mechanism, data, complete)
+
+
+def suspected(mechanism: Mechanism, data: Measurements) -> str:
+    """Return what would explain that measurements do not fit, in words; empty if nothing does."""
+    complete, some = _complete(data)
+    if len(complete) < 2:
+        return ""
+    poses, readings = data.poses[some], data.readings[some]
+    fits = leg_fits(mechanism, poses, readings)
+    still = _still(mechanism, poses, readings)
+    if still or not doubtful(fits).any():
+        return still
+    shifts = shifted(data.poses, data.readings, some)
+    return explained(mechanism, poses, readings, fits, shifts)
+
+
+def _complete(data: Measurements) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows with complete poses, and enough of them to judge by."""
+    complete = np.flatnonzero(np.isfinite(data.poses).all(axis=1))
+    return complete, complete[:: max(-(-len(complete) // _ROWS), 1)]
 
 
 def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
@@ -79,6 +107,31 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
         )
 
 
+def _still(mechanism: Mechanism, poses: Array, readings: Array) -> str:
+    """Return which readings are the same in all rows though the poses move their sensors.
+
+    In words; empty if there are none.
+    """
+    still = np.ptp(readings, axis=0) == 0.0
+    if mechanism.by_readings or not still.any():
+        return ""
+    nominal = inverse(mechanism, poses).readings
+    found, moves = [], []
+    for index, (leg, name) in enumerate(zip(mechanism.legs, mechanism.reading_names, strict=True)):
+        told = nominal[np.isfinite(nominal[:, index]), index]
+        unit = mechanism.reading_units[index]
+        size = 1.0 if unit == "rad" else LegClosure(leg, mechanism.platform).size
+        if still[index] and len(told) > 1 and np.ptp(told) > _STILL * size:
+            found.append(f"{name} reads the same in all rows ({readings[0, index]:.6g} {unit})")
+            moves.append(f"{np.ptp(told):.2g} {unit}")
+    if not found:
+        return ""
+    return (
+        f"{', '.join(found)}, where readings of the nominal mechanism differ by "
+        f"{', '.join(moves)} over these poses. Check the sensor, its cable and the log"
+    )
+
+
 def _check_modes(mechanism: Mechanism, fits: list[LegFit]) -> None:
     """Raise if legs close, but bent to the other side than at home.
 
@@ -106,24 +159,19 @@ def _check_side(mechanism: Mechanism, poses: Array, readings: Array) -> None:
     Raises:
         MeasurementError: naming the axis.
     """
-    share = 0.0 if mechanism.by_readings else _beyond(mechanism, poses)
+    share = beyond(mechanism, poses)
     if share <= 0.5:
         return
     for suspect in mirrored(mechanism, poses, readings):
         fits = leg_fits(mechanism, suspect.poses, readings)
         gap = max((fit.gap for fit in fits if fit.rows > 1), default=np.inf)
         bent = not all(fit.as_home for fit in fits)
-        if gap <= EXPLAINED and not bent and _beyond(mechanism, suspect.poses) < 0.5:
+        if gap <= EXPLAINED and not bent and beyond(mechanism, suspect.poses) < 0.5:
             raise MeasurementError(
                 f"{100 * share:.0f} % of the poses lie beyond a singularity from mechanism.yaml's "
                 f"home; they would lie on its side, and fit to {100 * gap:.2g} % of the legs' "
                 f"length, if {suspect.words}. {suspect.remedy}"
             )
-
-
-def _beyond(mechanism: Mechanism, poses: Array) -> float:
-    """Return the share of poses beyond a type-2 singularity from home."""
-    return float((margins(mechanism, poses).type2 < 0.0).mean())
 
 
 def _check_readings(mechanism: Mechanism, data: Measurements, complete: NDArray[np.intp]) -> None:
@@ -150,15 +198,17 @@ def _check_readings(mechanism: Mechanism, data: Measurements, complete: NDArray[
             turns = np.round((given - expected) / turn)
             if turns.any():
                 first = int(np.argmax(turns != 0))
+                count = int((turns != 0).sum())
+                many = "reading is" if count == 1 else "readings are"
                 raise MeasurementError(
-                    f"{leg.name}: {int((turns != 0).sum())} readings are off by whole turns, the "
+                    f"{leg.name}: {count} {many} off by whole turns, the "
                     f"first in data row {rows[first] + 1}: {given[first]:.6g} rad, where the "
-                    f"nominal mechanism reads {expected[first]:.6g} rad. Count them without "
-                    "the turns, or correct the nominal offset"
+                    f"nominal mechanism reads {expected[first]:.6g} rad. Count without the turns, "
+                    " or correct the nominal offset"
                 )
         spread, off = _spread(expected), _spread(given - expected)
         size = 1.0 if unit == "rad" else LegClosure(leg, mechanism.platform).size
-        if off > max(_FOLLOWS * spread, DOUBTFUL * size):
+        if off > max(_FOLLOWS * spread, _STILL * size):
             raise MeasurementError(
                 f"{leg.name}: the readings do not follow those of the nominal mechanism (spread of "
                 f"the differences {off:.2g}, of the nominal readings {spread:.2g} "

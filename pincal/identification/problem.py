@@ -29,6 +29,10 @@ from pincal.model.leg import Leg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+NOT_THIS_MACHINE = (
+    "They are hardly this machine's: check signs, units, the order of the readings, the frame of "
+    "the poses, and rows that are far off (--robust cauchy)"
+)
 
 
 @dataclass(frozen=True)
@@ -281,6 +285,11 @@ class MeasuredPoses:
         try:
             return np.asarray(np.linalg.cholesky(covariance))
         except np.linalg.LinAlgError as error:
+            if m <= self.residuals[0].platform.dof:
+                raise MeasurementError(
+                    "the search ran away, to parameters at which the legs do not hold the platform "
+                    f"at the measured poses. {NOT_THIS_MACHINE}"
+                ) from error
             raise MeasurementError(
                 "the legs' residuals at a pose are dependent: with more legs than freedoms "
                 "the readings need noise of their own (--noise-reading), or use --method per-leg"

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_law
 
 from pincal.experiment.weak import WeakPair, weakly_told
 from pincal.identification.robust import Outlier
@@ -17,6 +18,9 @@ from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is doubted
+_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
+_FELL = 0.5  # of the residuals: less must be left of them if anything was corrected
 
 
 class Page(Protocol):
@@ -187,6 +191,33 @@ class CalibrationResult:
         """Parameters that are weakly told apart, the weakest first."""
         names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
         return weakly_told(names, self.covariance, self.gauge_directions)
+
+    @property
+    def excess(self) -> float:
+        """How many times larger residuals are than the noise given makes them.
+
+        1 if that noise explains them, or was estimated from them.
+        """
+        dof, chi2 = self.degrees_of_freedom, self.reduced_chi2
+        if self.noise_source == "estimated" or not dof:
+            return 1.0
+        return float(np.sqrt(chi2)) if chi2_law.sf(dof * chi2, dof) < UNEXPLAINED else 1.0
+
+    @property
+    def promises(self) -> bool:
+        """Whether residuals are near enough to the noise that uncertainties mean anything."""
+        return self.excess <= _PROMISED
+
+    @property
+    def corrects(self) -> bool:
+        """Whether residuals fell by half at least, in standard deviations, or are noise."""
+        parts = [(leg.residuals_before, leg.residuals, leg.sigma) for leg in self.legs]
+        if not any((sigma > 0.0).any() for *_, sigma in parts):
+            parts = [(one.residuals_before, one.residuals, one.sigmas) for one in self.observed]
+        before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
+        told = sigma > 0.0
+        squares = [((values[told] / sigma[told]) ** 2).sum() for values in (before, after)]
+        return self.excess == 1.0 or bool(squares[1] <= _FELL**2 * squares[0])
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""

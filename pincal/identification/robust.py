@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from pincal.errors import PincalError
+from pincal.errors import ObservabilityError, PincalError
 from pincal.identification.fit import Fit, fit
+from pincal.identification.latent import LatentPoses
 from pincal.identification.losses import LOSSES, LossName, outlying
 from pincal.identification.problem import Problem
 from pincal.identification.task import Task
+from pincal.identification.undetermined import check_told
 from pincal.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -58,31 +61,36 @@ def robust_fit(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[n
         rows: Rows of the measurements that are the problem's poses, shape (N,).
 
     Raises:
-        ObservabilityError: parameters are not determined, or by the noise only.
+        ObservabilityError: parameters are not determined, hardly, or by the noise only; a search
+            that ran away.
         MeasurementError: residuals that do not exist, or have no noise.
     """
+    try:
+        return _fitted(task, problem, unknowns, rows)
+    except ObservabilityError as error:
+        if isinstance(problem, LatentPoses):
+            check_told(task.mechanism, problem, unknowns, error)
+        raise
+
+
+def _fitted(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[np.intp]) -> Robust:
     known = task.noise.known
+    told = partial(check_told, task.mechanism, problem, unknowns)
+    search = partial(fit, problem, unknowns, known=known, tell=task.tell, ran_away=told)
     if task.loss == "none":
-        one = fit(problem, unknowns, known=known, tell=task.tell)
+        one = search()
         scale = (
             1.0 if known else float(np.sqrt(max(one.chi2 / max(one.degrees_of_freedom, 1), 0.0)))
         )
         return Robust(one, rows, _outliers(one, scale, rows), None)
     name: LossName = "tukey" if task.loss == "reject" else task.loss
-    coarse = fit(problem, unknowns, known=known, loss=LOSSES["cauchy"], tell=task.tell)
-    one = fit(
-        problem,
-        unknowns,
-        known=known,
-        loss=LOSSES[name],
-        start=coarse.last.state,
-        tell=task.tell,
-    )
+    coarse = search(loss=LOSSES["cauchy"])
+    one = search(loss=LOSSES[name], start=coarse.last.state)
     scale = one.scale
     if task.loss == "reject":
         one = _without_outliers(task, problem, unknowns, one)
     try:
-        plain = fit(problem, unknowns, known=known, tell=task.tell)
+        plain = search()
     except PincalError:
         plain = None
     return Robust(

@@ -13,12 +13,16 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
 
 from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import WAYS, columns_of, rotation_of
 
 Array = NDArray[np.float64]
 _DEGREE = np.pi / 180
+_SHIFTS = (1, -1, 2, -2)  # rows by which logs of poses and readings are out of step
 _STAYS = 0.005  # of a leg's size: by less than this, a column is not said to fit another leg
+_STAYS_OF_STROKE = 0.02  # nor by less than this of the stroke that was measured
 _UNITS = "Correct the units in the headers"
 _FRAME = "Give the poses in the right-handed frame of the base"
 #: Factors that put right a length or an angle under a wrong header, in words.
@@ -68,6 +72,7 @@ def single_faults(mechanism: Mechanism, poses: Array, readings: Array) -> Iterat
     yield from _of_one_leg(mechanism, poses, readings)
     yield from (suspect for faults, suspect in _units(mechanism, poses, readings) if faults == 1)
     yield from mirrored(mechanism, poses, readings)
+    yield from _signs_of_angles(mechanism, poses, readings)
     platform = mechanism.platform
     if "rad" not in platform.units:
         return
@@ -141,7 +146,51 @@ def mirrored(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Su
             )
 
 
-def exchanged(mechanism: Mechanism, poses: Array, readings: Array, gaps: Array) -> list[Suspect]:
+def _signs_of_angles(mechanism: Mechanism, poses: Array, readings: Array) -> Iterator[Suspect]:
+    """Yield the sign of one of the columns by which a spatial platform's orientation was given."""
+    if mechanism.platform.kind != "spatial":
+        return
+    matrices = mechanism.platform.transforms(poses).as_matrix()
+    turns = Rotation.from_matrix(matrices[:, :3, :3])
+    for way, (names, unit) in WAYS.items():
+        for column, name in enumerate(names if unit == "rad" else ()):
+            angles = columns_of(way, turns)
+            angles[:, column] *= -1.0
+            right = rotation_of(way, angles).as_matrix()
+            yield Suspect(
+                f"{name} has the other sign",
+                "Change the sign of that angle",
+                _poses(mechanism, matrices[:, :3, 3], right),
+                readings,
+            )
+
+
+def shifted(poses: Array, readings: Array, rows: NDArray[np.intp]) -> Iterator[Suspect]:
+    """Yield readings that stand some rows before or after the poses they belong to.
+
+    Args:
+        poses: Of all rows, shape (N, dof), [m] and [rad].
+        readings: Of all rows, shape (N, n_readings), [rad] or [m].
+        rows: Of them, those with complete poses to judge by.
+    """
+    for shift in _SHIFTS:
+        there = rows + shift
+        inside = (there >= 0) & (there < len(readings))
+        right = np.full((len(rows), readings.shape[1]), np.nan)
+        right[inside] = readings[there[inside]]
+        count = f"{abs(shift)} row" + ("s" if abs(shift) > 1 else "")
+        yield Suspect(
+            f"the readings stand {count} {'below' if shift > 0 else 'above'} the poses they belong "
+            "to",
+            "Bring the logs of poses and readings into step",
+            poses[rows],
+            right,
+        )
+
+
+def exchanged(
+    mechanism: Mechanism, poses: Array, readings: Array, gaps: Array, strokes: Array
+) -> list[Suspect]:
     """Return the order of columns in which the legs fit best, if it is another than given.
 
     Args:
@@ -150,8 +199,10 @@ def exchanged(mechanism: Mechanism, poses: Array, readings: Array, gaps: Array) 
         readings: Measured readings, one a leg, shape (N, n_legs).
         gaps: Gap of leg i with the readings of column j over the leg's size, shape
             (n_legs, n_legs).
+        strokes: By how much readings move each leg's end, over the leg's size, shape (n_legs,).
     """
-    cost = np.clip(np.nan_to_num(gaps, nan=1.0), None, 1.0) - _STAYS * np.eye(len(gaps))
+    stays = np.minimum(_STAYS, _STAYS_OF_STROKE * np.nan_to_num(strokes))
+    cost = np.clip(np.nan_to_num(gaps, nan=1.0), None, 1.0) - np.diag(stays)
     legs, columns = linear_sum_assignment(cost)
     moved = [(i, j) for i, j in zip(legs, columns, strict=True) if i != j]
     if not moved:

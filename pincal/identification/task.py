@@ -15,7 +15,7 @@ from pincal.identification.residuals import LegResidual, Residual
 from pincal.identification.unknowns import Unknowns, unknowns
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
+from pincal.model.setup import ORIGIN, Setup
 
 Method = Literal["per-leg", "together", "latent"]
 
@@ -86,3 +86,15 @@ class Task:
         ]
         readings = np.where(told, readings, usual)  # not used where not measured
         return LegResidual(mechanism.legs[leg], mechanism.platform, readings, kind, rows)
+
+
+def unsaid(setup: Setup) -> str:
+    """Return which options that free frame and target a setup leaves out, in words."""
+    options = {
+        "if the base stands elsewhere in it: --unknown-frame": setup.unknown_frame,
+        "if the target is not the platform's origin: --unknown-target or --setup": (
+            setup.targets[ORIGIN].unknown
+        ),
+    }
+    left = "; ".join(words for words, said in options.items() if not said)
+    return f" ({left})" if left else ""

@@ -7,6 +7,7 @@ directions may move it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +19,10 @@ from pincal.identification.alignment import settle
 from pincal.identification.consistent import consistent, lost_directions
 from pincal.identification.determined import taking_part
 from pincal.identification.latent import LatentPoses
+from pincal.identification.problem import Problem
 from pincal.identification.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -38,13 +41,13 @@ class Held:
     """Empty if there are none."""
 
 
-def plausible_changes(mechanism: Mechanism) -> Array:
-    """Return by how much parameters of all legs may differ from their drawing, shape (n_params,).
+def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -> Array:
+    """Return by how much parameters of legs may differ from their drawing, shape (n_params,).
 
-    In the parameters' units.
+    In the parameters' units; of all legs if none are given.
     """
     size = largest_size(mechanism.legs, mechanism.platform)
-    units = [unit for leg in mechanism.legs for unit in leg.units.values()]
+    units = [unit for leg in legs or mechanism.legs for unit in leg.units.values()]
     return np.array([_DIFFER * (size if unit == "m" else 1.0) for unit in units])
 
 
@@ -75,9 +78,7 @@ def hold_undetermined(mechanism: Mechanism, problem: LatentPoses, unknowns: Unkn
     return Held(held, directions, "; ".join(words))
 
 
-def hardly_told(
-    mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns
-) -> tuple[Array, Array]:
+def hardly_told(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> tuple[Array, Array]:
     """Return along which directions noise moves parameters farther than machines may differ.
 
     Rows of shape (k, n_free), in unknowns over their scale, and these scales: by how much machines
@@ -89,10 +90,12 @@ def hardly_told(
         unknowns: Of the problem, none lost.
     """
     size, T = largest_size(mechanism.legs, mechanism.platform), unknowns.map
-    outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
-    plausible = np.concatenate((plausible_changes(mechanism), outside))
+    plausible = plausible_changes(mechanism, problem.legs)
+    state = problem.start(unknowns.start[: problem.columns[-1].stop])
+    if isinstance(problem, LatentPoses):
+        outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
+        plausible, state = np.concatenate((plausible, outside)), settle(problem, state)
     scale = 1.0 / np.abs(T / plausible[:, None]).max(axis=0)
-    state = settle(problem, problem.start(unknowns.start[: problem.columns[-1].stop]))
     J = problem.linearise(state).jacobian @ T
     _, prior = unknowns.prior_rows(unknowns.start)
     rows = np.concatenate((J.reshape(-1, len(scale)), prior)) * scale
@@ -100,19 +103,29 @@ def hardly_told(
     return axes[int((told > 1.0).sum()) :], scale
 
 
+def _lost(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> bool:
+    """Return whether the measurements do not tell something at all."""
+    if isinstance(problem, LatentPoses):
+        J = consistent(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
+        return len(lost_directions(J)[0]) > 0
+    start = problem.start(unknowns.start[: problem.columns[-1].stop])
+    J = (problem.linearise(start).jacobian @ unknowns.map).reshape(-1, unknowns.map.shape[1])
+    _, prior = unknowns.prior_rows(unknowns.start)
+    return not identifiability(np.concatenate((J, prior)), unknowns.free_labels).complete
+
+
 def check_told(
-    mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns, cause: ObservabilityError
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, cause: ObservabilityError
 ) -> None:
     """Raise if the measurements hardly tell something, though nothing is lost.
 
     Raises:
         ObservabilityError: that is so; the message names what.
     """
-    lost, _ = lost_directions(
-        consistent(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
-    )
+    if _lost(mechanism, problem, unknowns):
+        return
     weak, _ = hardly_told(mechanism, problem, unknowns)
-    if len(weak) and not len(lost):
+    if len(weak):
         raise ObservabilityError(
             f"the measured poses hardly tell {taking_part(unknowns.free_labels, weak)} apart: "
             "noise moves them farther than machines differ from their drawings. Measure poses that "

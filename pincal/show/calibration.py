@@ -151,9 +151,11 @@ def calibration_summary(
         lines.append(_platform(result, errors))
     lines += trust_in_words(result)
     if result.shift is not None and result.outliers:
+        count = len(result.outliers)
+        rows = "the row that does" if count == 1 else f"the {count} rows that do"
         lines.append(
-            f"with the {len(result.outliers)} rows that do not fit, parameters would move by up to "
-            f"{result.shift:.1f} standard errors"
+            f"with {rows} not fit, parameters would move by up to {result.shift:.1f} standard "
+            "errors"
         )
     unused = len(data) - min(leg.n_poses for leg in result.legs)
     if unused and result.poses == "own" and data.sets is not None:
@@ -211,16 +213,25 @@ def noise_in_words(result: CalibrationResult) -> str:
 
 
 def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
-    """Return by how much the platform was off, and within what it should be now."""
-    turns = "rad" in result.nominal.platform.units
+    """Return by how much the platform was off, and by about how much it should be now."""
+    turns, more = "rad" in result.nominal.platform.units, result.excess
+    before = size_in_words(*errors.mean_before(), turns)
+    text = f"platform, root mean square {errors.where}: "
+    if not (result.promises and result.corrects):
+        return (
+            f"{text}the calibrated model differs from the nominal one by {before}, but no accuracy "
+            f"can be promised of it: residuals are {more:.3g} times as large as the noise given "
+            f"makes them{'' if result.corrects else ', and hardly fell'}"
+        )
     frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
+    after = scaled_in_words(errors.mean_after(), more, turns)
+    limit = scaled_in_words(errors.limit, more, turns)
+    scaled = f", {more:.2g} times as large as the noise given says, as residuals are"
     return (
-        f"platform, root mean square {errors.where}: the nominal model was off by "
-        + size_in_words(*errors.mean_before(), turns)
-        + ", the calibrated one should be within "
-        + size_in_words(*errors.mean_after(), turns)
-        + f"{frames} (by the parameters' uncertainties; ± of single parameters may be larger where "
-        "they compensate each other)"
+        f"{text}the nominal model was off by {before}, the calibrated one by about {after}{frames} "
+        f"(expected by the parameters' uncertainties{scaled if more > 1.0 else ''}; 95 of 100 such "
+        f"calibrations stay below {limit}; ± of single parameters may be larger where they "
+        "compensate each other)"
     )
 
 
@@ -255,6 +266,11 @@ def held_out_in_words(one: Validation) -> str:
         f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
         f"{one.expected:.2f} σ are expected held out"
     )
+
+
+def scaled_in_words(sizes: tuple[float, float], by: float, turns: bool) -> str:
+    """Return errors of the platform, [m] and [rad], times a factor."""
+    return size_in_words(by * sizes[0], by * sizes[1], turns)
 
 
 def size_in_words(position: float, orientation: float, turns: bool) -> str:

@@ -9,6 +9,7 @@ from pincal.experiment.forecast import Forecast
 from pincal.experiment.platform_error import PlatformError
 from pincal.show.tables import SHOWN, plain_table, titled, weak_in_words
 
+_MANY = 1e5  # poses: more are not measured
 _LISTED = 6  # groups of what moves together
 _BEST = (
     "the best that any calibration can reach: --method latent does, --method together --poses all "
@@ -88,7 +89,10 @@ def poses_in_words(accuracy: float, needed: float, alone: float | None) -> str:
     """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
     many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
     text = f"for {1e3 * accuracy:g} mm: {many} with --method latent"
-    return text if alone is None else f"{text}, {alone:,.0f} with each leg alone"
+    text += "" if alone is None else f", {alone:,.0f} with each leg alone"
+    if _MANY < needed < np.inf:
+        text += ", which nobody measures: that takes less noise, not more poses"
+    return text
 
 
 def _platform(error: PlatformError, turns: bool) -> str:

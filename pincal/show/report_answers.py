@@ -11,6 +11,7 @@ from pincal.identification.result import CalibrationResult
 from pincal.show.calibration import (
     held_out_in_words,
     noise_in_words,
+    scaled_in_words,
     sentence,
     size_in_words,
     warnings_of,
@@ -34,7 +35,6 @@ _TONES = {
     "Not shown": "bad",
     "Not as it stands": "bad",
 }
-_UNLIKELY = 1e-4  # probability of a χ² at which the noise as given is doubted
 
 
 def warnings_box(result: CalibrationResult) -> Element | None:
@@ -74,19 +74,10 @@ def answers(found: Findings, notes: Sequence[str]) -> Element:
     return section
 
 
-def excess(result: CalibrationResult) -> float:
-    """Return how many times larger residuals are than the noise given, 1 if it explains them."""
-    dof = result.degrees_of_freedom
-    if result.noise_source == "estimated" or not dof:
-        return 1.0
-    chi2 = result.reduced_chi2
-    return float(np.sqrt(chi2)) if chi2_law.sf(dof * chi2, dof) < _UNLIKELY else 1.0
-
-
 def doubtful(result: CalibrationResult) -> bool:
     """Return whether noise, held-out rows, runs or ties contradict the model."""
     return (
-        excess(result) > 1.0
+        result.excess > 1.0
         or (result.validation is not None and bool(result.validation.warnings))
         or (result.runs is not None and not result.runs.consistent)
         or not all(tie.holds for tie in result.ties)
@@ -102,13 +93,32 @@ def _answer(question: str, verdict: str, *lines: Element | str) -> Element:
 
 def _better(found: Findings, errors: WorkspaceErrors) -> Element:
     (before, turned), (after, turning) = errors.mean_before(), errors.mean_after()
-    more = excess(found.result)
+    more = found.result.excess
     ratios = [before / after / more] + ([turned / turning / more] if found.turns else [])
+    both = zip((before, turned)[: len(ratios)], errors.limit, strict=False)
+    sure = [one / limit / more for one, limit in both]
     worst = min(ratios)
-    if worst >= _CLEARLY:
+    if not found.result.corrects:
+        verdict = "No"
+        said = (
+            f"The fit failed: residuals hardly fell, and are {more:.3g} times as large as the "
+            "noise given makes them. Parameters that fit no better than nominal ones correct "
+            "nothing."
+        )
+    elif not found.result.promises:
+        verdict = "Not shown"
+        said = (
+            f"Residuals fell, but are still {more:.3g} times as large as the noise given makes "
+            "them: something is wrong with rows, noise or model, and parameters follow it."
+        )
+    elif worst >= _CLEARLY:
         checked = bool(found.result.degrees_of_freedom) and not doubtful(found.result)
         verdict = "Yes" if checked else "Probably"
-        said = f"The platform's error should be {_times(ratios)} smaller {errors.where}."
+        said = (
+            f"The platform's root mean square error {errors.where} should be about "
+            f"{_times(ratios)} smaller than that of the nominal model, with 95 % confidence "
+            f"{_times(sure)} at least."
+        )
     elif max(ratios) > 1.0:
         verdict = "Hardly"
         said = (
@@ -140,15 +150,20 @@ def _residuals(result: CalibrationResult) -> str:
 
 
 def _times(ratios: Sequence[float]) -> str:
-    low, high = (f"{float(f'{ratio:.2g}'):g}" for ratio in (min(ratios), max(ratios)))
-    return f"{low} times" if low == high else f"{low} to {high} times"
+    """Return factors in position and, where the platform turns, in orientation."""
+    shown = [f"{float(f'{ratio:.2g}'):g} times" for ratio in ratios]
+    if len(set(shown)) == 1:
+        return shown[0]
+    return " and ".join(
+        f"{one} ({what})" for one, what in zip(shown, ("position", "orientation"), strict=True)
+    )
 
 
 def _how_much(found: Findings, errors: WorkspaceErrors) -> Element:
-    rows = tag("tbody")
+    rows, more = tag("tbody"), found.result.excess
     for column, (name, unit) in enumerate((("position", "mm"), ("orientation", "mrad"))):
         if column == 0 or found.turns:
-            before, after = errors.mean_before()[column], errors.mean_after()[column]
+            before, after = errors.mean_before()[column], more * errors.mean_after()[column]
             rows.append(
                 tag(
                     "tr",
@@ -159,30 +174,37 @@ def _how_much(found: Findings, errors: WorkspaceErrors) -> Element:
             )
     names = (tag("th", text, scope="col", class_="n") for text in ("before", "after"))
     head = tag("tr", tag("td"), *names)
-    verdict = " → ".join(
-        size_in_words(position, 0.0, turns=False)
-        for position in (errors.mean_before()[0], errors.mean_after()[0])
-    )
-    more = excess(found.result)
-    if more > 1.0:
-        verdict += " or more"
     frames = ", but for where the base and platform frames lie" if found.result.moves_frames else ""
+    sizes = [errors.mean_before()[0], more * errors.mean_after()[0]]
+    verdict = " → ".join(size_in_words(one, 0.0, turns=False) for one in sizes)
+    said = (
+        f"Error of the platform, root mean square {errors.where}{frames}. After: about what is to "
+        "be expected by the parameters' uncertainties, if the model is right; 95 of 100 such "
+        "calibrations stay below "
+        f"{scaled_in_words(errors.limit, more, found.turns)}."
+    )
+    if not (found.result.promises and found.result.corrects):
+        return _answer(
+            _SIZE,
+            "No accuracy can be promised",
+            f"Residuals are {more:.3g} times as large as the noise given makes them, so that the "
+            "parameters' uncertainties mean nothing. Look at the warnings first.",
+        )
+    if more == 1.0:
+        return _answer("By how much?", verdict, _sizes_table(head, rows), said)
     return _answer(
         _SIZE,
-        verdict,
-        tag("table", tag("thead", head), rows, id="platform-error"),
-        f"Error of the platform, root mean square {errors.where}{frames}. After: to be expected "
-        "by the parameters' uncertainties, if the model is right.",
-        *(
-            [
-                f"Residuals are {more:.2g} times as large as the noise given makes them. If the "
-                f"noise is larger, so are these errors: {1e3 * more * errors.mean_after()[0]:.3g} "
-                "mm; if the model lacks something, no number says how large."
-            ]
-            if more > 1.0
-            else []
-        ),
+        f"{verdict} or more",
+        _sizes_table(head, rows),
+        said,
+        f"Residuals are {more:.2g} times as large as the noise given makes them, and errors after "
+        "are scaled by that: so large they are if the noise is larger than given; if the model "
+        "lacks something, no number says how large.",
     )
+
+
+def _sizes_table(head: Element, rows: Element) -> Element:
+    return tag("table", tag("thead", head), rows, id="platform-error")
 
 
 def _trust(result: CalibrationResult, notes: Sequence[str]) -> Element:

@@ -24,6 +24,8 @@ from pincal.workspace.sampling import sample_configurations
 
 Array = NDArray[np.float64]
 _SAMPLED = 1000
+_CONFIDENCE = 0.95
+_DRAWS = 10_000
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,9 @@ class WorkspaceErrors:
     """Whether poses are of the workspace, or those of the measurements."""
     untold: NDArray[np.bool_] | None = None
     """Where what was held moves the platform (see ``calibrate``), shape (N,), if it was."""
+    limit: tuple[float, float] = (np.nan, np.nan)
+    """Below which the identified one's root mean square error is in 95 of 100 calibrations like
+    this one, [m] and [rad]."""
 
     @property
     def where(self) -> str:
@@ -103,7 +108,37 @@ def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErro
         untold = np.asarray(slides(result.nominal, plan, lost, least).any(axis=1))
         variance[untold] = np.nan
     before, after = _sizes(result, moved**2), _sizes(result, variance)
-    return WorkspaceErrors(plan.poses, before, after, untold=untold)
+    told = np.isfinite(variance).all(axis=1)[reached]
+    return WorkspaceErrors(
+        plan.poses, before, after, untold=untold, limit=_limits(result, gain[told])
+    )
+
+
+def _limits(result: CalibrationResult, gain: Array) -> tuple[float, float]:
+    """Return the 95 % quantiles of the root mean square errors of position and orientation.
+
+    With parameter errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal
+    numbers, weighted by the eigenvalues of MC: drawn, with the scale of the noise if that was
+    estimated.
+
+    Args:
+        result: The calibration.
+        gain: What parameters do to the platform, shape (N, dof, n).
+    """
+    turns = np.array([unit == "rad" for unit in result.nominal.platform.units])
+    rng = np.random.default_rng(0)
+    values, axes = np.linalg.eigh(result.covariance)
+    root = axes * np.sqrt(values.clip(0.0))
+    squares = rng.standard_normal((_DRAWS, len(values))) ** 2
+    if result.noise_source == "estimated":
+        dof = max(result.degrees_of_freedom, 1)
+        squares *= dof / rng.chisquare(dof, (_DRAWS, 1))
+    limits = []
+    for own in (~turns, turns):
+        G = gain[:, own].reshape(-1, gain.shape[2]) @ root
+        weights = np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(gain), 1)
+        limits.append(float(np.sqrt(np.quantile(squares @ weights, _CONFIDENCE))))
+    return limits[0], limits[1]
 
 
 def _sizes(result: CalibrationResult, squares: Array) -> Array:
