@@ -475,6 +475,21 @@ def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> 
         pincal.calibrate(mechanism, data, method="latent", **({"noise": NOISE} | options))
 
 
+@pytest.mark.parametrize("kind", ["3RRR", "6UPS"])
+def test_error_in_an_unknown_frame_is_what_was_forecast(kind: str) -> None:
+    """What only moves the unknown frames is no error of the machine; with it, it would be."""
+    mechanism, truth, data = machine(kind, 40)
+    poses = data.poses.copy()
+    seen = seen_from_elsewhere(mechanism, data)
+    result = pincal.calibrate(mechanism, seen, method="latent", noise=NOISE, setup=FRAME)
+    found = pincal.expected_error(result, poses)
+    planned = pincal.forecast(truth, poses, NOISE, setup=FRAME).platform_error(poses)
+    assert found.position == pytest.approx(planned.position, rel=0.02)
+    assert found.orientation == pytest.approx(planned.orientation, rel=0.02)
+    with_frames = pincal.expected_error(replace(result, frames_moved=None), poses)
+    assert with_frames.position > 2 * found.position
+
+
 def test_refusals_say_true_numbers() -> None:
     """What mirrored positions miss by, either way round, and what exchanged readings contradict."""
     mechanism, _, data = machine("6UPS", 15)
