@@ -23,6 +23,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.colours import COLOURS
 
 Array = NDArray[np.float64]
+_LITTLE = 1e-6  # of the noise: rows of one pose differ, as measured ones do
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ class Way:
         commands them. Together, it is the bound of the data; leg by leg, of estimators that do
         not see the noise which legs share.
         """
-        exact = simulate(mechanism, truth, self.plan, Noise(0.0, 0.0, 0.0)).measurements
+        little = Noise(*(_LITTLE * sigma for sigma in vars(noise).values()))
+        exact = simulate(mechanism, truth, self.plan, little, 0).measurements
         return calibrate(truth, exact, method=method, poses=self.poses, noise=noise).covariance
 
 
