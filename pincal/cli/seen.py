@@ -114,9 +114,8 @@ def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan
         return read_poses(estimates[0], mechanism) if estimates else None
     (table,) = tables
     plan = _rows(table, mechanism)
-    if (
-        mechanism.by_readings and plan.readings is not None
-    ):  # which say where the mechanism is, in its own base frame
+    if mechanism.by_readings and plan.readings is not None:
+        # they say where the mechanism is, in its own base frame
         solution = forward(mechanism, plan.readings)
         if not solution.converged.any():
             raise MeasurementError(

@@ -48,12 +48,13 @@ def misaligned(task: Task, result: CalibrationResult) -> tuple[str, ...]:
     n_base, space = motions.shape[2] - platform.dof, platform.space
     base = ("base", "is the tracker's frame the base's (--unknown-frame)?")
     body = ("platform", "is the target the platform's origin (--unknown-target)?")
+    scale = plausible_changes(task.mechanism)
     lengths = np.array([1.0 if unit == "m" else size for unit in platform.units])
     for own, (what, how) in (
         (motions[:, :, :n_base], base),
         (motions[:, :, n_base:], body if "rad" in platform.units else base),
     ):
-        chance, amounts = _as_one(gain, own, changes, plausible_changes(task.mechanism))
+        chance, amounts = _as_one(gain, own, changes, scale)
         if chance > _CHANCE:
             continue
         left = beyond(platform, moved[:, :, None], own, size)[:, :, 0]

@@ -63,10 +63,11 @@ def suspected(mechanism: Mechanism, data: Measurements) -> str:
     if len(complete) < 2:
         return ""
     poses, readings = data.poses[some], data.readings[some]
-    fits = leg_fits(mechanism, poses, readings)
-    still = _still(mechanism, poses, readings)
-    if still or not doubtful(fits).any():
+    if still := _still(mechanism, poses, readings):
         return still
+    fits = leg_fits(mechanism, poses, readings)
+    if not doubtful(fits).any():
+        return ""
     shifts = shifted(data.poses, data.readings, some)
     return explained(mechanism, poses, readings, fits, shifts)
 
@@ -204,7 +205,7 @@ def _check_readings(mechanism: Mechanism, data: Measurements, complete: NDArray[
                     f"{leg.name}: {count} {many} off by whole turns, the "
                     f"first in data row {rows[first] + 1}: {given[first]:.6g} rad, where the "
                     f"nominal mechanism reads {expected[first]:.6g} rad. Count without the turns, "
-                    " or correct the nominal offset"
+                    "or correct the nominal offset"
                 )
         spread, off = _spread(expected), _spread(given - expected)
         size = 1.0 if unit == "rad" else LegClosure(leg, mechanism.platform).size

@@ -19,7 +19,7 @@ from pincal.identification.alignment import settle
 from pincal.identification.consistent import consistent, lost_directions
 from pincal.identification.determined import taking_part
 from pincal.identification.latent import LatentPoses
-from pincal.identification.problem import Problem
+from pincal.identification.problem import Problem, State
 from pincal.identification.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.model.leg import Leg
@@ -96,9 +96,7 @@ def hardly_told(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> t
         outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
         plausible, state = np.concatenate((plausible, outside)), settle(problem, state)
     scale = 1.0 / np.abs(T / plausible[:, None]).max(axis=0)
-    J = problem.linearise(state).jacobian @ T
-    _, prior = unknowns.prior_rows(unknowns.start)
-    rows = np.concatenate((J.reshape(-1, len(scale)), prior)) * scale
+    rows = _rows(problem, unknowns, state) * scale
     _, told, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
     return axes[int((told > 1.0).sum()) :], scale
 
@@ -109,9 +107,14 @@ def _lost(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> bool:
         J = consistent(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
         return len(lost_directions(J)[0]) > 0
     start = problem.start(unknowns.start[: problem.columns[-1].stop])
-    J = (problem.linearise(start).jacobian @ unknowns.map).reshape(-1, unknowns.map.shape[1])
+    return not identifiability(_rows(problem, unknowns, start), unknowns.free_labels).complete
+
+
+def _rows(problem: Problem, unknowns: Unknowns, state: State) -> Array:
+    """Return the whitened Jacobian of a problem in the free unknowns, rows of priors below."""
+    J = problem.linearise(state).jacobian @ unknowns.map
     _, prior = unknowns.prior_rows(unknowns.start)
-    return not identifiability(np.concatenate((J, prior)), unknowns.free_labels).complete
+    return np.concatenate((J.reshape(-1, J.shape[2]), prior))
 
 
 def check_told(
