@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from closed_forms import angles, base_point, platform_point, poses_near_home
@@ -10,6 +12,12 @@ import pincal
 from pincal.workspace.component import HomeComponent
 
 BENDS = {"3RRR": [-1, -1, -1], "5R": [-1, 1]}
+
+
+@pytest.fixture(autouse=True)
+def exploring(explored: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Explore every time."""
+    monkeypatch.setattr("pincal.workspace.sampling._explore", explored)
 
 
 def closed_form_margins(mechanism: pincal.Mechanism, poses: np.ndarray) -> tuple:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -57,10 +58,11 @@ class Loss:
 
         Args:
             squares: χ² of each row, shape (N,).
-            equations: How many equations each row gives, shape (N,).
+            equations: How many equations each row gives, shape (N,) or (1,).
         """
         return self.weigh(np.sqrt(squares) / self.constant(equations))
 
+    @lru_cache(maxsize=256)  # noqa: B019 - losses are few, and live as long as the module
     def inflation(self, equations: int) -> float:
         """Return by how much the loss makes the covariance of good data larger.
 
@@ -69,7 +71,7 @@ class Loss:
         """
         k = max(equations, 1)
         d2 = chi2.ppf((np.arange(_DRAWS) + 0.5) / _DRAWS, k)
-        w = self.weights(d2, np.full(_DRAWS, k))
+        w = self.weights(d2, np.array([k]))
         return float(k * (w**2 * d2).mean() / (w * d2).mean() ** 2)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -209,7 +210,7 @@ class Platform:
         turns = (b.rotation * a.rotation.inv()).as_rotvec()
         return np.concatenate((b.translation - a.translation, turns), axis=1)
 
-    @property
+    @cached_property
     def home_pose(self) -> RigidTransform:
         """Home pose, length 1."""
         return self.transforms(np.array([self.home]))
