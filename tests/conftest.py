@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 import pincal
 from pincal.workspace import sampling
 from pincal.workspace.component import HomeComponent
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # commands are to be interrupted
 
 Array = NDArray[np.float64]
 Explore = Callable[..., tuple[Array, Array, HomeComponent]]

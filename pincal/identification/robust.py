@@ -75,7 +75,8 @@ def robust_fit(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[n
 
 def _fitted(task: Task, problem: Problem, unknowns: Unknowns, rows: NDArray[np.intp]) -> Robust:
     known = task.noise.known
-    told = partial(check_told, task.mechanism, problem, unknowns)
+    latent = isinstance(problem, LatentPoses)  # whose every failure is explained, not only this
+    told = None if latent else partial(check_told, task.mechanism, problem, unknowns)
     search = partial(fit, problem, unknowns, known=known, tell=task.tell, ran_away=told)
     if task.loss == "none":
         one = search()
