@@ -130,6 +130,25 @@ def test_exchange_finds_the_best_of_all_sets(rows: int) -> None:
         assert design.efficiency(log_det, 5, 3) <= 1.0
 
 
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_set_stands_against_candidates_that_the_search_began_without(rows: int) -> None:
+    """Of 3000, weighted at random: the best to add and then the worst to drop gain nothing."""
+    rng = np.random.default_rng(4)
+    blocks = rng.normal(size=(3000, rows, 4))
+    chosen, log_det = exchange(blocks, 9, rng.random(3000), rng, starts=1)
+
+    def value(*sets: np.ndarray) -> np.ndarray:
+        total = sum(np.einsum("...ij,...ik->...jk", one, one) for one in sets)
+        return np.linalg.slogdet(total)[1]
+
+    own = blocks[chosen].reshape(-1, 4)
+    assert value(own) == pytest.approx(log_det, abs=1e-9)
+    others = np.delete(blocks, chosen, axis=0)
+    kept = np.concatenate((blocks[chosen], others[None, np.argmax(value(own, others))]))
+    dropped = [value(np.delete(kept, i, axis=0).reshape(-1, 4)) for i in range(10)]
+    assert max(dropped) <= log_det + 1e-8
+
+
 def test_selection_reaches_the_wanted_efficiency(
     selections: dict[str, pincal.Selection],
 ) -> None:
