@@ -24,7 +24,7 @@ WHY = {
     "template engine would be one dependency more, and escape by setting)",
     "yourdfpy": "second reader of the URDFs that pincal writes (`pincal check`, tests); shapes for "
     "`pincal view`",
-    "PyYAML": "mechanism files",
+    "PyYAML": "mechanism files, scanned by the libyaml in its wheels",
     "pydantic": "checks mechanism files, with errors that name the place",
     "typer": "command line",
     "rich": "tables and progress",
