@@ -281,7 +281,10 @@ def least_squares(a: Array, b: Array) -> Array:
 
 
 def left_null(matrix: Array) -> Array:
-    """Return orthonormal columns N with Nᵀ A = 0, shape (N, m, p) to (N, m, m - p)."""
+    """Return orthonormal columns N with Nᵀ A = 0, shape (N, m, p) to (N, m, m - p).
+
+    They follow A without a jump: det [A N] is positive.
+    """
     count, m, p = matrix.shape
     if p == 0:
         return np.broadcast_to(np.eye(m), (count, m, m))
@@ -293,4 +296,7 @@ def left_null(matrix: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
             return (normal / np.linalg.norm(normal, axis=1)[:, None])[:, :, None]
     q, _ = np.linalg.qr(matrix, mode="complete")
+    both = np.concatenate((matrix, q[:, :, p:]), axis=2)
+    with np.errstate(invalid="ignore"):
+        q[np.linalg.det(both) < 0.0, :, -1] *= -1.0
     return q[:, :, p:]

@@ -22,9 +22,16 @@ def check_home(leg: Leg, platform: Platform) -> None:
         MechanismError: it does not close within a tenth of its size; angles beyond a full turn
             are asked about.
     """
-    gap = home_gap(leg, platform)
-    if gap <= _ROUGH * leg.size:
+    gap, turn = _apart(leg, platform)
+    if max(gap, leg.size * turn) <= _ROUGH * leg.size:
         return
+    said = (
+        f"its tip is {gap:.2g} m from the platform's point {leg.point.name!r}, the leg is "
+        f"{leg.size:.2g} m long; expected a tenth of that at most"
+        if gap >= leg.size * turn
+        else f"its tip is turned by {turn:.2g} rad against the platform's frame "
+        f"{leg.point.name!r}; expected {_ROUGH:g} rad at most"
+    )
     angles = {f"{joint.name} of {leg.name}": joint.home for joint in leg.moving if joint.turns}
     angles |= {
         f"{name} of the platform": value
@@ -40,18 +47,25 @@ def check_home(leg: Leg, platform: Platform) -> None:
         for name, value in list(beyond.items())[:1]
     )
     raise MechanismError(
-        f"{leg.name} does not close at home: its tip is {gap:.2g} m from the platform's point "
-        f"{leg.point.name!r}, the leg is {leg.size:.2g} m long; expected a tenth of that at most. "
-        f"Correct 'home' of {leg.name} or of the platform{asked}"
+        f"{leg.name} does not close at home: {said}. Correct 'home' of {leg.name} or of the "
+        f"platform{asked}"
     )
 
 
 def home_gap(leg: Leg, platform: Platform) -> float:
     """Return by how much a leg is open at home, [m]; a turn of its frame counts times its size."""
+    gap, turn = _apart(leg, platform)
+    return max(gap, leg.size * turn)
+
+
+def _apart(leg: Leg, platform: Platform) -> tuple[float, float]:
+    """Return how far a leg's tip is from where it closes at home, [m], and turned, [rad].
+
+    A leg that closes a point may be turned.
+    """
     tip = link_placements(leg, leg.home[None])[0, -1]
     point = platform.home_pose.as_matrix()[0] @ leg.point.placement.origin()
     gap = float(np.linalg.norm((tip - point)[: platform.space, 3]))
     if leg.closes == "point":
-        return gap
-    turn = Rotation.from_matrix(point[:3, :3].T @ tip[:3, :3]).magnitude()
-    return max(gap, leg.size * float(turn))
+        return gap, 0.0
+    return gap, float(Rotation.from_matrix(point[:3, :3].T @ tip[:3, :3]).magnitude())
