@@ -12,8 +12,9 @@ from arms import loaded, robot, urdf
 from command_line import run
 
 import pincal
-from pincal.experiment.configurations import legs_at
+from pincal.experiment.configurations import joints_at, legs_at
 from pincal.experiment.forecast import information_rows
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.collision import free_of_collision
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
@@ -161,3 +162,23 @@ def test_what_cannot_be_checked(tmp_path: Path) -> None:
     lost.write_text(bare.read_text().replace('<link name="l1"/>', f'<link name="l1">{mesh}</link>'))
     with pytest.raises(pincal.FileError, match="collision geometry cannot be read"):
         free_of_collision(lost, ["a"], np.zeros((1, 1)))
+
+
+def test_joints_are_where_readings_put_them() -> None:
+    """Of a 3-RPS, every leg closes there; with a reading far off, that leg's joints are NaN."""
+    mechanism = pincal.load_mechanism("3RPS")
+    plan = pincal.sample_configurations(mechanism, 20, 1)
+    assert plan.readings is not None
+    found = joints_at(mechanism, plan)
+    assert found.reached.all()
+    matrices = mechanism.platform.transforms(plan.poses).as_matrix()
+    for leg in mechanism.legs:
+        gap = LegClosure(leg, mechanism.platform).evaluate(found.joints[leg.name], matrices).gap
+        np.testing.assert_allclose(gap, 0.0, atol=1e-9)
+    plan.readings[:5, 1] *= 1.1
+    wrong = joints_at(mechanism, plan)
+    for place, name in enumerate(mechanism.leg_names):
+        lost = np.arange(20) < (5 if place == 1 else 0)
+        np.testing.assert_array_equal(wrong.reached[:, place], ~lost)
+        np.testing.assert_array_equal(np.isnan(wrong.joints[name]).all(axis=1), lost)
+        np.testing.assert_allclose(wrong.joints[name][~lost], found.joints[name][~lost], atol=1e-12)

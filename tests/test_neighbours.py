@@ -39,6 +39,7 @@ from pincal.formats.tree_urdf import loops_urdf, loops_yaml
 from pincal.kinematics.closed_forms import closed_form, pointing_slide
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.forest import cross
+from pincal.kinematics.independent import independent
 from pincal.kinematics.reach import reach_of
 from pincal.model.leg import Leg
 from pincal.model.links import link_placements
@@ -387,6 +388,17 @@ def test_parameters_are_all_that_closures_tell(tmp_path: Path) -> None:
     rows = np.einsum("ni,nip->np", across, part.parameter)
     assert rows.shape[1] == 3 * 6 + 6 + 3
     assert np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows)) == 8
+
+
+@pytest.mark.parametrize(("name", "count"), [("5R", 4), ("3RRR", 6), ("6UPS", 6), ("delta", 7)])
+def test_sensors_apart_the_parameters_of_our_legs_are_independent(name: str, count: int) -> None:
+    """Base point, links and platform point, if the platform turns as it does; in any order."""
+    mechanism = pincal.load_mechanism(name)
+    leg = mechanism.legs[0]
+    names = leg.parameter_names
+    assert independent(leg, mechanism.platform, names) == names[:count]
+    backwards = independent(leg, mechanism.platform, names[::-1])
+    assert sorted(backwards) == sorted(names[:count])
 
 
 def replace_all_displacements(leg: Leg) -> Leg:
