@@ -11,7 +11,7 @@ from closed_forms import angles, bends, jacobian, near, poses_near_home, random_
 import pincal
 from pincal.kinematics import starts
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.inverse import close
+from pincal.kinematics.inverse import close, reached
 
 GEOMETRIES = [20, pytest.param(200, marks=pytest.mark.slow)]
 MARGIN = 0.1  # elbow sine
@@ -137,3 +137,22 @@ def test_memory_does_not_grow_with_the_number_of_poses(mechanism: pincal.Mechani
         tracemalloc.stop()
         del C
     assert beyond[1] < 1.1 * beyond[0]
+
+
+@pytest.mark.parametrize("name", sorted(pincal.bundled()))
+def test_what_is_reached_is_what_inverse_kinematics_reach(name: str) -> None:
+    """In and out of reach, whether legs have a closed form or not."""
+    mechanism = pincal.load_mechanism(name)
+    size = 0.5 * max(leg.reach for leg in mechanism.legs)
+    spread = [size if unit == "m" else 1.0 for unit in mechanism.platform.units]
+    poses = mechanism.platform.home + np.random.default_rng(0).normal(size=(60, 6))[
+        :, : len(spread)
+    ] * np.array(spread)
+    found = reached(mechanism, poses)
+    np.testing.assert_array_equal(found, pincal.inverse(mechanism, poses).reached)
+    if name in ("3RPR", "6UPS", "4cable", "8cable"):  # struts reach everything
+        assert found.all()
+    elif name == "3RPS":  # its poses lie on a surface
+        assert not found.any()
+    else:
+        assert 0.02 < found.mean() < 0.98

@@ -40,7 +40,9 @@ def wrists(balls: pincal.Mechanism) -> pincal.Mechanism:
 
 @pytest.fixture(scope="module")
 def poses(balls: pincal.Mechanism) -> np.ndarray:
-    return pincal.sample_workspace(balls, 100, seed=0)
+    drawn = np.random.default_rng(0).uniform(-1.0, 1.0, (100, 6)) * [0.2, 0.2, 0.1, 3.0, 0.2, 0.3]
+    drawn[:, 4] = np.abs(drawn[:, 4])
+    return drawn + balls.platform.home
 
 
 @pytest.mark.parametrize(("m", "p"), [(2, 0), (2, 1), (3, 1), (3, 2), (6, 3), (6, 4), (6, 5)])

@@ -6,22 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from pincal.model.platform import Platform
+from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
 SAME = 1e-6
 """Of the candidates' extent, within which two of them are one."""
 _ROUNDING = 1e-6  # of the size of coordinates: the least extent
+_LINES = 3  # along which places are looked at before they are looked at in full
 
 
-def places_of(platform: Platform, poses: Array, readings: Array | None = None) -> Array:
+def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -> Array:
     """Return positions, rotation matrices and readings over their extents, shape (N, 12 or more).
 
     Coordinates that say the same pose, such as angles a whole turn apart, have the same place.
 
     Args:
         platform: The platform.
-        poses: Coordinates, shape (N, dof), [m] and [rad].
+        poses: Coordinates, shape (N, dof), [m] and [rad], or transforms.
         readings: Shape (N, n_readings), where poses do not tell them, [rad] or [m].
 
     Raises:
@@ -38,18 +39,20 @@ def places_of(platform: Platform, poses: Array, readings: Array | None = None) -
     return np.concatenate([p / e for p, e in zip(parts, extents, strict=True)], axis=1)
 
 
-def distinct(platform: Platform, poses: Array, readings: Array | None = None) -> NDArray[np.intp]:
+def distinct(platform: Platform, poses: Poses, readings: Array | None = None) -> NDArray[np.intp]:
     """Return the configurations that are no copies of earlier ones, as indices in order.
 
     Args:
         platform: The platform.
-        poses: Coordinates, shape (N, dof), [m] and [rad].
+        poses: Coordinates, shape (N, dof), [m] and [rad], or transforms.
         readings: Shape (N, n_readings), where poses do not tell them, [rad] or [m].
 
     Raises:
         MechanismError: a pose of a wrong shape, or not finite.
     """
     places = places_of(platform, poses, readings)
+    alike = _perhaps_alike(places)
+    places, others = places[alike], np.flatnonzero(~alike)
     kept = np.sort(np.unique(places, axis=0, return_index=True)[1])
     while len(kept) > 1:  # of a pair of nearest neighbours the later one goes
         distance, other = KDTree(places[kept]).query(places[kept], k=2, p=np.inf)
@@ -59,4 +62,17 @@ def distinct(platform: Platform, poses: Array, readings: Array | None = None) ->
         if not copies.any():
             break
         kept = kept[~copies]
-    return kept
+    return np.sort(np.concatenate((others, np.flatnonzero(alike)[kept])))
+
+
+def _perhaps_alike(places: Array) -> NDArray[np.bool_]:
+    """Return which places may be copies: they lie together along every line, shape (N,)."""
+    alike = np.ones(len(places), dtype=bool)
+    for line in np.random.default_rng(0).uniform(-1.0, 1.0, (_LINES, places.shape[1])):
+        along = places[alike] @ line
+        order = np.argsort(along)
+        together = np.diff(along[order]) <= SAME * np.abs(line).sum()
+        own = np.zeros(len(along), dtype=bool)
+        own[order[:-1][together]] = own[order[1:][together]] = True
+        alike[alike] = own
+    return alike

@@ -24,7 +24,7 @@ from pincal.experiment.distinct import SAME, distinct, places_of
 from pincal.experiment.exchange import exchange
 from pincal.experiment.observability import Indices, identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import Demand, leg_demand
-from pincal.kinematics.inverse import inverse
+from pincal.kinematics.inverse import reached
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
@@ -127,9 +127,12 @@ def select_poses(
     noise = noise or Noise()
     rng = np.random.default_rng(seed)
     tell = progress or (lambda _: None)
-    poses = np.asarray(candidates, dtype=np.float64)
-    poses = poses[distinct(mechanism.platform, poses)]
-    search = _Search(mechanism, poses, noise, rng, starts, tell)
+    transforms = mechanism.platform.transforms(candidates)
+    kept = distinct(mechanism.platform, transforms)
+    poses = np.asarray(candidates, dtype=np.float64)[kept]
+    transforms = transforms if len(kept) == len(transforms) else transforms[kept]
+    there = np.asarray(reached(mechanism, transforms).all(axis=1))
+    search = _Search(mechanism, poses, there, noise, rng, starts, tell)
     names = mechanism.leg_names
     if protocol == "independent":
         parts = [search.own(name, count) for name in names]
@@ -167,6 +170,7 @@ class _Search:
         self,
         mechanism: Mechanism,
         candidates: Array,
+        reached: NDArray[np.bool_],
         noise: Noise,
         rng: np.random.Generator,
         starts: int,
@@ -174,7 +178,7 @@ class _Search:
     ) -> None:
         self.mechanism = mechanism
         self.candidates = candidates
-        self.reached = inverse(mechanism, candidates).reached.all(axis=1)
+        self.reached = reached
         self.noise = noise
         self.rng = rng
         self.starts = starts

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.kinematics.closed_forms import wrapped
+from pincal.kinematics.closed_forms import closed_form, wrapped
 from pincal.kinematics.closure import Closure, LegClosure, least_squares, product
 from pincal.kinematics.starts import home_mode, mode_sign, start
 from pincal.model.mechanism import Mechanism
@@ -209,3 +209,27 @@ def inverse(mechanism: Mechanism, poses: Poses) -> InverseSolution:
             readings[rows, columns] = law.reading(one.joints[:, leg.active])
             reached[rows, index] = one.reached
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
+
+
+def reached(mechanism: Mechanism, poses: Poses) -> Mask:
+    """Return which legs reach poses in their working modes, shape (N, n_legs).
+
+    A leg with a closed form is asked by it alone, a dozen times faster than ``inverse``.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        poses: N platform poses: coordinates, shape (N, dof), [m] and [rad], or transforms.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite.
+    """
+    transforms = mechanism.platform.transforms(poses)
+    legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    found = np.empty((len(transforms), len(legs)), dtype=bool)
+    for begin in range(0, len(transforms), CHUNK):
+        rows = slice(begin, begin + CHUNK)
+        matrices = transforms[rows].as_matrix()
+        for index, leg in enumerate(legs):
+            solved = closed_form(leg) is not None
+            found[rows, index] = start(leg, matrices)[1] if solved else close(leg, matrices).reached
+    return found

@@ -39,7 +39,11 @@ def rotation_of(way: str, values: Array) -> Rotation:
     """
     if way == "tilt-torsion":
         azimuth, tilt, torsion = values.T
-        return Rotation.from_euler("ZYZ", np.stack((azimuth, tilt, torsion - azimuth), axis=1))
+        across, along = np.sin(tilt / 2), np.cos(tilt / 2)  # several times faster than from_euler
+        half = torsion / 2
+        x, y = across * np.sin(half - azimuth), across * np.cos(half - azimuth)
+        z, w = along * np.sin(half), along * np.cos(half)
+        return Rotation.from_quat(np.stack((x, y, z, w), axis=1))
     if way == "rotation-vector":
         return Rotation.from_rotvec(values)
     if way == "zyx":
