@@ -16,6 +16,8 @@ from scipy.optimize import least_squares
 
 import pincal
 from pincal.model.measurements import EVERY_LEG
+from pincal.studies import three_rrr_errors
+from pincal.studies.trials import Way, machines
 
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
 BENDS = {"3RRR": [-1, -1, -1], "5R": [-1, 1]}
@@ -450,3 +452,15 @@ def test_noise_of_zero_is_refused(kind: str, selections: dict[str, pincal.Select
     mechanism, _, data = noisy(kind, selections[kind].plan, 16, pincal.Noise())
     with pytest.raises(pincal.MeasurementError, match="no noise at all"):
         pincal.calibrate(mechanism, data, noise=EXACT)
+
+
+@pytest.mark.slow
+def test_a_start_near_a_singularity_says_nothing_of_the_poses(
+    candidates: dict[str, np.ndarray],
+) -> None:
+    """Of a hundred machines one has a pose that noise carries far at nominal: it is calibrated."""
+    mechanism, noise = pincal.load_mechanism("3RRR"), three_rrr_errors.NOISE
+    plan = pincal.select_poses(mechanism, candidates["3RRR"], 24, "common").plan
+    way = Way("common", plan, "all", "together", "joint")
+    for truth, seed in machines(mechanism, three_rrr_errors.SIGMA, 0, 20)[10:]:
+        assert way.run(mechanism, truth, noise, seed).converged

@@ -69,19 +69,34 @@ def check_rank(
 
 
 def check_information(
-    problem: Problem, unknowns: Unknowns, linear: Linear, scale: float = 1.0
+    problem: Problem, unknowns: Unknowns, places: Sequence[Linear], scale: float = 1.0
 ) -> None:
     """Raise if some direction in parameter space is told by the noise of the poses only.
+
+    At one of several places it must be told by more.
 
     Args:
         problem: The problem.
         unknowns: What is free.
-        linear: Residuals and derivatives where to look.
+        places: Residuals and derivatives where to look.
         scale: By how much the noise is larger than the shaking.
 
     Raises:
         ObservabilityError: there is one; the message names the parameters that take part.
     """
+    for linear in places:
+        hollow = _hollow(problem, unknowns, linear, scale)
+        if not len(hollow):
+            return
+    raise ObservabilityError(
+        f"the measured poses tell {taking_part(unknowns.free_labels, hollow)} apart by their "
+        "noise only. Measure poses that differ more (in orientation above all), or fix one of "
+        "these parameters, or make it a constant in mechanism.yaml"
+    )
+
+
+def _hollow(problem: Problem, unknowns: Unknowns, linear: Linear, scale: float) -> Array:
+    """Return directions in parameter space that noise tells as well as the poses, shape (k, n)."""
     some = np.linspace(0, len(linear.white) - 1, min(_POSES, len(linear.white))).astype(int)
     part = problem.part(some)
     linear = part.linearise(linear.state.rows(some))
@@ -94,13 +109,7 @@ def check_information(
     triangle = np.linalg.qr(own / lengths, mode="r")
     _, information, directions = np.linalg.svd(triangle, full_matrices=False)
     made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
-    hollow = directions[information < _CLEARLY * made]
-    if len(hollow):
-        raise ObservabilityError(
-            f"the measured poses tell {taking_part(unknowns.free_labels, hollow)} apart by their "
-            "noise only. Measure poses that differ more (in orientation above all), or fix one of "
-            "these parameters, or make it a constant in mechanism.yaml"
-        )
+    return np.asarray(directions[information < _CLEARLY * made])
 
 
 def taking_part(names: Sequence[str], directions: Array) -> str:

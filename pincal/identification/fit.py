@@ -98,10 +98,10 @@ def fit(
     system = _System(problem, unknowns, known, loss, kept)
     easy = replace(system, problem=eased)
     check_rank(problem, unknowns, first)
-    if known:
-        check_information(problem, unknowns, first)
     near, evaluations = _search(easy, first, tell)
     linear = near if easy.problem is problem else problem.linearise(near.state)
+    if known:  # where the search starts, a pose may be nearer to a singularity than it is
+        check_information(problem, unknowns, (first, linear))
     stands, decrement = (_STANDS if loss is None else _STANDS_ROBUST), np.inf
     for _ in range(_ROUNDS if loss is None else 10 * _ROUNDS):
         weights, scale = system.weights(linear)
@@ -130,7 +130,7 @@ def fit(
     if not known:
         size = float(np.sqrt(chi2 / dof)) if loss is None else scale
         check_information(
-            problem, unknowns, linear if converged else first, size if converged else 1.0
+            problem, unknowns, (linear if converged else first,), size if converged else 1.0
         )
         covariance = covariance * size**2
     message = (
