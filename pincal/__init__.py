@@ -3,6 +3,11 @@
 Which poses to measure, what the kinematic parameters are, and how sure that is.
 """
 
+from pincal.design.forecast import Forecast, forecast
+from pincal.design.platform_error import PlatformError
+from pincal.design.select import Selection, select_poses
+from pincal.design.select_configurations import ConfigurationChoice, select_configurations
+from pincal.design.simulate import Accuracy, Simulation, accuracy, disturb, simulate
 from pincal.errors import (
     FileError,
     MeasurementError,
@@ -12,18 +17,17 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
-from pincal.experiment.configuration_choice import ConfigurationChoice, select_configurations
-from pincal.experiment.forecast import Forecast, forecast
-from pincal.experiment.observability import (
+from pincal.estimation.observability import (
     Identifiability,
     Indices,
     identifiability,
     indices,
     r_diagonal,
 )
-from pincal.experiment.platform_error import PlatformError
-from pincal.experiment.selection import Selection, select_poses
-from pincal.experiment.simulation import Accuracy, Simulation, accuracy, disturb, simulate
+from pincal.files.measurement_writing import write_measurements, write_poses, write_readings
+from pincal.files.measurements import read_measurements, read_poses, read_readings
+from pincal.files.mechanism_folders import bundled, load_mechanism
+from pincal.files.setups import read_setup
 from pincal.identification.calibrate import calibrate
 from pincal.identification.expected import expected_error
 from pincal.identification.result import CalibrationResult
@@ -36,16 +40,13 @@ from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse
 from pincal.kinematics.singularity import margins
-from pincal.model.files import bundled, load_mechanism
 from pincal.model.leg import Joint, Leg
-from pincal.model.measurement_files import read_measurements, read_poses, read_readings
-from pincal.model.measurement_writing import write_measurements, write_poses, write_readings
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
-from pincal.model.setup import Distance, Setup, Target, read_setup
+from pincal.model.setup import Distance, Setup, Target
 from pincal.show.notebook import register
 from pincal.show.picture import Picture, picture
 from pincal.show.report import Report, report

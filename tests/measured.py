@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.experiment.simulation import platform_errors
+from pincal.design.simulate import platform_errors
 
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
 EXACT = pincal.Noise(0.0, 0.0, 0.0)

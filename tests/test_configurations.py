@@ -12,10 +12,10 @@ from arms import loaded, robot, urdf
 from command_line import run
 
 import pincal
-from pincal.experiment.configurations import joints_at, legs_at
-from pincal.experiment.forecast import information_rows
+from pincal.design.forecast import information_rows
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.collision import free_of_collision
+from pincal.kinematics.configurations import joints_at, legs_at
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 POINT = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target((0.05, 0.1, 0.02))})

@@ -16,8 +16,8 @@ import pytest
 
 import pincal
 from pincal import errors
+from pincal.files.tables import UNITS
 from pincal.model.orientation import WAYS
-from pincal.model.table import UNITS
 
 ROOT = Path(__file__).parents[1]
 #: Licences that ask of users of pincal no more than to name the authors.

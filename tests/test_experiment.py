@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import pincal
-from pincal.experiment.certificate import continuous_design
-from pincal.experiment.exchange import exchange
-from pincal.experiment.observability import identifiability, indices, r_diagonal
-from pincal.experiment.selection import noise_weighted
+from pincal.design.certificate import continuous_design
+from pincal.design.exchange import exchange
+from pincal.design.select import noise_weighted
+from pincal.estimation.observability import identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import leg_demand
 
 

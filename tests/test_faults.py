@@ -19,7 +19,7 @@ from command_line import contents, done, run
 
 import pincal
 from pincal.errors import FileError
-from pincal.model.output import writing
+from pincal.files.output import writing
 
 PINCAL = [sys.executable, "-W", "error", "-m", "pincal"]
 HERE = {"OPENBLAS_NUM_THREADS": "1"}

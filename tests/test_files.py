@@ -17,9 +17,9 @@ import yourdfpy
 
 import pincal
 from pincal.errors import FileError, MechanismError, PincalError
+from pincal.files import mechanism_folders as files
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import tips_by_reader
-from pincal.model import files
 from pincal.model.home import home_gap
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"

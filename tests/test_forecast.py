@@ -9,7 +9,7 @@ import pytest
 from command_line import done, run
 
 import pincal
-from pincal.experiment.leg_by_leg import leg_by_leg
+from pincal.design.leg_by_leg import leg_by_leg
 
 NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
 

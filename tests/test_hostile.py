@@ -14,11 +14,11 @@ from test_formats import CONFIG, config_file
 
 import pincal
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
+from pincal.files import tables as table
+from pincal.files.mechanism_folders import mechanism_files
+from pincal.files.tables import read_table
 from pincal.formats.klipper import read_klipper
 from pincal.formats.reprap import read_reprap
-from pincal.model import table
-from pincal.model.files import mechanism_files
-from pincal.model.table import read_table
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
 THREE = pincal.load_mechanism("3RRR")

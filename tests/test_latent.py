@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.experiment.observation import Observation
+from pincal.estimation.observation import Observation
 from pincal.identification.calibrate import calibration_task
 from pincal.identification.gauge import find_gauge
 from pincal.identification.latent_fit import latent_problem

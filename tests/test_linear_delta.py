@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pincal
-from pincal.experiment.weak import weakly_told
+from pincal.estimation.weak import weakly_told
 from pincal.formats.delta import delta_printer
 
 PROBE = pincal.Noise(2e-5, 0.0, 0.0)  # of heights [m]

@@ -22,9 +22,9 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal import Measurements, Mechanism, Noise, Placement, Platform, cartesian
-from pincal.experiment.certificate import continuous_design
-from pincal.experiment.exchange import exchange
-from pincal.experiment.selection import noise_weighted
+from pincal.design.certificate import continuous_design
+from pincal.design.exchange import exchange
+from pincal.design.select import noise_weighted
 from pincal.kinematics.derivatives import leg_demand
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.experiment.angles import angle
-from pincal.experiment.observability import r_diagonal
+from pincal.estimation.angles import angle
+from pincal.estimation.observability import r_diagonal
 from pincal.kinematics import starts
 from pincal.model.orientation import WAYS, columns_of, rotation_of
 

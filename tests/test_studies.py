@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from command_line import contents, done, run
 
-from pincal.model.table import read_table
+from pincal.files.tables import read_table
 from pincal.studies.study import Study, markdown
 from pincal.studies.trials import root_mean_square
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.errors import FileError, MeasurementError, PincalError
-from pincal.model.input import LARGEST
-from pincal.model.table import read_table, write_table
+from pincal.files.input import LARGEST
+from pincal.files.tables import read_table, write_table
 
 Array = NDArray[np.float64]
 KINDS = {name: pincal.load_mechanism(name) for name in ("3RRR", "5R")}

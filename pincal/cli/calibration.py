@@ -25,17 +25,17 @@ from pincal.cli.app import (
 )
 from pincal.cli.setups import SetupFile, UnknownFrame, UnknownTarget, setup_from
 from pincal.errors import MeasurementError, PincalError
+from pincal.files.measurements import read_measurements
+from pincal.files.mechanism_folders import load_mechanism, mechanism_files
+from pincal.files.output import refuse_existing
 from pincal.identification.calibrate import calibrate as identify
 from pincal.identification.result import CalibrationResult
 from pincal.identification.result_files import as_json
 from pincal.identification.runs import compare_runs
 from pincal.identification.validation import FOLDS, validate
-from pincal.model.files import load_mechanism, mechanism_files
-from pincal.model.measurement_files import read_measurements
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
-from pincal.model.output import refuse_existing
 from pincal.show.calibration import calibration_summary, calibration_tables, warnings_of
 from pincal.show.report import report
 

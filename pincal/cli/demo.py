@@ -13,11 +13,11 @@ from pincal.cli.calibration import calibrate
 from pincal.cli.selection import select
 from pincal.cli.simulation import simulate
 from pincal.cli.workspace import workspace
+from pincal.design.simulate import accuracy
 from pincal.errors import FileError
-from pincal.experiment.simulation import accuracy
-from pincal.model.files import load_mechanism
-from pincal.model.measurement_files import read_poses
-from pincal.model.output import refuse_existing
+from pincal.files.measurements import read_poses
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.output import refuse_existing
 from pincal.show.tables import accuracy_table
 
 

@@ -13,18 +13,18 @@ import typer
 from pincal.cli.app import Force, Mech, command, output_option, remark, stdout, warn, wrote
 from pincal.cli.trees import TREES, export_tree, import_tree
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.measurement_writing import write_measurements
+from pincal.files.measurements import read_poses
+from pincal.files.mechanism_folders import load_mechanism, write_mechanism
+from pincal.files.output import refuse_existing, writing
 from pincal.formats.delta import DeltaPrinter, delta_printer
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.klipper import read_klipper, write_klipper
 from pincal.formats.reprap import read_reprap, write_reprap
 from pincal.identification.result_files import read_result
 from pincal.kinematics.inverse import inverse
-from pincal.model.files import load_mechanism, write_mechanism
-from pincal.model.measurement_files import read_poses
-from pincal.model.measurement_writing import write_measurements
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing, writing
 
 PROBING = "probing.csv"
 _SUFFIXES = {

@@ -20,11 +20,11 @@ from pincal.cli.setups import (
     measured_of,
     setup_from,
 )
-from pincal.experiment.configurations import check_reached
-from pincal.experiment.forecast import forecast
-from pincal.experiment.leg_by_leg import leg_by_leg
-from pincal.model.files import load_mechanism
-from pincal.model.measurement_files import read_poses
+from pincal.design.forecast import forecast
+from pincal.design.leg_by_leg import leg_by_leg
+from pincal.files.measurements import read_poses
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.kinematics.configurations import check_reached
 from pincal.model.measurements import Noise
 from pincal.show.forecast_tables import forecast_table, poses_in_words
 from pincal.workspace.sampling import sample_configurations

@@ -22,13 +22,13 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.errors import MeasurementError
+from pincal.files.measurement_writing import write_poses, write_readings
+from pincal.files.measurements import read_poses, read_readings
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.output import refuse_existing
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.inverse import inverse as solve_inverse
-from pincal.model.files import load_mechanism
-from pincal.model.measurement_files import read_poses, read_readings
-from pincal.model.measurement_writing import write_poses, write_readings
 from pincal.model.measurements import Plan
-from pincal.model.output import refuse_existing
 from pincal.workspace.criteria import Margins
 from pincal.workspace.sampling import sample_workspace
 

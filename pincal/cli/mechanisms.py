@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.cli.app import Mech, answer, command, stdout, working
-from pincal.experiment.observability import identifiability
+from pincal.estimation.observability import identifiability
+from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.readers import tips_by_reader
-from pincal.model.files import bundled, load_mechanism
 from pincal.show.tables import parameters_table
 from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.sampling import sample_configurations

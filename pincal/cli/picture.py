@@ -9,7 +9,7 @@ import typer
 
 from pincal.cli.app import Force, Mech, command, output_option, working, wrote
 from pincal.cli.seen import Cloud, Files, Magnify, seen, tell_unreached
-from pincal.model.output import refuse_existing
+from pincal.files.output import refuse_existing
 
 
 @command()

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from pincal.cli.app import remark, stderr, warn
 from pincal.errors import FileError, MeasurementError
+from pincal.files.measurements import read_measurements, read_poses
+from pincal.files.mechanism_folders import is_folder, load_mechanism
+from pincal.files.tables import read_table
 from pincal.identification.result_files import read_result
 from pincal.kinematics.forward import forward
-from pincal.model.files import is_folder, load_mechanism
-from pincal.model.measurement_files import read_measurements, read_poses
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.table import read_table
 from pincal.show.scene import MAGNIFY, Scene
 
 Array = NDArray[np.float64]

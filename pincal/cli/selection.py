@@ -31,19 +31,19 @@ from pincal.cli.setups import (
     measured_of,
     setup_from,
 )
+from pincal.design.select import Protocol, select_poses
+from pincal.design.select_configurations import select_configurations
 from pincal.errors import MechanismError, ObservabilityError, SymmetryError
-from pincal.experiment.configuration_choice import select_configurations
-from pincal.experiment.configurations import check_reached
-from pincal.experiment.selection import Protocol, select_poses
+from pincal.files.measurement_writing import write_poses
+from pincal.files.measurements import read_poses
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.output import refuse_existing
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.collision import free_of_collision
+from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.inverse import sensor_law
-from pincal.model.files import load_mechanism
-from pincal.model.measurement_files import read_poses
-from pincal.model.measurement_writing import write_poses
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing
 from pincal.model.setup import Setup
 from pincal.show.tables import choice_table, selection_table
 from pincal.symmetry.detect import symmetry_group

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
+from pincal.files.setups import read_setup
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup, read_setup
+from pincal.model.setup import ORIGIN, Setup
 
 SetupFile = Annotated[
     Path | None,

@@ -21,15 +21,15 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.cli.setups import NoiseOrientation, NoisePosition, NoiseReading
+from pincal.design.simulate import disturb as disturbed
+from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
-from pincal.experiment.simulation import disturb as disturbed
-from pincal.experiment.simulation import simulate as simulated
-from pincal.model.files import load_mechanism, write_mechanism
-from pincal.model.measurement_files import read_poses
-from pincal.model.measurement_writing import write_measurements
+from pincal.files.measurement_writing import write_measurements
+from pincal.files.measurements import read_poses
+from pincal.files.mechanism_folders import load_mechanism, write_mechanism
+from pincal.files.output import refuse_existing, writing
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing, writing
 
 
 @command(answers=True)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from pincal.cli.app import Force, Seed, answer, command, output_option, remark, working, wrote
-from pincal.model.output import refuse_existing
+from pincal.files.output import refuse_existing
 
 
 @command(answers=True)

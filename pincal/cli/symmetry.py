@@ -9,7 +9,7 @@ import typer
 
 from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.errors import SymmetryError
-from pincal.model.files import load_mechanism
+from pincal.files.mechanism_folders import load_mechanism
 from pincal.show.tables import symmetry_table
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element

@@ -8,6 +8,9 @@ from pathlib import Path
 
 from pincal.cli.app import remark, stdout, warn, wrote
 from pincal.errors import FileError, MechanismError
+from pincal.files.mechanism_folders import save_mechanism
+from pincal.files.output import refuse_existing, writing
+from pincal.files.urdf import turns_beyond
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism
 from pincal.formats.drawn import closing_in_words
@@ -19,10 +22,7 @@ from pincal.formats.tree_of import tree_of, unwritten
 from pincal.formats.tree_urdf import loops_urdf, loops_yaml
 from pincal.kinematics.arm import load_arm
 from pincal.kinematics.closure import largest_size
-from pincal.model.files import save_mechanism
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing, writing
-from pincal.model.urdf import turns_beyond
 
 TREES = ("urdf", "mjcf")
 _LARGE = 20.0  # [m]

@@ -12,7 +12,7 @@ import typer
 from pincal.cli.app import Force, Mech, app, stderr, stdout, working, wrote
 from pincal.cli.seen import Cloud, Files, Magnify, seen, tell_unreached
 from pincal.errors import FileError
-from pincal.model.output import refuse_existing
+from pincal.files.output import refuse_existing
 from pincal.show.view import View
 from pincal.show.view import view as viewed
 

@@ -23,11 +23,11 @@ from pincal.cli.app import (
 )
 from pincal.cli.workspace_answers import articular_answer, poses_answer, region_answer
 from pincal.errors import WorkspaceError
-from pincal.model.files import load_mechanism
-from pincal.model.measurement_writing import write_poses
+from pincal.files.measurement_writing import write_poses
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.output import refuse_existing
+from pincal.files.tables import write_table
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import refuse_existing
-from pincal.model.table import write_table
 from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.axes import Axis
 from pincal.workspace.box import closer_grid, default_grid, default_samples

@@ -18,12 +18,12 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.files.urdf import link_of, read_joint
+from pincal.files.xml import read_xml
 from pincal.formats.tree import listed
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, placement_of
-from pincal.model.urdf import link_of, read_joint
-from pincal.model.xml import read_xml
 
 Array = NDArray[np.float64]
 _SAME = 1e-12  # of unit vectors; [m] and [rad] of origins

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError
+from pincal.files.tables import Table, read_table
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.table import Table, read_table
 
 Array = NDArray[np.float64]
 

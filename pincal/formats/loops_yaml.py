@@ -20,11 +20,11 @@ from lxml import etree
 from pydantic import BaseModel, ConfigDict, Field
 
 from pincal.errors import MechanismError
+from pincal.files.schema import Number
+from pincal.files.urdf import link_of, read_joint
+from pincal.files.xml import read_xml
+from pincal.files.yaml_reading import meant, read_yaml
 from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns
-from pincal.model.schema import Number
-from pincal.model.urdf import link_of, read_joint
-from pincal.model.xml import read_xml
-from pincal.model.yaml_files import meant, read_yaml
 
 _TURNED = {"SPHERICAL": "xyz", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 

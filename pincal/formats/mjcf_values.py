@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.model.input import LARGEST, plain_number
+from pincal.files.input import plain_number
+from pincal.model.limits import LARGEST
 
 Array = NDArray[np.float64]
 _TURNS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.experiment.external import External
+from pincal.estimation.external import External
 from pincal.identification.latent import LatentPoses
 from pincal.identification.problem import State
 from pincal.kinematics.closure import LegClosure, largest_size

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.configurations import legs_at, nearby
-from pincal.experiment.elimination import eliminate
-from pincal.experiment.observability import scaled_axes
+from pincal.estimation.elimination import eliminate
+from pincal.estimation.observability import scaled_axes
 from pincal.identification.latent import LatentPoses
 from pincal.identification.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import legs_at, nearby
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.experiment.observability import identifiability
+from pincal.estimation.observability import identifiability
 from pincal.identification.problem import NOT_THIS_MACHINE, Linear, Problem
 from pincal.identification.unknowns import Unknowns
 

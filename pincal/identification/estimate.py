@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.external import External, ExternalUnknowns
+from pincal.estimation.external import External, ExternalUnknowns
 from pincal.identification.gauge import Gauge
 from pincal.identification.latent import LatentPoses
 from pincal.identification.robust import Robust

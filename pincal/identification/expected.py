@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.platform_error import PlatformError, platform_error, slides
+from pincal.design.platform_error import PlatformError, platform_error, slides
 from pincal.identification.result import CalibrationResult
 
 Array = NDArray[np.float64]

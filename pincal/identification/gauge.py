@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.experiment.frames import frames_moved, split_frames, still
-from pincal.experiment.observability import identifiability
+from pincal.estimation.frames import frames_moved, split_frames, still
+from pincal.estimation.observability import identifiability
 from pincal.identification.consistent import consistent, lost_directions
 from pincal.identification.latent import LatentPoses
 from pincal.identification.unknowns import Unknowns

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.experiment.elimination import Eliminated, eliminate
-from pincal.experiment.observation import Observation
+from pincal.estimation.elimination import Eliminated, eliminate
+from pincal.estimation.observation import Observation
 from pincal.identification.exactness import least_sigmas
 from pincal.identification.problem import LegRows, Linear, State
 from pincal.identification.residuals import LegResidual

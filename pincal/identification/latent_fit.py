@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pincal.experiment.observation import Observation
+from pincal.estimation.observation import Observation
 from pincal.identification.alignment import align
 from pincal.identification.contradiction import check_start
 from pincal.identification.estimate import Estimate

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.experiment.external import External
-from pincal.experiment.observation import Observation
+from pincal.estimation.external import External
+from pincal.estimation.observation import Observation
 from pincal.identification.estimate import Estimate
 from pincal.identification.gauge import Gauge, find_gauge
 from pincal.identification.latent import LatentPoses

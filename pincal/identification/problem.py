@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.experiment.external import NOTHING, External
+from pincal.estimation.external import NOTHING, External
 from pincal.identification.residuals import LegResidual
 from pincal.identification.stacking import (
     by_readings,

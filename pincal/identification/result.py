@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
-from pincal.experiment.weak import WeakPair, weakly_told
+from pincal.estimation.weak import WeakPair, weakly_told
 from pincal.identification.robust import Outlier
 from pincal.identification.trust import RunConsistency, Validation
 from pincal.model.measurements import Noise

@@ -8,14 +8,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import pincal.model.output as output
+import pincal.files.output as output
 from pincal.errors import MeasurementError
+from pincal.files.input import read_text
+from pincal.files.measurement_writing import write_poses
+from pincal.files.tables import write_table
 from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult, Page
 from pincal.identification.trust import RunConsistency
-from pincal.model.input import read_text
-from pincal.model.measurement_writing import write_poses
 from pincal.model.measurements import Plan
-from pincal.model.table import write_table
 
 FORMAT = 1
 MECHANISM = "mechanism"

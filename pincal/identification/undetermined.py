@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.experiment.observability import identifiability
+from pincal.estimation.observability import identifiability
 from pincal.identification.alignment import settle
 from pincal.identification.consistent import consistent, lost_directions
 from pincal.identification.determined import taking_part

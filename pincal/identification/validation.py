@@ -17,7 +17,7 @@ from scipy.stats import f as f_law
 from scipy.stats import spearmanr
 
 from pincal.errors import MeasurementError
-from pincal.experiment.observation import Observation
+from pincal.estimation.observation import Observation
 from pincal.identification.alignment import placed, settle
 from pincal.identification.calibrate import calibration_task, estimate
 from pincal.identification.estimate import Estimate

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MechanismError
+from pincal.files.urdf import read_path
 from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
-from pincal.model.urdf import read_path
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 TOOL = "tool"

@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pincal.files.urdf_writing import leg_urdf
 from pincal.model.leg import Leg
-from pincal.model.urdf_writing import leg_urdf
 
 Array = NDArray[np.float64]
 

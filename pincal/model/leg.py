@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.input import LARGEST
+from pincal.model.limits import LARGEST
 from pincal.model.placement import Placement
 from pincal.model.sensor import Sensor
 

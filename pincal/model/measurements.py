@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.model.input import LARGEST
+from pincal.model.limits import LARGEST
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

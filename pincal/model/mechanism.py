@@ -164,7 +164,7 @@ class Mechanism:
         Raises:
             FileError: the folder exists and ``force`` is not set, or cannot be written.
         """
-        from pincal.model.files import save_mechanism
+        from pincal.files.mechanism_folders import save_mechanism
 
         return save_mechanism(self, folder, force=force)
 

@@ -9,16 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot
-from pathlib import Path
-from typing import Literal
-
-from pydantic import Field
 
 from pincal.errors import MeasurementError
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
-from pincal.model.schema import Name, Number, Strict
-from pincal.model.yaml_files import read_yaml
 
 Point = tuple[float, float, float]
 _FAR = 3.0  # times the longest leg: no target is that far from its platform
@@ -106,39 +100,3 @@ class Setup:
                 "measurements; choose another name"
             )
         return columns
-
-
-class _TargetSpec(Strict):
-    offset: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
-    unknown: bool = False
-
-
-class _DistanceSpec(Strict):
-    start: tuple[Number, Number, Number] = Field(alias="from")
-    target: Name = ORIGIN
-
-
-class _SetupSpec(Strict):
-    pincal_setup: Literal[1]
-    frame: Literal["base", "unknown"] = "base"
-    targets: dict[Name, _TargetSpec] = Field(default_factory=dict)
-    distances: dict[Name, _DistanceSpec] = Field(default_factory=dict)
-
-
-def read_setup(path: str | Path) -> Setup:
-    """Return the setup that a YAML file says.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: it does not parse, or says something else than it should.
-    """
-    spec = read_yaml(Path(path), _SetupSpec, MeasurementError)
-    distances = {name: Distance(one.start, one.target) for name, one in spec.distances.items()}
-    try:
-        return Setup(
-            unknown_frame=spec.frame == "unknown",
-            targets={name: Target(one.offset, one.unknown) for name, one in spec.targets.items()},
-            distances=distances,
-        )
-    except MeasurementError as error:
-        raise MeasurementError(f"{path}: {error}") from error

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.configurations import as_plan, joints_at
+from pincal.files.urdf_writing import leg_urdf, platform_urdf
+from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.leg import Leg
 from pincal.model.links import link_placements
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.urdf_writing import leg_urdf, platform_urdf
 from pincal.show.shapes import Shape, urdf_shapes
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.experiment.observability import r_diagonal
-from pincal.experiment.observation import Observation
+from pincal.estimation.observability import r_diagonal
+from pincal.estimation.observation import Observation
 from pincal.identification.calibrate import calibration_task
 from pincal.identification.measured import given_poses
 from pincal.identification.result import CalibrationResult

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from rich.console import Group
 
-from pincal.experiment.forecast import Forecast
-from pincal.experiment.platform_error import PlatformError
+from pincal.design.forecast import Forecast
+from pincal.design.platform_error import PlatformError
 from pincal.show.tables import SHOWN, plain_table, titled, weak_in_words
 
 _MANY = 1e5  # poses: more are not measured

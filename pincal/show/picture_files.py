@@ -11,7 +11,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from pincal.errors import FileError
-from pincal.model.output import writing
+from pincal.files.output import writing
 from pincal.show.svg import drawing
 
 #: What each format would say about its making.

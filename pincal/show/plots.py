@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
-from pincal.experiment.selection import Selection
+from pincal.design.select import Selection
 from pincal.identification.result import CalibrationResult
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton

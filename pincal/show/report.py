@@ -14,9 +14,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 from pincal.errors import FileError
+from pincal.files.output import writing
 from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import Measurements
-from pincal.model.output import writing
 from pincal.model.setup import Setup
 from pincal.show.findings import Findings, findings
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.experiment.configurations import home_of, joints_at
+from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, MechanismError
-from pincal.experiment.configurations import joints_at
-from pincal.experiment.simulation import platform_errors
+from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism

@@ -10,10 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from pincal.experiment.configuration_choice import ConfigurationChoice
-from pincal.experiment.selection import Selection
-from pincal.experiment.simulation import Accuracy
-from pincal.experiment.weak import WeakPair
+from pincal.design.select import Selection
+from pincal.design.select_configurations import ConfigurationChoice
+from pincal.design.simulate import Accuracy
+from pincal.estimation.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import SymmetryGroup
 

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import WorkspaceError
-from pincal.experiment.configurations import home_of
+from pincal.files.output import writing
+from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import writing
 from pincal.show.scene import MAGNIFY, Scene, plan_of, scene
 
 Array = NDArray[np.float64]

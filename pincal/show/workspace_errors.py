@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.platform_error import slides
+from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
-from pincal.experiment.configurations import as_plan, legs_at
-from pincal.experiment.frames import beyond, frame_motions
-from pincal.experiment.platform_error import slides
-from pincal.experiment.simulation import platform_errors
+from pincal.estimation.frames import beyond, frame_motions
 from pincal.identification.result import CalibrationResult
 from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import as_plan, legs_at
 from pincal.model.measurements import Plan
 from pincal.workspace.sampling import sample_configurations
 

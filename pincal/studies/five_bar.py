@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.experiment.observability import indices
-from pincal.experiment.selection import Protocol
+from pincal.design.select import Protocol
+from pincal.estimation.observability import indices
+from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.derivatives import identification_jacobian
-from pincal.model.files import load_mechanism
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import draw_mechanism, draw_poses

@@ -7,7 +7,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.experiment.simulation import platform_errors
+from pincal.design.simulate import platform_errors
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.colours import COLOURS

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
+from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
-from pincal.model.files import load_mechanism
 from pincal.model.mechanism import Mechanism
 from pincal.show.colours import COLOURS
 from pincal.studies.hexapod_calibration import COMMON, calibration

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.experiment.selection import Protocol
+from pincal.design.select import Protocol
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import draw_observability

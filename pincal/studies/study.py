@@ -15,8 +15,8 @@ from typing import TypeAlias
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from pincal.model.output import writing
-from pincal.model.table import write_table
+from pincal.files.output import writing
+from pincal.files.tables import write_table
 
 Cell: TypeAlias = str | float | int
 Columns: TypeAlias = Mapping[str, Sequence[Cell]]

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.experiment.selection import Protocol, Selection
+from pincal.design.select import Protocol, Selection
+from pincal.files.mechanism_folders import load_mechanism
 from pincal.identification.residuals import Residual
 from pincal.identification.task import Method
-from pincal.model.files import load_mechanism
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import draw_mechanism, draw_observability, draw_poses
 from pincal.show.workspace_plots import articular_figure, draw_workspace

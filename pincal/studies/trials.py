@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
-from pincal.experiment.selection import Protocol, Selection, select_poses
-from pincal.experiment.simulation import accuracy, disturb, simulate
+from pincal.design.select import Protocol, Selection, select_poses
+from pincal.design.simulate import accuracy, disturb, simulate
 from pincal.identification.calibrate import calibrate
 from pincal.identification.residuals import Residual
 from pincal.identification.result import CalibrationResult

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.files.tables import write_table
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.singularity import margins
 from pincal.model.mechanism import Mechanism
-from pincal.model.table import write_table
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.workspace.chunks import run

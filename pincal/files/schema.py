@@ -18,8 +18,9 @@ from pydantic import (
 )
 
 from pincal.errors import MechanismError
-from pincal.model.input import LARGEST, plain_number
-from pincal.model.yaml_files import read_yaml
+from pincal.files.input import plain_number
+from pincal.files.yaml_reading import read_yaml
+from pincal.model.limits import LARGEST
 
 FORMAT = 1
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=64)]

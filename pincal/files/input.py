@@ -8,9 +8,8 @@ from math import nan
 from pathlib import Path
 
 from pincal.errors import FileError, PincalError
+from pincal.model.limits import LARGEST
 
-LARGEST = 1e12
-"""Size of a mechanism's numbers, [m] or [rad], beyond which its squares mean nothing."""
 _CHUNK = 64 * 1024  # bytes
 _UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)
 _BEGUN = re.compile(r"\s*[-+.]?[0-9].*[^-+.0-9eE\s]")  # 0,02 and 0.02mm

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.experiment.configurations import command
+from pincal.kinematics.configurations import command
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Measurements, Noise, Plan

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.configurations import legs_at
-from pincal.experiment.forecast import poses_needed
-from pincal.experiment.observability import identifiability, scaled_axes
-from pincal.experiment.platform_error import PlatformError, platform_error
+from pincal.design.forecast import poses_needed
+from pincal.design.platform_error import PlatformError, platform_error
+from pincal.estimation.observability import identifiability, scaled_axes
+from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.experiment.angles import angle
-from pincal.experiment.external import External, ExternalUnknowns
+from pincal.estimation.angles import angle
+from pincal.estimation.external import External, ExternalUnknowns
 from pincal.kinematics.closure import point_velocity
 from pincal.kinematics.rotations import inverse_left_jacobian, turn_between
 from pincal.model.measurements import Measurements, Noise

@@ -9,10 +9,11 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.input import LARGEST, plain_number, why_no_number
+from pincal.files.input import plain_number, why_no_number
+from pincal.files.xml import read_xml
 from pincal.model.leg import Joint, JointKind
+from pincal.model.limits import LARGEST
 from pincal.model.placement import Placement
-from pincal.model.xml import read_xml
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]

@@ -15,15 +15,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
-from pincal.experiment.configurations import Legs, check_reached, legs_at, nearby
-from pincal.experiment.external import ExternalUnknowns
-from pincal.experiment.frames import frames_moved, split_frames
-from pincal.experiment.observability import Identifiability, identifiability, scaled_axes
-from pincal.experiment.observation import Observation, Rows
-from pincal.experiment.platform_error import PlatformError, platform_error
-from pincal.experiment.weak import WeakPair, weakly_told
+from pincal.estimation.external import ExternalUnknowns
+from pincal.estimation.frames import frames_moved, split_frames
+from pincal.estimation.observability import Identifiability, identifiability, scaled_axes
+from pincal.estimation.observation import Observation, Rows
+from pincal.estimation.weak import WeakPair, weakly_told
 from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import Legs, check_reached, legs_at, nearby
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.model.input import LARGEST, plain_number, read_text, why_no_number
-from pincal.model.output import writing
+from pincal.files.input import plain_number, read_text, why_no_number
+from pincal.files.output import writing
+from pincal.model.limits import LARGEST
 
 Array = NDArray[np.float64]
 

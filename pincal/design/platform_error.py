@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.experiment.configurations import legs_at
-from pincal.experiment.frames import beyond, frame_motions
+from pincal.estimation.frames import beyond, frame_motions
 from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import legs_at
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 

@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 from yaml.composer import Composer
 
 from pincal.errors import PincalError
-from pincal.model.input import read_text, why_no_number
+from pincal.files.input import read_text, why_no_number
 
 _LARGEST = 1024 * 1024  # bytes
 _ALIKE = 0.75  # from which a key is another one, misspelt

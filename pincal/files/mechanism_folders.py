@@ -9,16 +9,16 @@ from typing import Any
 import yaml
 
 from pincal.errors import FileError, MechanismError
+from pincal.files.output import writing
+from pincal.files.schema import FORMAT, LegSpec, MechanismSpec, read_spec
+from pincal.files.urdf import read_chain, read_points
+from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.model.home import check_home
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.output import writing
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
-from pincal.model.schema import FORMAT, LegSpec, MechanismSpec, read_spec
 from pincal.model.sensor import Sensor
-from pincal.model.urdf import read_chain, read_points
-from pincal.model.urdf_writing import leg_urdf, platform_urdf
 
 _YAML = "mechanism.yaml"
 

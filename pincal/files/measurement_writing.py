@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.files.tables import write_table
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of
-from pincal.model.table import write_table
 
 Array = NDArray[np.float64]
 

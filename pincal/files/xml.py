@@ -8,7 +8,7 @@ from pathlib import Path
 from lxml import etree
 
 from pincal.errors import MechanismError
-from pincal.model.input import read_bytes
+from pincal.files.input import read_bytes
 
 _PLACE = re.compile(r", line \d+, column \d+$")
 _LARGEST = 16 * 1024 * 1024  # bytes

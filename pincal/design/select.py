@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from pincal.design.certificate import continuous_design
+from pincal.design.distinct import SAME, distinct, places_of
+from pincal.design.exchange import exchange
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.experiment.certificate import continuous_design
-from pincal.experiment.configurations import block_diagonal
-from pincal.experiment.distinct import SAME, distinct, places_of
-from pincal.experiment.exchange import exchange
-from pincal.experiment.observability import Indices, identifiability, indices, r_diagonal
+from pincal.estimation.observability import Indices, identifiability, indices, r_diagonal
+from pincal.kinematics.configurations import block_diagonal
 from pincal.kinematics.derivatives import Demand, leg_demand
 from pincal.kinematics.inverse import reached
 from pincal.model.measurements import EVERY_LEG, Noise, Plan

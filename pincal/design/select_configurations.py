@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.certificate import continuous_design
+from pincal.design.distinct import distinct
+from pincal.design.exchange import exchange
+from pincal.design.forecast import information_rows
 from pincal.errors import ObservabilityError
-from pincal.experiment.certificate import continuous_design
-from pincal.experiment.configurations import as_plan, check_reached, legs_at
-from pincal.experiment.distinct import distinct
-from pincal.experiment.exchange import exchange
-from pincal.experiment.forecast import information_rows
-from pincal.experiment.observability import Identifiability, identifiability, scaled_axes
+from pincal.estimation.observability import Identifiability, identifiability, scaled_axes
+from pincal.kinematics.configurations import as_plan, check_reached, legs_at
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup

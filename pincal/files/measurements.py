@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
+from pincal.files.tables import UNITS, Table, read_table
 from pincal.model.measurements import EVERY_LEG, Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
-from pincal.model.table import UNITS, Table, read_table
 
 Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)

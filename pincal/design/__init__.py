@@ -1,0 +1,1 @@
+"""Which poses to measure, and what they will give."""

@@ -1,0 +1,1 @@
+"""From conditions to estimates: rows, search, noise, observability, gauge."""

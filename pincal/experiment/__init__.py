@@ -1,1 +1,0 @@
-"""Which poses to measure, how good that choice is, and what would be measured there."""

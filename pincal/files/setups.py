@@ -1,0 +1,49 @@
+"""A setup file: in which frame and at which targets a platform was measured, as YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from pincal.errors import MeasurementError
+from pincal.files.schema import Name, Number, Strict
+from pincal.files.yaml_reading import read_yaml
+from pincal.model.setup import ORIGIN, Distance, Setup, Target
+
+
+class _TargetSpec(Strict):
+    offset: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    unknown: bool = False
+
+
+class _DistanceSpec(Strict):
+    start: tuple[Number, Number, Number] = Field(alias="from")
+    target: Name = ORIGIN
+
+
+class _SetupSpec(Strict):
+    pincal_setup: Literal[1]
+    frame: Literal["base", "unknown"] = "base"
+    targets: dict[Name, _TargetSpec] = Field(default_factory=dict)
+    distances: dict[Name, _DistanceSpec] = Field(default_factory=dict)
+
+
+def read_setup(path: str | Path) -> Setup:
+    """Return the setup that a YAML file says.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: it does not parse, or says something else than it should.
+    """
+    spec = read_yaml(Path(path), _SetupSpec, MeasurementError)
+    distances = {name: Distance(one.start, one.target) for name, one in spec.distances.items()}
+    try:
+        return Setup(
+            unknown_frame=spec.frame == "unknown",
+            targets={name: Target(one.offset, one.unknown) for name, one in spec.targets.items()},
+            distances=distances,
+        )
+    except MeasurementError as error:
+        raise MeasurementError(f"{path}: {error}") from error
