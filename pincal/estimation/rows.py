@@ -1,0 +1,101 @@
+"""Conditions of one pose become rows of ordinary least squares: freed of the pose, and whitened.
+
+Gauss–Helmert model. At pose n the conditions e(x, m; φ) = 0 are, to first order,
+
+        e  +  A δφ  +  B δx  +  S ν  =  0,        ν of unit variance,
+
+        ┌ e ┐   ┌ A         ┐   ┌ B ┐   ┌ S           ┐
+        │ e │ + │    A      │ + │ B │ + │    S        │    one block row a leg,
+        │ ⋮ │   │      ⋱    │   │ ⋮ │   │      ⋱      │
+        └ e ┘   └         A ┘   └ B ┘   └           S ┘    one for what was measured.
+
+The left null space N of B frees the rows of the pose, L Lᵀ = (NᵀS)(NᵀS)ᵀ whitens them: what is
+left is L⁻¹Nᵀe with the Jacobian L⁻¹NᵀA. A measured quantity of variance zero is exact; one that
+was not measured is a row with noise only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closure import solve
+
+Array = NDArray[np.float64]
+_SINGULAR = 1e-12  # of the largest entry of L's diagonal, from which rows count as without noise
+
+
+class NoNoiseError(ValueError):
+    """Conditions that are left without noise: exact ones that contradict each other."""
+
+
+@dataclass(frozen=True)
+class WhiteRows:
+    """Rows of N poses, freed of them and whitened, and the way back to the poses."""
+
+    whitener: Array
+    """L⁻¹Nᵀ, shape (N, m, k), m = k - dof."""
+    range: Array
+    """Orthonormal basis Q of the range of B, shape (N, k, dof)."""
+    triangle: Array
+    """R of B = Q R, shape (N, dof, dof)."""
+    noise: Array
+    """S, shape (N, k, s)."""
+
+    def __call__(self, rows: Array) -> Array:
+        """Return rows freed of the pose and whitened, shape (N, m, n), from shape (N, k, n)."""
+        return np.asarray(self.whitener @ rows)
+
+    @cached_property
+    def by_noise(self) -> Array:
+        """W = L⁻¹NᵀS, how white rows follow the noise, shape (N, m, s): W Wᵀ = 1."""
+        return self(self.noise)
+
+    def least_noise(self, rows: Array) -> Array:
+        """Return the least noise ν that explains rows e of shape (N, k), shape (N, s)."""
+        white = self(rows[:, :, None])
+        return -(self.by_noise.transpose(0, 2, 1) @ white)[:, :, 0]
+
+    def pose_step(self, rows: Array) -> Array:
+        """Return the step of the poses that explains rows (N, k) with the least noise, (N, dof)."""
+        return self.poses_by(rows[:, :, None])[:, :, 0]
+
+    def poses_by(self, rows: Array) -> Array:
+        """Return the poses' steps for several rows at once, (N, k, n) to (N, dof, n).
+
+        δx = −R⁻¹ Qᵀ (e − S Wᵀ L⁻¹Nᵀe).
+        """
+        noise = self.by_noise.transpose(0, 2, 1) @ self(rows)
+        left = rows - self.noise @ noise
+        return -solve(self.triangle, self.range.transpose(0, 2, 1) @ left)
+
+
+def white_rows(pose: Array, noise: Array) -> WhiteRows:
+    """Return what frees the rows of N poses of these and whitens them.
+
+    Args:
+        pose: B, derivatives by the pose, shape (N, k, dof); no columns where poses are known.
+        noise: S, root of the noise of what was measured, shape (N, k, s).
+
+    Raises:
+        NoNoiseError: more exact conditions than the pose has freedoms, at some pose.
+    """
+    dof = pose.shape[2]
+    Q, R = np.linalg.qr(pose, mode="complete") if dof else (_identity(pose), pose)
+    N = Q[:, :, dof:].transpose(0, 2, 1)
+    free = N @ noise
+    m = free.shape[1]
+    if free.shape[2] < m:
+        raise NoNoiseError
+    L = np.linalg.qr(free.transpose(0, 2, 1), mode="r").transpose(0, 2, 1)
+    size = np.abs(np.einsum("nmm->nm", L))
+    if m and not (size > _SINGULAR * size.max(axis=1, keepdims=True)).all():
+        raise NoNoiseError
+    return WhiteRows(solve(L, N), Q[:, :, :dof], R[:, :dof], noise)
+
+
+def _identity(pose: Array) -> Array:
+    return np.broadcast_to(np.eye(pose.shape[1]), (len(pose), *2 * pose.shape[1:2]))

@@ -1,0 +1,1 @@
+"""How things are said: sentences of findings, numbers with their ±, and tables."""
