@@ -85,7 +85,7 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     """
     dof = pose.shape[2]
     Q, R = np.linalg.qr(pose, mode="complete") if dof else (_identity(pose), pose)
-    N = Q[:, :, dof:].transpose(0, 2, 1)
+    N = np.asarray(Q)[:, :, dof:].transpose(0, 2, 1)
     free = N @ noise
     m = free.shape[1]
     if free.shape[2] < m:

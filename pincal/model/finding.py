@@ -1,4 +1,4 @@
-"""What was found: a code and the numbers behind it. Sentences are made of it in ``pincal.words``."""
+"""What was found: a code and the numbers behind it. Sentences are made in ``pincal.words``."""
 
 from __future__ import annotations
 
