@@ -84,8 +84,8 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
         NoNoiseError: more exact conditions than the pose has freedoms, at some pose.
     """
     dof = pose.shape[2]
-    Q, R = np.linalg.qr(pose, mode="complete") if dof else (_identity(pose), pose)
-    N = np.asarray(Q)[:, :, dof:].transpose(0, 2, 1)
+    Q, R = _complete(pose)
+    N = Q[:, :, dof:].transpose(0, 2, 1)
     free = N @ noise
     m = free.shape[1]
     if free.shape[2] < m:
@@ -97,5 +97,9 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     return WhiteRows(solve(L, N), Q[:, :, :dof], R[:, :dof], noise)
 
 
-def _identity(pose: Array) -> Array:
-    return np.broadcast_to(np.eye(pose.shape[1]), (len(pose), *2 * pose.shape[1:2]))
+def _complete(pose: Array) -> tuple[Array, Array]:
+    """Return B = Q R with Q square, shapes (N, k, k) and (N, k, dof)."""
+    if pose.shape[2]:
+        Q, R = np.linalg.qr(pose, mode="complete")
+        return np.asarray(Q), np.asarray(R)
+    return np.broadcast_to(np.eye(pose.shape[1]), (len(pose), *2 * pose.shape[1:2])), pose
