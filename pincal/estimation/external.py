@@ -62,11 +62,14 @@ class ExternalUnknowns:
         targets = list(setup.targets)
         twists = ("x", "y", "z", "rx", "ry", "rz")
         self.names = (
-            *(f"frame {twists[row]}" for row in self.frame_rows),
-            *(f"{targets[index]} {'xyz'[axis]}" for index, axis in self.offset_entries),
-            *(f"{ORIGIN} {twists[3 + axis]}" for axis in self.turn_axes),
+            *(f"tracker.{twists[row]}" for row in self.frame_rows),
+            *(f"{owner(targets[index])}.{'xyz'[axis]}" for index, axis in self.offset_entries),
+            *(f"{owner(ORIGIN)}.{twists[3 + axis]}" for axis in self.turn_axes),
         )
-        self.units = tuple("rad" if name.split()[1].startswith("r") else "m" for name in self.names)
+        """Ids of the unknowns."""
+        self.units = tuple(
+            "rad" if name.split(".")[1].startswith("r") else "m" for name in self.names
+        )
 
     def __len__(self) -> int:
         return len(self.names)
@@ -116,3 +119,8 @@ class ExternalUnknowns:
         last = range(len(self) - len(self.turn_axes), len(self))
         D[np.ix_(last, last)] = of_turn[np.ix_(self.turn_axes, self.turn_axes)]
         return D
+
+
+def owner(target: str) -> str:
+    """Return the owner of a target's coordinates: ``target`` of the platform's own."""
+    return "target" if target == ORIGIN else target

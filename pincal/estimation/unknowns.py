@@ -27,7 +27,7 @@ class Unknowns:
     """All parameters of a problem, leg by leg, then external ones, and which are free."""
 
     owners: tuple[str, ...]
-    """Leg of each parameter, empty for an external one, length n."""
+    """Leg of each parameter; tracker or target of an external one, length n."""
     names: tuple[str, ...]
     """Length n."""
     start: Array
@@ -39,11 +39,11 @@ class Unknowns:
     nominal: Array
     """Shape (n,)."""
     free_labels: tuple[str, ...]
-    """Names of the free parameters that say whose they are, length n_free."""
+    """Ids of the free parameters, length n_free."""
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names that say whose they are, length n."""
+        """Ids such as ``leg_1.l``, length n."""
         return _labels(zip(self.owners, self.names, strict=True))
 
     def prior_rows(self, parameters: Array) -> tuple[Array, Array]:
@@ -102,7 +102,7 @@ def unknowns(
 
     Args:
         legs: The legs, at their nominal values.
-        external: Names of external unknowns.
+        external: Ids of external unknowns.
         fixed: Parameters held at their nominal values.
         tied: Parameters that have one value for all legs.
         priors: Standard deviations of nominal values, [m], [rad] or [1].
@@ -148,11 +148,11 @@ def unknowns(
     T = np.concatenate([np.array(columns).reshape(-1, n), np.eye(n)[single]]).T
     order = np.argsort([np.flatnonzero(column)[0] for column in T.T], kind="stable")
     T = T[:, order]
-    labels = _labels([*pairs, *(("", name) for name in external)])
+    labels = (*_labels(pairs), *external)
     members = [np.flatnonzero(column) for column in T.T]
     return Unknowns(
-        owners=(*(leg for leg, _ in pairs), *("" for _ in external)),
-        names=(*(name for _, name in pairs), *external),
+        owners=(*(leg for leg, _ in pairs), *(id_.split(".")[0] for id_ in external)),
+        names=(*(name for _, name in pairs), *(id_.split(".")[1] for id_ in external)),
         start=start,
         map=T,
         priors=sigmas,
@@ -165,7 +165,7 @@ def unknowns(
 
 
 def _labels(pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    return tuple(f"{name} of {owner}" if owner else name for owner, name in pairs)
+    return tuple(f"{owner}.{name}" for owner, name in pairs)
 
 
 def _places(pairs: list[tuple[str, str]], said: str) -> list[int]:

@@ -1,0 +1,200 @@
+"""The fit of one problem: the search, and what is known at its end: covariance, rank, χ²."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import ObservabilityError
+from pincal.estimation.identifiable import check_information, check_rank
+from pincal.estimation.losses import outlying
+from pincal.estimation.problem import Linear, Problem, State
+from pincal.estimation.solve import System, search, solve_poses
+from pincal.estimation.unknowns import Unknowns
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Optimum of a problem, and what is known about it."""
+
+    system: System
+    """What was minimised."""
+    first: Linear
+    """Conditions where the search began."""
+    last: Linear
+    """Conditions at the optimum."""
+    weights: Array
+    """Of the rows, 1 without a robust loss, shape (N,)."""
+    scale: float
+    """Of the noise, as a robust loss estimates it; 1 without."""
+    covariance: Array
+    """Of all unknowns, shape (n, n); scaled by χ² if the noise was assumed."""
+    ranks: list[tuple[int, float]]
+    """Rank and condition of each leg."""
+    chi2: float
+    degrees_of_freedom: int
+    evaluations: int
+    converged: bool
+    left: float
+    """How far the optimum is, to first order, in standard errors."""
+
+    @property
+    def problem(self) -> Problem:
+        """The problem."""
+        return self.system.problem
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """What was free."""
+        return self.system.unknowns
+
+    @property
+    def known(self) -> bool:
+        """Whether the scale of the noise was known; else the covariance is scaled by χ²."""
+        return self.system.known
+
+    @property
+    def parameters(self) -> Array:
+        """Identified parameters of the legs, shape (n_params,)."""
+        return self.last.state.parameters
+
+    @cached_property
+    def noise_scale(self) -> float:
+        """Standard deviation of white residuals: 1 if the noise is known."""
+        if self.known:
+            return 1.0
+        return float(np.sqrt(max(self.chi2 / max(self.degrees_of_freedom, 1), 0.0)))
+
+
+def fit(
+    system: System,
+    *,
+    start: State | None = None,
+    progress: Callable[[str], None] | None = None,
+    ran_away: Callable[[ObservabilityError], None] | None = None,
+) -> Fit:
+    """Return the least-squares fit of a problem.
+
+    Args:
+        system: What is minimised.
+        start: Where the search starts; the nominal parameters if not given.
+        progress: Called with what is being done.
+        ran_away: Called if the rank is lost where the search ended; may raise what says more.
+
+    Raises:
+        ObservabilityError: parameters are not determined, or by the noise only.
+        MeasurementError: residuals that do not exist, or have no noise.
+    """
+    problem, unknowns = system.problem, system.unknowns
+    state = start or problem.start(unknowns.start[: problem.n_parameters])
+    first, count = solve_poses(problem, problem.linearise(state))
+    check_rank(problem, unknowns, first)
+    found = search(system, first, progress)
+    linear, weights = found.linear, found.weights
+    if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
+        check_information(problem, unknowns, (first, linear))
+    try:
+        ranks = check_rank(problem, unknowns, linear, ended=True)
+    except ObservabilityError as error:
+        if ran_away:
+            ran_away(error)
+        raise
+    chi2, dof = _chi2(system, linear, weights)
+    if dof < 1 and not system.known:
+        n = unknowns.map.shape[1]
+        raise ObservabilityError(
+            f"{dof + n} equations for {n} parameters, and the scale of the noise is not known; "
+            "measure more, or give the noise"
+        )
+    covariance = _covariance(system, linear, weights, found.scale)
+    if not system.known:
+        size = float(np.sqrt(chi2 / dof)) if system.loss is None else found.scale
+        at = (linear, size) if found.converged else (first, 1.0)
+        check_information(problem, unknowns, (at[0],), at[1])
+        covariance = covariance * size**2
+    return Fit(
+        system=system,
+        first=first,
+        last=linear,
+        weights=weights,
+        scale=found.scale,
+        covariance=covariance,
+        ranks=ranks,
+        chi2=chi2,
+        degrees_of_freedom=dof,
+        evaluations=found.evaluations + count,
+        converged=found.converged,
+        left=found.left,
+    )
+
+
+def _chi2(system: System, linear: Linear, weights: Array) -> tuple[float, int]:
+    """Return χ² and the degrees of freedom of rows in use and priors.
+
+    With a robust loss, what χ² would be if all rows were like the middle ones.
+    """
+    prior, _ = system.unknowns.prior_rows(system.values(linear.state))
+    own = weights > 0.0
+    dof = int(linear.equations[own].sum()) + len(prior) - system.unknowns.map.shape[1]
+    if system.loss is not None:
+        return dof * system.scale(linear) ** 2, dof
+    if not system.problem.weighted:  # what white residuals would be at their own optimum
+        J, r = system.rows(linear.value, linear.jacobian, weights, linear.state)
+        left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+        return float(left @ left), dof
+    return float(weights[own] @ linear.squares[own] + prior @ prior), dof
+
+
+def _covariance(system: System, linear: Linear, weights: Array, scale: float) -> Array:
+    """Return the covariance of all unknowns, shape (n, n).
+
+    Whitened least squares: (Jᵀ V⁻¹ J)⁻¹. Unweighted: (AᵀA)⁻¹ Aᵀ V A (AᵀA)⁻¹, V = S Sᵀ. Robust: the
+    rows that are not outliers, inflated.
+    """
+    T = system.unknowns.map
+    used, inflation = weights > 0.0, 1.0
+    if system.loss is not None:
+        used &= ~outlying(linear.squares / scale**2, linear.equations)
+        inflation = system.loss.inflation(int(np.median(linear.equations[used])))
+    ones = used.astype(float)
+    if system.problem.weighted:
+        white, _ = system.rows(linear.value, linear.jacobian, ones, linear.state)
+        return inflation * T @ inverse_gram(white) @ T.T
+    plain, _ = system.rows(*system.minimised(linear), ones, linear.state)
+    bread = inverse_gram(plain)
+    meat = (linear.white.noise.transpose(0, 2, 1) @ (linear.stack.parameter @ T))[used]
+    flat = meat.reshape(-1, T.shape[1])
+    return inflation * T @ bread @ (flat.T @ flat) @ bread @ T.T
+
+
+def influence(one: Fit) -> Array:
+    """Return how all unknowns follow the noise, in standard deviations, shape (N, n, s).
+
+    K = −(JᵀJ)⁻¹ Jᵀ W at each pose, W = L⁻¹NᵀS.
+    """
+    linear, T, system = one.last, one.unknowns.map, one.system
+    _, jacobian = system.minimised(linear)
+    W = linear.white.by_noise if system.problem.weighted else linear.white.noise
+    root = np.sqrt(one.weights)[:, None, None]
+    J = jacobian @ T * root
+    _, prior = one.unknowns.prior_rows(one.unknowns.start)
+    bread = T @ inverse_gram(np.concatenate((J.reshape(-1, T.shape[1]), prior)))
+    return -one.noise_scale * (bread @ (J.transpose(0, 2, 1) @ (W * root)))
+
+
+def inverse_gram(J: Array) -> Array:
+    """Return (JᵀJ)⁻¹ by QR of the scaled columns."""
+    scale = np.linalg.norm(J, axis=0)
+    inverse = np.linalg.inv(np.linalg.qr(J / scale, mode="r"))
+    return (inverse @ inverse.T) / np.outer(scale, scale)
+
+
+def without(system: System, kept: NDArray[np.bool_]) -> System:
+    """Return the least squares of some rows."""
+    return replace(system, loss=None, kept=kept)

@@ -1,0 +1,152 @@
+"""The noise of the measurements: given, of each row, from repeated rows, or assumed."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+Source = Literal["given", "rows", "repeats", "assumed"]
+_ENOUGH = 10  # degrees of freedom of a standard deviation from repeated rows
+_ASSUMED = 1e-4  # [m] and [rad]
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Standard deviations of what was measured, and where they come from."""
+
+    noise: Noise
+    """Of quantities without standard deviations of their own."""
+    poses: Array
+    """Of the platform's freedoms, shape (N, dof)."""
+    readings: Array
+    """Shape (N, n_readings)."""
+    source: Source
+
+    @property
+    def known(self) -> bool:
+        """Whether the scale of the noise is known."""
+        return self.source != "assumed"
+
+
+def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -> NoiseModel:
+    """Return the noise of measurements.
+
+    Without ``noise`` and without columns of standard deviations, repeated rows tell it if there
+    are enough of them; else it is assumed equal for all that was measured, readings exact where
+    poses were measured in full.
+
+    Raises:
+        MeasurementError: given twice, or rows that give it for readings only.
+    """
+    rows = data.sigma_poses is not None or bool(data.sigma_extra)
+    full = bool(np.isfinite(data.poses).all())
+    if data.sigma_readings is not None and full and not rows:
+        raise MeasurementError(
+            "the measurements give standard deviations of readings but none of poses; add columns "
+            + ", ".join(f"'sigma_{name}'" for name in mechanism.platform.coordinates)
+        )
+    if (rows or data.sigma_readings is not None) and noise is not None:
+        raise MeasurementError(
+            "the measurements have columns of standard deviations, and the noise is given as "
+            "well; leave out one of them"
+        )
+    source: Source = "given"
+    if rows or data.sigma_readings is not None:
+        _check_sigmas(mechanism, data)
+        source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
+    elif noise is not None:
+        one = noise
+    elif (repeated := noise_of_repeats(mechanism, data)) is not None:
+        source, one = "repeats", repeated
+    else:
+        exact = full and not mechanism.redundant
+        source, one = "assumed", Noise(_ASSUMED, _ASSUMED, 0.0 if exact else _ASSUMED)
+    poses = np.tile(one.of_poses(mechanism), (len(data), 1))
+    if data.sigma_poses is not None:
+        poses = np.where(np.isfinite(data.sigma_poses), data.sigma_poses, poses)
+    readings = np.full(data.readings.shape, one.reading)
+    return NoiseModel(
+        one, poses, readings if data.sigma_readings is None else data.sigma_readings, source
+    )
+
+
+def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
+    """Raise if some quantities have standard deviations, and others that were measured have none.
+
+    Raises:
+        MeasurementError: naming the column that is missing, or a row whose standard deviation is
+            too small to compute with.
+    """
+    given = [v for v in (data.sigma_poses, data.sigma_readings) if v is not None]
+    sigmas = np.column_stack([*given, *data.sigma_extra.values()])
+    tiny = (sigmas > 0.0) & (sigmas < SMALLEST_SIGMA)
+    if tiny.any():
+        raise MeasurementError(
+            f"data row {int(np.argmax(tiny.any(axis=1))) + 1}: a standard deviation is "
+            f"{sigmas[tiny][0]:g}; expected {SMALLEST_SIGMA:g} or more, or 0 for what is exact"
+        )
+    platform = mechanism.platform
+    measured = np.isfinite(data.poses)
+    known = np.zeros_like(measured) if data.sigma_poses is None else np.isfinite(data.sigma_poses)
+    if platform.kind == "spatial":  # coordinates and freedoms of the orientation are not the same
+        measured[:, 3:] = measured[:, 3:].any(axis=1, keepdims=True)
+    missing = [
+        name
+        for name, column in zip(platform.freedoms, (measured & ~known).T, strict=True)
+        if column.any()
+    ]
+    for name, values in data.extra.items():
+        own = data.sigma_extra.get(name, np.full(len(data), np.nan))
+        if (np.isfinite(values) & ~np.isfinite(own)).any():
+            missing.append(name)
+    if missing:
+        raise MeasurementError(
+            f"some columns of standard deviations are given, but none of {missing[0]!r}, which was "
+            f"measured; add 'sigma_{missing[0]}' for each such row, or leave all of them out"
+        )
+
+
+def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
+    """Return the noise that repeated rows tell, or None if there are too few.
+
+    Rows repeat each other if their ``pose`` is the same, or, without such a column, if all
+    readings are equal to the last digit; then nothing is told about the noise of readings.
+    """
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    whole = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
+    for row in np.flatnonzero(whole):
+        name = None if data.places is None else data.places[row]
+        if name == "":
+            continue  # a place of its own
+        run = None if data.runs is None else data.runs[row]
+        groups[run, data.readings[row].tobytes() if name is None else name].append(int(row))
+    several = [np.array(rows) for rows in groups.values() if len(rows) > 1]
+    if not several:
+        return None
+    platform = mechanism.platform
+    linear = np.array([unit == "m" for unit in platform.units])
+    twists, readings, dof = [], [], 0
+    for rows in several:
+        first = np.tile(data.poses[rows[0]], (len(rows), 1))
+        own = platform.twists_between(first, data.poses[rows])
+        twists.append(own - own.mean(axis=0))
+        readings.append(data.readings[rows] - data.readings[rows].mean(axis=0))
+        dof += len(rows) - 1
+    squares = np.concatenate(twists) ** 2
+    position = squares[:, linear].sum() / (dof * linear.sum())
+    turns = (~linear).sum()
+    orientation = squares[:, ~linear].sum() / (dof * turns) if turns else 0.0
+    reading = (np.concatenate(readings) ** 2).sum() / (dof * data.readings.shape[1])
+    if dof * linear.sum() < _ENOUGH or not position > 0.0 or (turns and not orientation > 0.0):
+        return None
+    return Noise(*(float(np.sqrt(value)) for value in (position, orientation, reading)))

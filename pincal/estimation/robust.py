@@ -1,0 +1,163 @@
+"""Fits that outliers do not spoil, and the list of rows that did not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from pincal.errors import ObservabilityError, PincalError
+from pincal.estimation.fit import Fit, fit, without
+from pincal.estimation.losses import LOSSES, Loss, outlying
+from pincal.estimation.solve import System
+from pincal.estimation.unobservable import check_weakly_determined
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+_ROUNDS = 10
+_LOG_LEAST = -650.0  # of probabilities that floating point can hold
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A row of the measurements that does not fit the others."""
+
+    row: int
+    """Counted from 0."""
+    legs: tuple[str, ...]
+    """Legs in whose fit it does not fit."""
+    sigma: float
+    """Its residual in standard deviations: that of one residual as unlikely as its χ²."""
+    weight: float
+    """With which it took part, from 1 down to 0: rejected."""
+    quantity: str
+    """Which of its residuals is largest."""
+    off: float
+    """That residual in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Robust:
+    """A fit, the rows that did not fit, and the fit that they would have made."""
+
+    fit: Fit
+    rows: NDArray[np.intp]
+    """Rows of the measurements that took part or were rejected."""
+    outliers: tuple[Outlier, ...]
+    without_loss: Fit | None
+    """The fit without the loss, if there was one and the search converged."""
+
+    @property
+    def shift(self) -> float | None:
+        """By how many standard errors a parameter would move without the loss, at most."""
+        if self.without_loss is None:
+            return None
+        n = len(self.fit.parameters)
+        std = np.sqrt(np.diagonal(self.fit.covariance))[:n]
+        moved = np.abs(self.without_loss.parameters - self.fit.parameters)
+        return float((moved[std > 0.0] / std[std > 0.0]).max(initial=0.0))
+
+
+def robust_fit(
+    mechanism: Mechanism,
+    system: System,
+    rows: NDArray[np.intp],
+    loss: Loss | None,
+    progress: Progress | None = None,
+) -> Robust:
+    """Return the fit of a problem under a loss, and without it.
+
+    Args:
+        mechanism: The nominal mechanism.
+        system: What is minimised, without a loss.
+        rows: Rows of the measurements that are the problem's poses, shape (N,).
+        loss: A robust loss, or none.
+        progress: Called with what is being done.
+
+    Raises:
+        ObservabilityError: parameters are not determined, weakly, or by the noise only; a search
+            that ran away.
+        MeasurementError: residuals that do not exist, or have no noise.
+    """
+    try:
+        return _fitted(system, rows, loss, progress)
+    except ObservabilityError as error:
+        check_weakly_determined(mechanism, system.problem, system.unknowns, error)
+        raise
+
+
+def _fitted(
+    system: System, rows: NDArray[np.intp], loss: Loss | None, progress: Progress | None
+) -> Robust:
+    search = partial(fit, progress=progress)
+    if loss is None:
+        one = search(system)
+        return Robust(one, rows, _outliers(one, one.noise_scale, rows), None)
+    rejecting = loss.name == "reject"
+    coarse = search(replace(system, loss=LOSSES["cauchy"]))
+    fine = LOSSES["tukey"] if rejecting else loss
+    one = search(replace(system, loss=fine), start=coarse.last.state)
+    scale = one.scale
+    if rejecting:
+        one = _without_outliers(one, progress)
+    try:
+        plain = search(system)
+    except PincalError:
+        plain = None
+    return Robust(
+        replace(one, first=coarse.first),
+        rows,
+        _outliers(one, scale, rows),
+        plain if plain is not None and plain.converged else None,
+    )
+
+
+def _without_outliers(robust: Fit, progress: Progress | None) -> Fit:
+    """Return the least-squares fit of the rows that fit each other."""
+    one, kept = robust, np.ones(len(robust.weights), dtype=bool)
+    for _ in range(_ROUNDS):
+        linear = one.last
+        now = ~outlying(linear.squares / robust.scale**2, linear.equations)
+        if one is not robust and (now == kept).all():
+            break
+        kept = now
+        one = fit(without(robust.system, kept), start=one.last.state, progress=progress)
+    return one
+
+
+def _outliers(one: Fit, scale: float, rows: NDArray[np.intp]) -> tuple[Outlier, ...]:
+    """Return the rows that do not fit, the worst first."""
+    linear = one.last
+    if not (one.converged and scale > 0.0):
+        return ()
+    equations = np.maximum(linear.equations, 1)
+    relative = linear.squares / scale**2
+    listed = np.flatnonzero(outlying(relative, equations) & (linear.equations > 0))
+    legs = tuple(leg.name for leg in one.problem.legs)
+    noise = np.abs(linear.noise[:, : len(one.problem.quantities)]) / scale
+    worst = noise.argmax(axis=1)
+    found = [
+        Outlier(
+            row=int(rows[i]),
+            legs=legs,
+            sigma=_as_one(float(relative[i]), int(equations[i])),
+            weight=float(one.weights[i]),
+            quantity=one.problem.quantities[worst[i]],
+            off=float(noise[i, worst[i]]),
+        )
+        for i in listed
+    ]
+    return tuple(sorted(found, key=lambda o: -o.sigma))
+
+
+def _as_one(squares: float, equations: int) -> float:
+    """Return the size of one normal residual that is as unlikely as a χ² of several."""
+    log = float(chi2.logsf(squares, equations))
+    if log > _LOG_LEAST:
+        return float(norm.isf(np.exp(log) / 2))
+    return float(np.sqrt(squares))

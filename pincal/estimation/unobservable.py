@@ -1,0 +1,137 @@
+"""What the measurements leave unobservable may be held: parameters remain nearest to nominal there.
+
+Unobservable, or determined so weakly that noise would move parameters farther than those of
+machines differ from their drawings. The machine is then calibrated where it was measured; elsewhere
+these directions may move it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import ObservabilityError
+from pincal.estimation.generic import derivatives_near, lost_directions
+from pincal.estimation.identifiable import taking_part
+from pincal.estimation.observability import identifiability
+from pincal.estimation.problem import Problem, State
+from pincal.estimation.start import poses_at_rest
+from pincal.estimation.unknowns import Unknowns
+from pincal.kinematics.closure import largest_size
+from pincal.model.leg import Leg
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+_DIFFER = 0.05  # of a mechanism's size, [rad] and [1]: by which no machine differs from its drawing
+
+
+@dataclass(frozen=True)
+class Held:
+    """What measurements cannot observe and was held as near to nominal as can be."""
+
+    unknowns: Unknowns
+    """Less these freedoms."""
+    of_legs: Array
+    """Directions in the legs' parameters, as far as machines may differ, (n_params, n_lost)."""
+    groups: tuple[tuple[str, ...], ...]
+    """Ids of the unknowns that are unobservable together, a group for each direction."""
+    weak: tuple[str, ...]
+    """Ids of those that are weakly determined."""
+
+
+def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -> Array:
+    """Return by how much parameters of legs may differ from their drawing, shape (n_params,).
+
+    In the parameters' units; of all legs if none are given.
+    """
+    size = largest_size(mechanism.legs, mechanism.platform)
+    units = [leg.units[name] for leg in legs or mechanism.legs for name in leg.parameter_names]
+    return np.array([_DIFFER * (size if unit == "m" else 1.0) for unit in units])
+
+
+def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Held:
+    """Return the unknowns less what the measurements leave unobservable.
+
+    Of all parameters that fit as well, those nearest to the nominal ones, each change measured by
+    what it alone would do to the measurements; then, where they are weakly determined, by how much
+    machines may differ.
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem, at its start.
+        unknowns: Of the problem, less gauge freedoms.
+    """
+    J = _jacobian(mechanism, problem, unknowns)
+    lost, lengths = lost_directions(J)
+    held = unknowns.held(lost * lengths) if len(lost) else unknowns
+    weak, scale = weakly_determined(mechanism, problem, held)
+    moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
+    plausible = plausible_changes(mechanism, problem.legs)
+    directions = np.concatenate(moved)[:, : len(plausible)].T
+    directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
+    groups = identifiability(J, unknowns.free_labels).groups if len(lost) else ()
+    names = taking_part(held.free_labels, weak) if len(weak) else ()
+    return Held(held.held(weak / scale) if len(weak) else held, directions, groups, names)
+
+
+def weakly_determined(
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns
+) -> tuple[Array, Array]:
+    """Return along which directions noise moves parameters farther than machines may differ.
+
+    Rows of shape (k, n_free), in unknowns over their scale, and these scales: by how much machines
+    may differ, shape (n_free,).
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem, at its start.
+        unknowns: Of the problem, none unobservable.
+    """
+    size, T = largest_size(mechanism.legs, mechanism.platform), unknowns.map
+    outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
+    plausible = np.concatenate((plausible_changes(mechanism, problem.legs), outside))
+    state = problem.start(unknowns.start[: problem.n_parameters])
+    if problem.latent:
+        state = poses_at_rest(problem, state)
+    scale = 1.0 / np.abs(T / plausible[:, None]).max(axis=0)
+    rows = _rows(problem, unknowns, state) * scale
+    _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
+    return axes[int((information > 1.0).sum()) :], scale
+
+
+def _jacobian(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Array:
+    """Return the Jacobian in the free unknowns that says what is unobservable, shape (m, n)."""
+    if problem.latent:
+        return derivatives_near(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
+    return _rows(problem, unknowns, problem.start(unknowns.start[: problem.n_parameters]))
+
+
+def _rows(problem: Problem, unknowns: Unknowns, state: State) -> Array:
+    """Return the whitened Jacobian of a problem in the free unknowns, rows of priors below."""
+    J = problem.linearise(state).jacobian @ unknowns.map
+    _, prior = unknowns.prior_rows(unknowns.start)
+    return np.concatenate((J.reshape(-1, J.shape[2]), prior))
+
+
+def check_weakly_determined(
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, cause: ObservabilityError
+) -> None:
+    """Raise if the measurements determine something weakly, though nothing is unobservable.
+
+    Raises:
+        ObservabilityError: that is so; the message names what.
+    """
+    lost, _ = lost_directions(_jacobian(mechanism, problem, unknowns))
+    if len(lost):
+        return
+    weak, _ = weakly_determined(mechanism, problem, unknowns)
+    if len(weak):
+        raise ObservabilityError(
+            f"{', '.join(taking_part(unknowns.free_labels, weak))} are weakly determined by the "
+            "measured poses: noise moves them farther than machines differ from their drawings. "
+            "Measure poses that tell them apart, hold them as near to nominal as can be "
+            "(--hold-undetermined), or say how well nominal values are known (--prior)"
+        ) from cause
