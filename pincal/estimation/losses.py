@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from pincal.errors import MeasurementError
+
 Array = NDArray[np.float64]
 LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
 _DRAWS = 20_000  # points of a mean over χ²
@@ -43,7 +45,7 @@ def _reject(u: Array) -> Array:
 class Loss:
     """Weights of rows by the root of their χ²."""
 
-    name: LossName
+    name: str
     weigh: Callable[[Array], Array]
     """Weight by the root of χ² over the tuning constant."""
     probability: float
@@ -99,3 +101,20 @@ def robust_scale(squares: Array, equations: NDArray[np.intp], share: float) -> f
     told = equations > 0
     ratio = squares[told] / chi2.ppf(0.5, equations[told])
     return float(np.sqrt(np.median(ratio) / share)) if told.any() else 1.0
+
+
+def loss_of(given: LossName | Loss) -> Loss | None:
+    """Return a loss by its name, or one of one's own; none for ``"none"``.
+
+    Raises:
+        MeasurementError: no such loss.
+    """
+    if isinstance(given, Loss):
+        return given
+    if given == "none":
+        return None
+    if given not in LOSSES:
+        raise MeasurementError(
+            f"unknown loss {given!r}; expected one of none, {', '.join(LOSSES)}, or a pincal.Loss"
+        )
+    return LOSSES[given]

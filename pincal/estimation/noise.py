@@ -15,9 +15,10 @@ from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-Source = Literal["given", "rows", "repeats", "assumed"]
+Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 10  # degrees of freedom of a standard deviation from repeated rows
-_ASSUMED = 1e-4  # [m] and [rad]
+_ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
+_ROUNDED = 1e-12  # of the readings: a spread below is that of a mean's rounding
 
 
 @dataclass(frozen=True)
@@ -35,15 +36,15 @@ class NoiseModel:
     @property
     def known(self) -> bool:
         """Whether the scale of the noise is known."""
-        return self.source != "assumed"
+        return self.source != "estimated"
 
 
 def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -> NoiseModel:
     """Return the noise of measurements.
 
-    Without ``noise`` and without columns of standard deviations, repeated rows tell it if there
-    are enough of them; else it is assumed equal for all that was measured, readings exact where
-    poses were measured in full.
+    Without ``noise`` and without columns of standard deviations, repeated rows give it if there
+    are enough of them; else it is to be estimated, and what is returned is where that begins:
+    readings exact where poses were measured in full.
 
     Raises:
         MeasurementError: given twice, or rows that give it for readings only.
@@ -69,8 +70,7 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
     elif (repeated := noise_of_repeats(mechanism, data)) is not None:
         source, one = "repeats", repeated
     else:
-        exact = full and not mechanism.redundant
-        source, one = "assumed", Noise(_ASSUMED, _ASSUMED, 0.0 if exact else _ASSUMED)
+        source, one = "estimated", assumed_noise(mechanism, exact=full)
     poses = np.tile(one.of_poses(mechanism), (len(data), 1))
     if data.sigma_poses is not None:
         poses = np.where(np.isfinite(data.sigma_poses), data.sigma_poses, poses)
@@ -78,6 +78,19 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
     return NoiseModel(
         one, poses, readings if data.sigma_readings is None else data.sigma_readings, source
     )
+
+
+def assumed_noise(mechanism: Mechanism, *, exact: bool) -> Noise:
+    """Return noise from which an estimate may begin, relative to the mechanism's size.
+
+    Args:
+        mechanism: The mechanism.
+        exact: Whether readings may be taken as exact.
+    """
+    size = max(leg.size for leg in mechanism.legs)
+    metric = "m" in mechanism.reading_units
+    reading = 0.0 if exact and not mechanism.redundant else _ASSUMED * (size if metric else 1.0)
+    return Noise(_ASSUMED * size, _ASSUMED, reading)
 
 
 def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
@@ -117,10 +130,10 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
 
 
 def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
-    """Return the noise that repeated rows tell, or None if there are too few.
+    """Return the noise that repeated rows show, or None if there are too few.
 
     Rows repeat each other if their ``pose`` is the same, or, without such a column, if all
-    readings are equal to the last digit; then nothing is told about the noise of readings.
+    readings are equal to the last digit, which says nothing about the noise of readings.
     """
     groups: dict[Hashable, list[int]] = defaultdict(list)
     whole = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
@@ -147,6 +160,8 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
     turns = (~linear).sum()
     orientation = squares[:, ~linear].sum() / (dof * turns) if turns else 0.0
     reading = (np.concatenate(readings) ** 2).sum() / (dof * data.readings.shape[1])
+    if reading <= (_ROUNDED * np.abs(data.readings[whole]).max(initial=0.0)) ** 2:
+        reading = 0.0
     if dof * linear.sum() < _ENOUGH or not position > 0.0 or (turns and not orientation > 0.0):
         return None
     return Noise(*(float(np.sqrt(value)) for value in (position, orientation, reading)))

@@ -13,6 +13,7 @@ from scipy.stats import chi2, norm
 from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
 from pincal.estimation.losses import LOSSES, Loss, outlying
+from pincal.estimation.problem import State
 from pincal.estimation.solve import System
 from pincal.estimation.unobservable import check_weakly_determined
 from pincal.model.mechanism import Mechanism
@@ -68,6 +69,7 @@ def robust_fit(
     system: System,
     rows: NDArray[np.intp],
     loss: Loss | None,
+    start: State | None = None,
     progress: Progress | None = None,
 ) -> Robust:
     """Return the fit of a problem under a loss, and without it.
@@ -77,6 +79,7 @@ def robust_fit(
         system: What is minimised, without a loss.
         rows: Rows of the measurements that are the problem's poses, shape (N,).
         loss: A robust loss, or none.
+        start: Where the search starts; the nominal parameters if not given.
         progress: Called with what is being done.
 
     Raises:
@@ -85,16 +88,15 @@ def robust_fit(
         MeasurementError: residuals that do not exist, or have no noise.
     """
     try:
-        return _fitted(system, rows, loss, progress)
+        return _fitted(system, rows, loss, partial(fit, start=start, progress=progress))
     except ObservabilityError as error:
         check_weakly_determined(mechanism, system.problem, system.unknowns, error)
         raise
 
 
 def _fitted(
-    system: System, rows: NDArray[np.intp], loss: Loss | None, progress: Progress | None
+    system: System, rows: NDArray[np.intp], loss: Loss | None, search: Callable[..., Fit]
 ) -> Robust:
-    search = partial(fit, progress=progress)
     if loss is None:
         one = search(system)
         return Robust(one, rows, _outliers(one, one.noise_scale, rows), None)
@@ -104,7 +106,7 @@ def _fitted(
     one = search(replace(system, loss=fine), start=coarse.last.state)
     scale = one.scale
     if rejecting:
-        one = _without_outliers(one, progress)
+        one = _without_outliers(one, search)
     try:
         plain = search(system)
     except PincalError:
@@ -117,7 +119,7 @@ def _fitted(
     )
 
 
-def _without_outliers(robust: Fit, progress: Progress | None) -> Fit:
+def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
     """Return the least-squares fit of the rows that fit each other."""
     one, kept = robust, np.ones(len(robust.weights), dtype=bool)
     for _ in range(_ROUNDS):
@@ -126,7 +128,7 @@ def _without_outliers(robust: Fit, progress: Progress | None) -> Fit:
         if one is not robust and (now == kept).all():
             break
         kept = now
-        one = fit(without(robust.system, kept), start=one.last.state, progress=progress)
+        one = search(without(robust.system, kept), start=one.last.state)
     return one
 
 

@@ -136,17 +136,13 @@ def _still(found: Finding) -> str:
         f"{s['name']} reads the same in all rows ({s['value']:.6g} {s['unit']})" for s in sensors
     )
     moves = ", ".join(f"{s['moves']:.2g} {s['unit']}" for s in sensors)
-    return (
-        f"{same}, where readings of the nominal mechanism differ by {moves} over these poses"
-    )
+    return f"{same}, where readings of the nominal mechanism differ by {moves} over these poses"
 
 
 FAULTS: dict[str, Wording] = {
     "sensor-still": Wording(
         "A reading does not move",
-        {
-            "sensors": "mappings with name, value and moves (of the nominal mechanism) [unit], unit"
-        },
+        {"sensors": "mappings with name, value and moves (of the nominal mechanism) [unit], unit"},
         _still,
         "A sensor reads the same in all rows though the poses move it.",
         "Check the sensor, its cable and the log",

@@ -10,13 +10,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.model.finding import Finding
-from pincal.words.numbers import amount, counted, listed, percent, size
+from pincal.words.numbers import amount, counted, listed, size
 from pincal.words.wording import Wording, groups_in_words
 
 #: How each option is named that lets a calibration look for what its data leave open.
 _OPTIONS = {
-    "unknown-frame": "the base may be elsewhere in the frame of the measurements "
-    "(--unknown-frame)",
+    "unknown-frame": "the base may be elsewhere in the frame of the measurements (--unknown-frame)",
     "unknown-target": "what was measured may not be the platform's origin (--unknown-target or "
     "--setup)",
 }
@@ -72,10 +71,8 @@ def _weak(found: Finding) -> str:
     v, count = found.values, len(found.parameters)
     which = f"{v['parameter']} is" if count == 1 else f"{count} parameters are"
     worst = "known" if count == 1 else f"{v['parameter']}"
-    return (
-        f"{which} weakly determined, {worst} to ± {v['half']:.2g} {_si(v['unit'])} only".replace(
-            "  ", " "
-        )
+    return f"{which} weakly determined, {worst} to ± {v['half']:.2g} {_si(v['unit'])} only".replace(
+        "  ", " "
     )
 
 
@@ -210,7 +207,9 @@ def _unused(found: Finding) -> str:
 
 
 def _excess(found: Finding) -> str:
-    more = f"residuals are {found.values['excess']:.3g} times as large as the noise given makes them"
+    more = (
+        f"residuals are {found.values['excess']:.3g} times as large as the noise given makes them"
+    )
     return f"no accuracy can be promised: {more}" + (
         "" if found.code == "residuals-too-large" else ", and hardly fell"
     )

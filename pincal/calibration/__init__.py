@@ -1,0 +1,1 @@
+"""From measurements to parameters with uncertainties, and what to make of them."""

@@ -1,0 +1,285 @@
+"""A calibration to be done: a mechanism, measurements and options, checked; its problems."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.options import Options
+from pincal.errors import MeasurementError, ObservabilityError
+from pincal.estimation.external import External
+from pincal.estimation.leg_condition import LegCondition
+from pincal.estimation.noise import NoiseModel, noise_model
+from pincal.estimation.observation import Observation
+from pincal.estimation.problem import Problem, State
+from pincal.estimation.start import align_start, check_start
+from pincal.estimation.unknowns import Unknowns, unknowns
+from pincal.model.measurements import Measurements, Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What is to be identified from what."""
+
+    mechanism: Mechanism
+    """The nominal mechanism."""
+    measurements: Measurements
+    options: Options = field(default_factory=Options)
+
+    def __post_init__(self) -> None:
+        _check_shapes(self.mechanism, self.measurements)
+        if self.options.residual == "joint" and self.mechanism.by_readings:
+            raise MeasurementError(
+                f"readings of {self.mechanism.name!r} do not follow from its poses, so there is no "
+                "joint residual; take the closure residual (--residual closure)"
+            )
+
+    @cached_property
+    def noise(self) -> NoiseModel:
+        """Standard deviations of what was measured, or where their estimate begins."""
+        return noise_model(self.mechanism, self.measurements, self.options.noise)
+
+    def with_noise(self, noise: Noise) -> Calibration:
+        """Return the calibration with noise that was estimated."""
+        found = replace(self)
+        model = noise_model(self.mechanism, self.measurements, noise)
+        found.__dict__["noise"] = replace(model, source=self.noise.source)
+        return found
+
+    def rows(self, chosen: NDArray[np.intp] | Mask) -> Calibration:
+        """Return the calibration on some of its rows, their noise as it is."""
+        found = replace(self, measurements=self.measurements.rows(chosen))
+        own = self.noise
+        found.__dict__["noise"] = replace(
+            own, poses=own.poses[chosen], readings=own.readings[chosen]
+        )
+        return found
+
+    def unknowns(self, *, tied: bool = True) -> Unknowns:
+        """Return the unknowns of all legs, and those outside the mechanism if poses are unknown.
+
+        Args:
+            tied: Whether ties count, or are left out for the test of the same estimator.
+
+        Raises:
+            MeasurementError: a parameter that does not exist, or is held twice.
+        """
+        return unknowns(
+            self.mechanism.legs,
+            self.observation.external.names,
+            fixed=self.options.fixed,
+            tied=self.options.tied if tied else (),
+            priors=self.options.priors,
+        )
+
+    @cached_property
+    def observation(self) -> Observation:
+        """What was measured of the platform."""
+        return Observation(self.mechanism, self.measurements, self.options.setup)
+
+    @cached_property
+    def used(self) -> Mask:
+        """Which row serves which leg, shape (N, n_legs)."""
+        data = self.measurements
+        if self.options.latent:
+            measured = np.isfinite(data.readings)
+            columns = self.mechanism.reading_columns
+            return np.stack([measured[:, own].all(axis=1) for own in columns], axis=1)
+        if self.options.every_pose:
+            return np.ones((len(data), len(self.mechanism.legs)), dtype=bool)
+        return np.stack([data.serves(name) for name in self.mechanism.leg_names], axis=1)
+
+    def condition(self, leg: int, rows: NDArray[np.intp]) -> LegCondition:
+        """Return what a leg demands at some rows of the measurements."""
+        mechanism = self.mechanism
+        readings = self.measurements.readings[rows][:, mechanism.reading_columns[leg]]
+        measured = np.isfinite(readings)
+        usual = [
+            np.median(own[one]) if one.any() else 0.0
+            for own, one in zip(readings.T, measured.T, strict=True)
+        ]
+        readings = np.where(measured, readings, usual)  # not used where not measured
+        kind = "closure" if self.options.latent else self.options.residual
+        return LegCondition(mechanism.legs[leg], mechanism.platform, readings, kind, rows)
+
+    @cached_property
+    def latent_problem(self) -> Problem:
+        """The problem of all legs with unknown poses, without a start.
+
+        Raises:
+            MeasurementError: rows with too little measured; exact readings that contradict.
+        """
+        every = np.arange(len(self.measurements))
+        seen = self.observation
+        found = Problem(
+            tuple(self.condition(i, every) for i in range(len(self.mechanism.legs))),
+            self.used
+            if self.options.latent
+            else np.ones((len(every), len(self.mechanism.legs)), bool),
+            seen,
+            seen.sigma(self.measurements, self.noise.noise),
+            self.noise.readings,
+        )
+        _check_equations(found)
+        return found
+
+    def started(self, problem: Problem) -> Problem:
+        """Return the problem with poses and frames from which a search may start.
+
+        Raises:
+            MeasurementError: frames that cannot be aligned; readings that contradict poses.
+        """
+        self.options.report("finding poses and frames to start from")
+        nominal = self.unknowns().start[: problem.n_parameters]
+        first = align_start(self.mechanism, problem, self.measurements, nominal)
+        whole = self.options.setup.plain and np.isfinite(self.measurements.poses).all()
+        if not (self.options.rough or whole):  # whole poses are checked as such
+            check_start(problem, first)
+        return replace(problem, first=first)
+
+    def measured_problem(
+        self, legs: Sequence[int], poses: Array, roots: Array
+    ) -> tuple[Problem, NDArray[np.intp]]:
+        """Return the problem of some legs, poses as measured, and the rows that serve them.
+
+        Args:
+            legs: By index.
+            poses: In the base frame, shape (N, dof).
+            roots: Roots of their covariance, as twists in base axes, shape (N, dof, dof).
+        """
+        used = self.used[:, legs]
+        rows = np.flatnonzero(used.any(axis=1))
+        every = np.arange(self.noise.readings.shape[1])
+        columns = np.concatenate([every[self.mechanism.reading_columns[i]] for i in legs])
+        conditions = tuple(self.condition(i, rows) for i in legs)
+        matrices = self.mechanism.platform.transforms(poses[rows]).as_matrix()
+        nominal = np.concatenate([self.mechanism.legs[i].nominal for i in legs])
+        plain = replace(self.options.setup, unknown_frame=False, targets={}, distances={})
+        seen = Observation(self.mechanism, self.measurements.rows(rows), plain)
+        problem = Problem(
+            conditions,
+            used[rows],
+            seen,
+            np.zeros(seen.measured.shape),
+            self.noise.readings[np.ix_(rows, columns)],
+            roots[rows],
+            State(nominal, matrices, (None,) * len(legs), seen.external.start),
+        )
+        return problem, rows
+
+    def given_poses(self, external: External | None) -> tuple[Array, Array]:
+        """Return measured poses in the base frame, shape (N, dof), and roots of their covariance.
+
+        Args:
+            external: Frame and targets; those of the base if not given.
+        """
+        platform, data = self.mechanism.platform, self.measurements
+        if external is None:
+            return data.poses, self.noise.poses[:, :, None] * np.eye(platform.dof)
+        F = external.frame[:3, :3]
+        turns = self.observation.orientations if "rad" in platform.units else None
+        measured = np.zeros((len(data), 3))
+        measured[:, : platform.space] = data.poses[:, : platform.space]
+        matrices = np.tile(np.eye(4), (len(data), 1, 1))
+        if turns is not None:
+            matrices[:, :3, :3] = F.T @ turns @ external.turn.T
+        arm = matrices[:, :3, :3] @ external.offsets[0]
+        matrices[:, :3, 3] = (measured - external.frame[:3, 3]) @ F - arm
+        by_measured = np.zeros((len(data), 6, 6))  # of the twist in base axes
+        by_measured[:, :3, :3] = by_measured[:, 3:, 3:] = F.T
+        by_measured[:, :3, 3:] = np.cross(arm[:, None], np.eye(3)).transpose(0, 2, 1) @ F.T
+        rows = list(platform.twist_rows)
+        roots = by_measured[:, rows][:, :, rows] * self.noise.poses[:, None, :]
+        return platform.from_matrices(matrices), roots
+
+    def check_whole(self) -> None:
+        """Raise if poses cannot be taken as measured.
+
+        Raises:
+            MeasurementError: a pose or reading that is not whole; further targets or distances.
+        """
+        data, platform, setup = self.measurements, self.mechanism.platform, self.options.setup
+        if set(setup.targets) != {ORIGIN} or setup.distances:
+            raise MeasurementError(
+                "further targets and distances need all legs at once; leave out --per-leg"
+            )
+        for values, columns in (
+            (data.poses, platform.coordinates),
+            (data.readings, self.mechanism.reading_names),
+        ):
+            if not (measured := np.isfinite(values)).all():
+                row, column = (int(i) for i in np.argwhere(~measured)[0])
+                raise MeasurementError(
+                    f"data row {row + 1}: {columns[column]!r} is not measured; rows in which "
+                    "something is missing need all legs at once: leave out --per-leg"
+                )
+
+    def check_counts(self) -> None:
+        """Raise if there are too few poses for a leg.
+
+        Raises:
+            ObservabilityError: there are.
+        """
+        free = self.unknowns()
+        for leg, count in zip(self.mechanism.legs, self.used.sum(axis=0), strict=True):
+            own = free.part([leg.name])
+            n = own.map.shape[1] - int(np.isfinite(own.priors).sum())
+            equations = len(self.mechanism.platform.closing(leg.closes)) - len(leg.passive)
+            least = -(-(n if self.noise.known else n + 1) // equations)
+            if count < least:
+                why = "" if self.noise.known else " and the scale of the noise"
+                raise ObservabilityError(
+                    f"{leg.name}: {count} measured poses for {n} parameters{why}; at least {least} "
+                    f"are needed, {2 * least} or more advised"
+                    + (
+                        ""
+                        if self.options.every_pose
+                        else ". --poses all uses every pose for every leg"
+                    )
+                )
+
+
+def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:
+    if not len(data):
+        raise MeasurementError("there are no measurements; give a row for each measured pose")
+    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names)))
+    if (data.poses.shape, data.readings.shape) != expected:
+        raise MeasurementError(
+            f"poses {data.poses.shape} and readings {data.readings.shape} do not fit "
+            f"{mechanism.name!r}; expected {expected[0]} and {expected[1]}"
+        )
+    if np.isinf(data.poses).any() or np.isinf(data.readings).any():
+        raise MeasurementError("a measured pose or reading is infinite")
+
+
+def _check_equations(problem: Problem) -> None:
+    """Raise if a row does not fix its pose, or exact readings contradict each other.
+
+    Raises:
+        MeasurementError: naming the row, or what to give.
+    """
+    dof = problem.platform.dof
+    short = problem.equations < 0
+    if short.any():
+        row = int(np.argmax(short))
+        raise MeasurementError(
+            f"data row {row + 1} has {problem.equations[row] + dof} measured quantities, which do "
+            f"not fix the {dof} freedoms of the platform; measure more, or leave the row out"
+        )
+    noisy = [(problem.sigma_readings[:, own] > 0.0).any(axis=1) for own in problem.reading_columns]
+    exact = problem.used & ~np.stack(noisy, axis=1)
+    widths = np.array([one.width for one in problem.conditions])
+    if (exact @ widths > dof).any():
+        raise MeasurementError(
+            f"{len(problem.legs)} exact readings contradict each other in {dof} freedoms of the "
+            "platform; give the readings a standard deviation (--noise-reading)"
+        )

@@ -1,0 +1,224 @@
+"""The fits of a calibration: all legs at once, or each leg alone, poses as measured.
+
+Where poses are taken as measured in an unknown frame, each leg's base point takes that up: the legs
+are identified in the tracker's frame, aligned with the nominal machine, and the frame is then moved
+so that the parameters are nearest to the nominal ones, the same choice as all legs at once make.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.calibration import Calibration
+from pincal.errors import MeasurementError, ObservabilityError
+from pincal.estimation.components import Moments, Pools, estimated_noise
+from pincal.estimation.external import External
+from pincal.estimation.gauge import Gauge, find_gauge
+from pincal.estimation.losses import Loss, loss_of
+from pincal.estimation.noise import assumed_noise
+from pincal.estimation.problem import Problem
+from pincal.estimation.robust import Robust, robust_fit
+from pincal.estimation.solve import System
+from pincal.estimation.unknowns import Unknowns
+from pincal.estimation.unobservable import Held, hold_unobservable
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+_ROUNDS = 20
+_AT_REST = 1e-10  # [m] and [rad]: the frame moves no more
+_ALIKE = 1e-3  # relative change of a standard deviation, below which noise is estimated
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Fits that together identify all legs."""
+
+    calibration: Calibration
+    """With the noise that was given or estimated."""
+    fits: list[Robust]
+    external: External | None = None
+    """Values of the unknowns outside the mechanism, if there are any."""
+    gauge: Gauge | None = None
+    """Gauge freedoms."""
+    unknowns: Unknowns | None = None
+    """Of legs and what is outside, of which the gauge speaks."""
+    held: Held | None = None
+    """What the measurements cannot observe, if that was held."""
+
+    @property
+    def latent(self) -> bool:
+        """Whether poses were unknowns."""
+        return self.calibration.options.latent
+
+    def parameters(self, mechanism: Mechanism) -> dict[str, Array]:
+        """Return identified parameters by leg, each of shape (n_params,)."""
+        found = {
+            leg.name: one.fit.parameters[columns]
+            for one in self.fits
+            for leg, columns in zip(one.fit.problem.legs, one.fit.problem.columns, strict=True)
+        }
+        return {name: found[name] for name in mechanism.leg_names}
+
+
+def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
+    """Return the fits of a calibration, the noise estimated by group if it was not given.
+
+    Args:
+        calibration: What is to be identified.
+        tied: Whether ties count, or are left out for the test of the same estimator.
+
+    Raises:
+        ObservabilityError: too few poses, or poses that leave parameters undetermined.
+        MeasurementError: measurements that do not suit the method.
+    """
+    search = _all_legs if calibration.options.latent else _measured
+    one = search(calibration, tied, None)
+    noise = calibration.noise.noise
+    if calibration.noise.known or calibration.options.residual == "joint":
+        return one
+    unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
+    pools: Pools | None = None
+    for _ in range(_ROUNDS):
+        fits = [robust.fit for robust in one.fits]
+        if not all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits):
+            break
+        moments = Moments.of(fits, unit)
+        if moments.rounding:
+            break
+        pools = pools or moments.pools(exact=noise.reading == 0.0)
+        then = estimated_noise(moments, noise, unit, pools)
+        changes = zip(vars(noise).values(), vars(then).values(), strict=True)
+        if all(abs(a - b) <= _ALIKE * max(a, b) for a, b in changes):
+            break
+        noise, unit = then, then.reading or unit
+        one = search(calibration.with_noise(noise), tied, one)
+    return one
+
+
+def _loss(calibration: Calibration) -> Loss | None:
+    return loss_of(calibration.options.loss)
+
+
+def _all_legs(calibration: Calibration, tied: bool, before: Fits | None) -> Fits:
+    """Return the fit of all legs, poses and frames at once.
+
+    Args:
+        calibration: What is to be identified.
+        tied: Whether ties count.
+        before: Fits at other noise, from which this one starts.
+    """
+    mechanism, options = calibration.mechanism, calibration.options
+    problem, unknowns = calibration.latent_problem, calibration.unknowns(tied=tied)
+    if before is None:
+        problem = calibration.started(problem)
+        gauge = find_gauge(mechanism, problem, unknowns)
+    else:
+        problem = replace(problem, first=before.fits[0].fit.problem.first)
+        gauge = before.gauge or find_gauge(mechanism, problem, unknowns)
+    free = unknowns.held(gauge.constraints) if gauge.found else unknowns
+    held = hold_unobservable(mechanism, problem, free) if options.hold_undetermined else None
+    free = free if held is None else held.unknowns
+    options.report("identifying all legs and poses")
+    system = System(problem, free, calibration.noise.known)
+    every = np.arange(len(calibration.measurements))
+    start = None if before is None else before.fits[0].fit.last.state
+    found = robust_fit(
+        mechanism, system, every, _loss(calibration), start, progress=options.progress
+    )
+    first = found.fit.first if before is None else before.fits[0].fit.first
+    found = replace(found, fit=replace(found.fit, first=first))
+    external = found.fit.last.state.external
+    return Fits(calibration, [found], external, gauge, unknowns, held)
+
+
+def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits:
+    """Return the fits of all legs, poses as measured; arguments are those of ``_all_legs``."""
+    if calibration.options.hold_undetermined:
+        raise MeasurementError(
+            "what is undetermined is held where all legs are identified at once; leave out "
+            "--per-leg or --hold-undetermined"
+        )
+    calibration.check_whole()
+    calibration.check_counts()
+    unknowns = calibration.unknowns(tied=tied)
+    groups = _groups(calibration, tied)
+    if calibration.options.setup.plain:
+        return Fits(calibration, _fit_groups(calibration, groups, unknowns, None))
+    problem = calibration.started(calibration.latent_problem)
+    gauge = find_gauge(calibration.mechanism, problem, unknowns)
+    n_external = len(problem.observation.external)
+    if len(gauge.directions) != n_external or problem.first is None:
+        raise ObservabilityError(
+            f"the legs' parameters can take up {len(gauge.directions)} of the {n_external} "
+            "unknowns outside the mechanism only; all legs at once identify the others with them "
+            "(leave out --per-leg)"
+        )
+    first = problem.first.external
+    external = first if before is None or before.external is None else before.external
+    for _ in range(_ROUNDS):
+        fits = _fit_groups(calibration, groups, unknowns, external)
+        step = _toward_nominal(gauge, problem, unknowns, fits, external)
+        if np.abs(step).max(initial=0.0) <= _AT_REST:
+            return Fits(calibration, fits, external, gauge, unknowns)
+        external = problem.observation.external.moved(external, step)
+    raise MeasurementError(
+        "the frames of the measurements were not found by aligning leg after leg; all legs at once "
+        "find them with the parameters (leave out --per-leg)"
+    )
+
+
+def _fit_groups(
+    calibration: Calibration,
+    groups: list[list[int]],
+    unknowns: Unknowns,
+    external: External | None,
+) -> list[Robust]:
+    """Return a fit for each group of legs, poses as measured in a frame."""
+    mechanism, options = calibration.mechanism, calibration.options
+    poses, roots = calibration.given_poses(external)
+    fits = []
+    for group in groups:
+        names = [mechanism.leg_names[i] for i in group]
+        options.report(f"identifying {', '.join(names)}")
+        problem, rows = calibration.measured_problem(group, poses, roots)
+        system = System(problem, unknowns.part(names), calibration.noise.known)
+        fits.append(
+            robust_fit(mechanism, system, rows, _loss(calibration), progress=options.progress)
+        )
+    return fits
+
+
+def _groups(calibration: Calibration, tied: bool) -> list[list[int]]:
+    """Return the legs that are identified at once: those that share a tie, or all."""
+    legs, options = calibration.mechanism.legs, calibration.options
+    if options.method == "all-legs":
+        return [list(range(len(legs)))]
+    shared = options.tied if tied else ()
+    together = [
+        i for i, leg in enumerate(legs) if any(name in leg.parameter_names for name in shared)
+    ]
+    alone = [[i] for i in range(len(legs)) if i not in together]
+    return [together, *alone] if together else alone
+
+
+def _toward_nominal(
+    gauge: Gauge, problem: Problem, unknowns: Unknowns, fits: list[Robust], external: External
+) -> Array:
+    """Return the step of the external unknowns that brings the parameters nearest to nominal."""
+    n = problem.n_parameters
+    if problem.first is None:
+        raise TypeError("the problem has no start")
+    values = unknowns.start.copy()
+    for one in fits:
+        for leg, columns in zip(one.fit.problem.legs, one.fit.problem.columns, strict=True):
+            place = [leg.name for leg in problem.legs].index(leg.name)
+            values[problem.columns[place]] = one.fit.parameters[columns]
+    outside = problem.observation.external
+    values[n:] = outside.coordinates(external) - outside.coordinates(problem.first.external)
+    off = np.linalg.lstsq(unknowns.map, values - unknowns.start, rcond=None)[0]
+    along = gauge.constraints @ gauge.directions.T
+    amounts = -np.linalg.solve(along, gauge.constraints @ off)
+    return np.asarray((unknowns.map @ (gauge.directions.T @ amounts))[n:])

@@ -1,0 +1,118 @@
+"""What a calibration is asked to do: one set of options for calibrate, validate and compare."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, get_args
+
+from pincal.errors import MeasurementError
+from pincal.estimation.leg_condition import Residual
+from pincal.estimation.losses import Loss, LossName, loss_of
+from pincal.model.measurements import Noise
+from pincal.model.setup import Setup
+
+Method = Literal["all-legs", "per-leg"]
+Poses = Literal["own", "all"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of a calibration; the default is the best that the measurements allow."""
+
+    method: Method = "all-legs"
+    """``"all-legs"`` identifies all legs at once from every row, each pose an unknown of which any
+    part, or none, was measured. ``"per-leg"`` identifies each leg alone, poses as measured: the
+    papers' divide and conquer."""
+    residual: Residual = "closure"
+    """``"closure"``, whitened by its noise, or ``"joint"``: predicted less measured reading,
+    unweighted, poses as measured, as the papers have it."""
+    poses: Poses = "own"
+    """With ``"per-leg"``: each leg by the poses chosen for it (their ``set``), or by all."""
+    noise: Noise | None = None
+    """Standard deviations of the measurements. If neither this nor the measurements give them, they
+    are taken from repeated rows, or else estimated by group from the residuals."""
+    setup: Setup = field(default_factory=Setup)
+    """What the measured numbers mean: unknown frame, targets, distances."""
+    loss: LossName | Loss = "none"
+    """A robust loss by which rows that do not fit count less: ``"huber"``, ``"cauchy"``,
+    ``"tukey"``, or a ``Loss`` of one's own; ``"reject"`` leaves them out."""
+    fixed: tuple[str, ...] = ()
+    """Parameters held at their nominal values: ``"l"`` of every leg, ``"leg_1.l"`` of one."""
+    tied: tuple[str, ...] = ()
+    """Parameters that have one value for all legs; the result tests whether that holds."""
+    priors: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations with which nominal values are known, by name as above."""
+    rough: bool = False
+    """Whether the nominal mechanism is known so roughly that measurements need not look like its
+    own; units, signs and the order of legs are then not checked."""
+    hold_undetermined: bool = False
+    """Whether directions of parameters that the measurements cannot observe are held as near to
+    nominal as can be, and named; else they are refused."""
+    progress: Callable[[str], None] | None = field(default=None, compare=False, repr=False)
+    """Called with what is being done."""
+
+    def __post_init__(self) -> None:
+        for name, known in (("method", Method), ("residual", Residual), ("poses", Poses)):
+            given = getattr(self, name)
+            if given not in get_args(known):
+                raise MeasurementError(
+                    f"unknown {name} {given!r}; expected one of {', '.join(get_args(known))}"
+                )
+        loss_of(self.loss)  # raises where there is no such loss
+        for name, kind in (("noise", Noise | None), ("setup", Setup)):
+            given = getattr(self, name)
+            if not isinstance(given, kind):
+                what = "Noise" if name == "noise" else "Setup"
+                raise MeasurementError(
+                    f"{name} is {type(given).__name__}; expected pincal.{what}(…)"
+                )
+        for name in ("fixed", "tied"):
+            given = getattr(self, name)
+            if isinstance(given, str):
+                given = (given,)
+            object.__setattr__(self, name, tuple(given))
+
+    @classmethod
+    def of(cls, options: Options | None = None, **given: Any) -> Options:
+        """Return options from keywords, and from those of version 0.1, which warn.
+
+        Raises:
+            MeasurementError: unknown options or values.
+        """
+        known = {one.name: one for one in fields(cls)}
+        if unknown := [name for name in given if name not in known]:
+            raise MeasurementError(f"no option {unknown[0]!r}; expected some of {', '.join(known)}")
+        given = {name: value for name, value in given.items() if value is not None}
+        if given.get("method") in _REPLACED:
+            old = given["method"]
+            warnings.warn(
+                f"method={old!r} is now {_REPLACED[old]}", DeprecationWarning, stacklevel=3
+            )
+            given["method"] = "all-legs"
+        if options is not None:
+            given = {one: getattr(options, one) for one in known} | given
+        return cls(**given)
+
+    @property
+    def every_pose(self) -> bool:
+        """Whether every pose serves every leg."""
+        return self.method == "all-legs" or self.poses == "all"
+
+    @property
+    def latent(self) -> bool:
+        """Whether poses are unknowns, or taken as measured."""
+        return self.method == "all-legs" and self.residual == "closure"
+
+    def report(self, what: str) -> None:
+        """Say what is being done."""
+        if self.progress is not None:
+            self.progress(what)
+
+
+#: Methods of version 0.1, and what they are now.
+_REPLACED = {
+    "latent": "the default: leave it out",
+    "together": "method='all-legs', the default: leave it out",
+}

@@ -1,0 +1,147 @@
+"""Noise that was not given: variance components of positions, orientations and readings.
+
+With white rows r = L⁻¹Nᵀe of covariance Σ_g s_g V_g, V_g = U_g U_gᵀ the part of group g, and M the
+projection on what parameters do not take up, the expectation of rᵀ M V_g M r is Σ_h F_gh s_h,
+F_gh = tr(M V_g M V_h). Solved for s, and repeated with the rows whitened by it, that is the
+restricted maximum likelihood estimator (Patterson and Thompson 1971; Helmert, in geodesy); its
+covariance is 2 F⁻¹.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.estimation.fit import Fit
+from pincal.estimation.losses import outlying
+from pincal.model.measurements import Noise
+
+Array = NDArray[np.float64]
+_CLEAR = 3.0  # standard errors from which a component is none of chance
+_MOST = 10.0  # by which a variance changes at once
+_ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
+_P, _O, _R = range(3)  # position, orientation, reading
+Pools = tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What the residuals of fits say of the variances of groups, relative to the assumed ones."""
+
+    F: Array
+    """Shape (3, 3): positions, orientations, readings."""
+    q: Array
+    """Shape (3,)."""
+    scale: float
+    """χ² over degrees of freedom."""
+
+    @classmethod
+    def of(cls, fits: Sequence[Fit], reading: float) -> Moments:
+        """Return the moments of fits of groups of legs, at the same noise.
+
+        Args:
+            fits: Of groups of legs.
+            reading: Standard deviation to which that of readings is relative, [rad] or [m].
+        """
+        F, q = (sum(parts) for parts in zip(*(_normal(one, reading) for one in fits), strict=True))
+        dof = max(sum(one.degrees_of_freedom for one in fits), 1)
+        return cls(np.asarray(F), np.asarray(q), sum(one.chi2 for one in fits) / dof)
+
+    @property
+    def rounding(self) -> bool:
+        """Whether the residuals are rounding errors."""
+        return not self.scale > _ROUNDING**2
+
+    def components(self, P: Array) -> tuple[Array, Array]:
+        """Return variances s of V = Σ_g (P s)_g V_g and their standard errors, shape (k,) each."""
+        part = P.T @ self.F @ P
+        size = np.sqrt(np.diagonal(part))
+        inverse = np.linalg.pinv(part / np.outer(size, size), rcond=1e-10, hermitian=True)
+        inverse /= np.outer(size, size)
+        std = self.scale * np.sqrt(2.0 * np.diagonal(inverse))
+        return np.asarray(inverse @ (P.T @ self.q)), std
+
+    def pools(self, *, exact: bool) -> Pools:
+        """Return which groups share a variance: all that were measured, but for clear differences.
+
+        Orientations have one of their own where theirs differs clearly from that of positions, and
+        readings where theirs does, or is clearly above zero if they were taken as exact.
+
+        Args:
+            exact: Whether readings were taken as exact.
+        """
+        present = [group for group in range(3) if self.F[group, group] > 0.0]
+        own = []
+        for group in present[1:]:
+            P = np.zeros((3, 2))
+            P[[one for one in present if not (one == _R and exact)], 0] = 1.0
+            P[group, 1] = 1.0
+            variance, std = self.components(P)
+            size = variance[1] if group == _R and exact else abs(variance[1])
+            if size > _CLEAR * std[1]:
+                own.append(group)
+        shared = (one for one in present if one not in own and not (one == _R and exact))
+        return tuple(pool for pool in (tuple(shared), *((one,) for one in own)) if pool)
+
+
+def estimated_noise(moments: Moments, noise: Noise, reading: float, pools: Pools) -> Noise:
+    """Return the noise that residuals show.
+
+    Args:
+        moments: Of fits at some noise.
+        noise: That noise.
+        reading: Standard deviation to which that of readings is relative, [rad] or [m].
+        pools: Which groups share a variance; those in none are exact.
+    """
+    P = np.zeros((3, len(pools)))
+    for column, pool in enumerate(pools):
+        P[list(pool), column] = 1.0
+    variance, _ = moments.components(P)
+    least, most = moments.scale / _MOST, moments.scale * _MOST
+    factors = np.sqrt(P @ np.clip(variance, least, most))
+    return Noise(
+        float(noise.position * (factors[_P] or 1.0)),
+        float(noise.orientation * (factors[_O] or 1.0)),
+        float(reading * factors[_R]),
+    )
+
+
+def _normal(one: Fit, readings: float) -> tuple[Array, Array]:
+    """Return F, shape (3, 3), and rᵀ M V_g M r, shape (3,), of one fit."""
+    linear, problem = one.last, one.problem
+    rows = one.weights > 0.0
+    if one.system.loss is not None:
+        rows &= ~outlying(linear.squares / one.scale**2, linear.equations)
+    n_readings = problem.reading_columns[-1].stop
+    unit = replace(problem, sigma_readings=np.full_like(problem.sigma_readings, readings))
+    by_reading = linear.white(unit.stack(linear.state).noise[:, :, :n_readings])
+    W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
+    units = problem.observation.units if problem.latent else problem.platform.units
+    lengths = np.array([name == "m" for name in units], dtype=bool)
+    U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
+    r, J = linear.value[rows], linear.jacobian[rows] @ one.unknowns.map
+    _, prior = one.unknowns.prior_rows(one.unknowns.start)
+    flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
+    size = np.linalg.norm(flat, axis=0)
+    R = np.asarray(np.linalg.qr(flat / size, mode="r"))
+    Q = np.linalg.solve(R.T, (J / size).transpose(0, 2, 1)).transpose(0, 2, 1)  # (N, m, n)
+    left = r - Q @ np.einsum("nmi,nm->i", Q, r)
+    V = [part @ part.transpose(0, 2, 1) for part in U]
+    VQ = [part @ Q for part in V]
+    P = [np.einsum("nmi,nmj->ij", Q, part) for part in VQ]
+    F = np.array(
+        [
+            [
+                np.einsum("nij,nij->", V[g], V[h])
+                - 2.0 * np.einsum("nmi,nmi->", VQ[g], VQ[h])
+                + np.einsum("ij,ij->", P[g], P[h])
+                for h in range(3)
+            ]
+            for g in range(3)
+        ]
+    )
+    q = [float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U]
+    return F, np.array(q)
