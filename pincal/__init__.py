@@ -43,6 +43,7 @@ from pincal.kinematics.singularity import margins
 from pincal.model.leg import Joint, Leg
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.parameter import Parameter, Parameters
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
@@ -97,6 +98,8 @@ __all__ = [
     "Noise",
     "ObservabilityError",
     "Orientations",
+    "Parameter",
+    "Parameters",
     "Picture",
     "PincalError",
     "Placement",

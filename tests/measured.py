@@ -15,6 +15,15 @@ NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
 
 
+def put(
+    data: pincal.Plan, field: str, place: object, values: np.ndarray | float
+) -> pincal.Measurements:
+    """Return measurements with other values at a place of one of their arrays."""
+    array = getattr(data, field).copy()
+    array[place] = values
+    return replace(data, **{field: array})
+
+
 @cache
 def workspace(kind: str, count: int) -> np.ndarray:
     """Return poses of a bundled mechanism, shape (count, dof)."""

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arms import ARMS, loaded, reference, robot
+from measured import put
 from random_mechanisms import reached
 from test_closure import check_derivative
 
@@ -248,8 +249,10 @@ def test_clean_positions_identify_the_arm(frame: bool) -> None:
         return points @ place[:3, :3].T + place[:3, 3]
 
     data, unseen = (measured_by("ur10", phi, count, seed) for count, seed in ((40, 0), (100, 9)))
-    data.poses[:, :3] = seen(platform.transforms(data.poses).as_matrix(), tracker)
-    data.poses[:, 3:] = np.nan
+    data = put(
+        data, "poses", np.s_[:, :3], seen(platform.transforms(data.poses).as_matrix(), tracker)
+    )
+    data = put(data, "poses", np.s_[:, 3:], np.nan)
     result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)
     assert result.converged
     place = np.eye(4)
@@ -270,7 +273,7 @@ def test_a_target_on_the_last_axis() -> None:
     setup = pincal.Setup(targets={"platform": pincal.Target((0.2, 0.0, 0.0))})
     data = measured_by("ur10", 1e-3 * np.random.default_rng(5).standard_normal(42), 40, 0)
     matrices = mechanism.platform.transforms(data.poses).as_matrix()
-    data.poses[:, :3] += matrices[:, :3, 0] * 0.2
-    data.poses[:, 3:] = np.nan
+    data = put(data, "poses", np.s_[:, :3], data.poses[:, :3] + (matrices[:, :3, 0] * 0.2))
+    data = put(data, "poses", np.s_[:, 3:], np.nan)
     with pytest.raises(pincal.ObservabilityError, match="wrist_3"):
         pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import run
+from measured import put
 
 import pincal
 from pincal.identification.calibrate import calibration_task
@@ -75,7 +76,7 @@ def test_a_frame_found_by_the_fit_hides_no_sign() -> None:
 def test_a_slip_is_named_first() -> None:
     """One cell typed as 0 spoils the fit of all rows: its row is named before all else."""
     mechanism, data = measured("6UPS", 0.15)
-    data.poses[7, 2] = 0.0
+    data = put(data, "poses", np.s_[7, 2], 0.0)
     result = pincal.calibrate(mechanism, data, poses="all", noise=NOISE)
     assert not result.promises
     assert result.warnings[0].startswith("data row 8 misses the nominal mechanism")
@@ -154,7 +155,7 @@ def test_one_fold_is_refused_before_anything_is_read(tmp_path: Path) -> None:
 def test_one_row_is_spoken_of_as_one() -> None:
     """One row that does not fit, and no rows."""
     mechanism, data = measured("3RRR", 0.2)
-    data.poses[4, 0] += 2e-4
+    data = put(data, "poses", np.s_[4, 0], data.poses[4, 0] + (2e-4))
     result = pincal.calibrate(mechanism, data, method="together", poses="all", noise=NOISE)
     (text,) = (one for one in result.warnings if "not fit the others" in one)
     assert text.startswith("1 of 60 rows does not fit the others, data row 5 by")

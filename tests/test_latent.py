@@ -16,6 +16,7 @@ from measured import (
     error,
     machine,
     platform_accuracy,
+    put,
     seen_from_elsewhere,
     targets,
 )
@@ -139,7 +140,7 @@ def test_clean_positions_alone_recover_the_platform(kind: str) -> None:
     """But for turns of the platform's frame, which are named; readings exact or not."""
     mechanism, truth, data = machine(kind, noise=EXACT)
     lengths = mechanism.platform.units.count("m")
-    data.poses[:, lengths:] = np.nan
+    data = put(data, "poses", np.s_[:, lengths:], np.nan)
     result = pincal.calibrate(mechanism, data, method="latent", noise=pincal.Noise(1e-4, 0, 1e-5))
     assert result.converged
     assert len(result.gauge) == 1
@@ -154,9 +155,9 @@ def test_single_coordinates_and_rows_with_nothing_measured() -> None:
     """A 3-RRR from x alone, or from orientation alone, is told; a row without a pose is found."""
     mechanism, truth, data = machine("3RRR", 60, noise=EXACT)
     poses = data.poses.copy()
-    data.poses[10:, 1] = np.nan
-    data.poses[30:, 2] = np.nan
-    data.poses[-5:] = np.nan
+    data = put(data, "poses", np.s_[10:, 1], np.nan)
+    data = put(data, "poses", np.s_[30:, 2], np.nan)
+    data = put(data, "poses", np.s_[-5:], np.nan)
     result = pincal.calibrate(
         mechanism, data, method="latent", noise=pincal.Noise(1e-4, 1e-4, 1e-5)
     )
@@ -170,7 +171,7 @@ def test_single_coordinates_and_rows_with_nothing_measured() -> None:
 def test_missing_readings_are_left_out() -> None:
     """Rows of full poses without some readings serve the other legs, and do no harm."""
     mechanism, truth, data = machine("3RRR", 50, noise=EXACT)
-    data.readings[:12, 1] = np.nan
+    data = put(data, "readings", np.s_[:12, 1], np.nan)
     result = pincal.calibrate(mechanism, data, method="latent")
     assert error(result, truth) < 1e-9
     assert [leg.n_residuals for leg in result.legs] == [len(data), len(data) - 12, len(data)]
@@ -419,7 +420,7 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
     """Position-only measurements bring a 6-UPS from millimetres to its noise, as forecast."""
     mechanism, truth, data = machine("6UPS", 100)
     poses = data.poses.copy()
-    data.poses[:, 3:] = np.nan
+    data = put(data, "poses", np.s_[:, 3:], np.nan)
     result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
     before, _ = platform_accuracy(mechanism, truth, poses)
     after, _ = platform_accuracy(result.identified, truth, poses)
@@ -454,23 +455,23 @@ def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> 
     mechanism, _, data = machine("3RRR" if change == "nothing" else "6UPS", 15)
     data = seen_from_elsewhere(mechanism, data) if "setup" in options else data
     if change == "mirror":
-        data.poses[:, 1] *= -1
-        data.poses[:, 3:] = np.nan
+        data = put(data, "poses", np.s_[:, 1], data.poses[:, 1] * -1)
+        data = put(data, "poses", np.s_[:, 3:], np.nan)
     elif change == "millimetres":
-        data.poses[:, :3] *= 1e3
+        data = put(data, "poses", np.s_[:, :3], data.poses[:, :3] * 1e3)
     elif change == "line":
-        data.poses[2:] = np.nan
+        data = put(data, "poses", np.s_[2:], np.nan)
     elif change == "exchange":
-        data.poses[:, 3:] = np.nan
-        data.readings[:, :2] = data.readings[:, 1::-1]
+        data = put(data, "poses", np.s_[:, 3:], np.nan)
+        data = put(data, "readings", np.s_[:, :2], data.readings[:, 1::-1])
     elif change == "turn":
-        data.poses[:, :2] = data.poses[:, :2] @ [[0.0, 1.0], [-1.0, 0.0]]
-        data.poses[:, 3:] = np.nan
+        data = put(data, "poses", np.s_[:, :2], data.poses[:, :2] @ [[0.0, 1.0], [-1.0, 0.0]])
+        data = put(data, "poses", np.s_[:, 3:], np.nan)
     elif change == "degrees":
-        data.readings[:] *= 1e3
+        data = put(data, "readings", np.s_[:], data.readings[:] * 1e3)
     elif change == "nothing":
-        data.poses[4] = np.nan
-        data.readings[4, 0] = np.nan
+        data = put(data, "poses", 4, np.nan)
+        data = put(data, "readings", np.s_[4, 0], np.nan)
     with pytest.raises(pincal.MeasurementError, match=message):
         pincal.calibrate(mechanism, data, method="latent", **({"noise": NOISE} | options))
 
@@ -494,8 +495,8 @@ def test_refusals_say_true_numbers() -> None:
     """What mirrored positions miss by, either way round, and what exchanged readings contradict."""
     mechanism, _, data = machine("6UPS", 15)
     seen = seen_from_elsewhere(mechanism, data)
-    seen.poses[:, 1] *= -1
-    seen.poses[:, 3:] = np.nan
+    seen = put(seen, "poses", np.s_[:, 1], seen.poses[:, 1] * -1)
+    seen = put(seen, "poses", np.s_[:, 3:], np.nan)
     with pytest.raises(pincal.MeasurementError) as refused:
         pincal.calibrate(mechanism, seen, method="latent", noise=NOISE, setup=FRAME)
     there = pincal.forward(mechanism, data.readings).poses[:, :3]
@@ -507,8 +508,8 @@ def test_refusals_say_true_numbers() -> None:
         wanted.append(1e3 * off / np.sqrt(len(points)))
     said = [float(n) for n in re.findall(r"by ([\d.]+) mm", str(refused.value))]
     np.testing.assert_allclose(said, wanted, rtol=5e-3)
-    data.poses[:, 3:] = np.nan
-    data.readings[:, :2] = data.readings[:, 1::-1]
+    data = put(data, "poses", np.s_[:, 3:], np.nan)
+    data = put(data, "readings", np.s_[:, :2], data.readings[:, 1::-1])
     with pytest.raises(pincal.MeasurementError) as refused:
         pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
     millimetres, percent = re.findall(r"by ([\d.]+) mm .* (\d+) % of", str(refused.value))[0]
@@ -520,9 +521,9 @@ def test_refusals_say_true_numbers() -> None:
 def test_parameters_that_move_too_far_are_doubted() -> None:
     """Positions in a frame 100 mm off: they converge, and the warning asks for the frame."""
     mechanism, _, data = machine("6UPS")
-    data.poses[:, 3:] = np.nan
+    data = put(data, "poses", np.s_[:, 3:], np.nan)
     assert not pincal.calibrate(mechanism, data, method="latent", noise=NOISE).warnings
-    data.poses[:, 0] += 0.15
+    data = put(data, "poses", np.s_[:, 0], data.poses[:, 0] + 0.15)
     result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
     assert any("farther than a machine" in text for text in result.warnings)
     rough = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, rough=True)
@@ -533,7 +534,7 @@ def test_a_single_tilt_is_a_measurement() -> None:
     """Position and tilt alone, some of it near upright: the platform comes back."""
     mechanism, truth, data = machine("6UPS", noise=EXACT)
     poses = data.poses.copy()
-    data.poses[:, [3, 5]] = np.nan
+    data = put(data, "poses", np.s_[:, [3, 5]], np.nan)
     result = pincal.calibrate(
         mechanism, data, method="latent", noise=pincal.Noise(1e-4, 1e-4, 1e-5)
     )

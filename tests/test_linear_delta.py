@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measured import put
 
 import pincal
 from pincal.estimation.weak import weakly_told
@@ -47,8 +48,7 @@ def probed(
 ) -> pincal.Measurements:
     """Return readings of the true printer at points of the bed, and heights alone."""
     data = pincal.simulate(mechanism, truth, pincal.Plan(bed()), noise, seed).measurements
-    data.poses[:, :2] = np.nan
-    return data
+    return put(data, "poses", np.s_[:, :2], np.nan)
 
 
 def test_readings_are_those_of_the_closed_form() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from measured import put
 from numpy.typing import NDArray
 
 import pincal
@@ -299,7 +300,7 @@ def test_healthy_measurements_near_home_pass(kind: str, noise: float) -> None:
 def test_readings_that_stand_still_are_named(kind: str, legs: list[int]) -> None:
     """A reading that is the same in all rows, over the workspace or near home: leg and value."""
     for data in (measured(kind, 4), near_home(kind, 4)):
-        data.readings[:, legs] = data.readings[0, legs]
+        data = put(data, "readings", np.s_[:, legs], data.readings[0, legs])
         with pytest.raises(pincal.MeasurementError, match="reads the same in all rows") as caught:
             check_plausible(nominal(kind), data)
         assert str(caught.value).count("reads the same") == len(legs)
@@ -337,7 +338,7 @@ def test_a_home_bent_to_the_other_side_is_named(kind: str, legs: tuple[int, ...]
 def test_whole_turns_are_named(kind: str) -> None:
     """A reading that is a whole turn off raises, with its leg and row."""
     data = measured(kind, 18)
-    data.readings[4, 1] += 2 * np.pi
+    data = put(data, "readings", np.s_[4, 1], data.readings[4, 1] + (2 * np.pi))
     with pytest.raises(
         pincal.MeasurementError, match=r"leg_2: 1 reading is .* first in data row 5"
     ):
@@ -370,13 +371,13 @@ def test_legs_that_are_interchangeable_are_not_said_to_be_exchanged() -> None:
 def test_rows_not_measured_in_full_are_left_out(kind: str) -> None:
     """Partial poses and missing readings raise nothing and hide no fault; one whole row is none."""
     mechanism, data = nominal(kind), measured(kind, 7)
-    data.poses[::3, 0] = np.nan
-    data.readings[1::3, 0] = np.nan
+    data = put(data, "poses", np.s_[::3, 0], np.nan)
+    data = put(data, "readings", np.s_[1::3, 0], np.nan)
     check_plausible(mechanism, data)
     wrong = replace(data, readings=-data.readings)
     with pytest.raises(pincal.MeasurementError, match="if the readings have the other sign"):
         check_plausible(mechanism, wrong)
-    wrong.poses[2:, 1] = np.nan  # row 1 lacks its x already
+    wrong = put(wrong, "poses", np.s_[2:, 1], np.nan)  # row 1 lacks its x already
     check_plausible(mechanism, wrong)
 
 
@@ -384,7 +385,7 @@ def test_rows_not_measured_in_full_are_left_out(kind: str) -> None:
 def test_a_leg_without_readings_is_not_judged(kind: str) -> None:
     """Of a leg with one reading nothing is said, whatever is wrong with it or another leg."""
     mechanism, data = nominal(kind), measured(kind, 8)
-    data.readings[1:, 0] = np.nan
+    data = put(data, "readings", np.s_[1:, 0], np.nan)
     check_plausible(
         mechanism, replace(data, readings=data.readings * [-1, *[1] * (data.readings.shape[1] - 1)])
     )

@@ -279,7 +279,7 @@ def errors_stay_when_the_truth_shifts(draw: Draw, folder: Path) -> None:
     poses = poses_near_home(mechanism, 40, seed, 0.35)
     twists = 1e-5 * np.random.default_rng(seed).standard_normal(poses.shape)
     for size in (0.0, 1e-4, 1e-3):
-        nominal = mechanism.parameters()
+        nominal = mechanism.nominal
         true = {name: nominal[name] + size * shift[name] for name in nominal}
         there = pincal.inverse(mechanism.with_parameters(true), poses)
         assume(there.reached.all())

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured import EXACT, NOISE, error, machine
+from measured import EXACT, NOISE, error, machine, put
 from scipy.stats import chi2
 
 import pincal
@@ -83,7 +83,7 @@ def test_rejected_rows_really_leave_the_fit() -> None:
 def test_a_wrong_reading_is_named() -> None:
     """A reading 100 σ off: the row, the leg and how far, with the scale of the noise unknown."""
     mechanism, _, data = machine("6UPS", 60)
-    data.readings[7, 2] += 5e-3
+    data = put(data, "readings", np.s_[7, 2], data.readings[7, 2] + (5e-3))
     for noise in (NOISE, None):
         result = pincal.calibrate(mechanism, data, method="latent", noise=noise, loss="tukey")
         worst = result.outliers[0]
@@ -130,7 +130,7 @@ def test_the_scale_is_that_of_the_rows_in_the_middle(equations: int) -> None:
 def test_without_a_loss_outliers_are_warned_of() -> None:
     """The plain fit keeps them, says which rows do not fit, and what to do."""
     mechanism, _, data = machine("3RRR", 60)
-    data.poses[4, 0] += 0.01
+    data = put(data, "poses", np.s_[4, 0], data.poses[4, 0] + 0.01)
     result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
     assert result.outliers[0].row == 4
     assert result.outliers[0].weight == 1.0

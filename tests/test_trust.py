@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured import EXACT, NOISE, machine, seen_from_elsewhere
+from measured import EXACT, NOISE, machine, put, seen_from_elsewhere
 from scipy.stats import chi2, f
 
 import pincal
@@ -52,10 +52,14 @@ def test_a_model_that_lacks_something_is_told() -> None:
     """
     mechanism, _, data = machine("3RRR", 10, pincal.Noise(1e-5, 1e-5, 0.0))
     rng = np.random.default_rng(0)
-    data.poses[:] += 1e-3 * rng.standard_normal(data.poses.shape)
+    data = put(
+        data, "poses", np.s_[:], data.poses[:] + (1e-3 * rng.standard_normal(data.poses.shape))
+    )
     rows = np.repeat(np.arange(len(data)), 10)
     many = replace(data.rows(rows), places=tuple(f"p{i}" for i in rows))
-    many.poses[:] += 1e-4 * rng.standard_normal(many.poses.shape)
+    many = put(
+        many, "poses", np.s_[:], many.poses[:] + (1e-4 * rng.standard_normal(many.poses.shape))
+    )
     found = pincal.validate(mechanism, many, folds=10, poses="all")
     assert found.held_out > 1.5 * found.expected
     assert found.p_value < 1e-3
@@ -67,7 +71,7 @@ def test_drift_is_told() -> None:
     mechanism, _, data = machine("3RRR", 80)
     still = pincal.validate(mechanism, data, noise=NOISE, poses="all")
     assert still.drift == ()
-    data.poses[:, 0] += np.linspace(-3e-4, 3e-4, len(data))
+    data = put(data, "poses", np.s_[:, 0], data.poses[:, 0] + (np.linspace(-3e-4, 3e-4, len(data))))
     moving = pincal.validate(mechanism, data, noise=NOISE, poses="all")
     assert moving.drift
     assert any("drift" in text for text in moving.warnings)

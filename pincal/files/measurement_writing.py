@@ -7,12 +7,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.errors import MeasurementError
 from pincal.files.tables import write_table
+from pincal.model.checks import array_of
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of
+from pincal.model.orientation import SINGLE_ANGLES, WAYS
+from pincal.model.orientation import columns_of as angles_of
 
 Array = NDArray[np.float64]
+Columns = dict[str, Array | tuple[str, ...]]
 
 
 def write_poses(
@@ -35,10 +39,8 @@ def write_poses(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    columns = _pose_columns(mechanism, plan, orientation)
-    if plan.readings is not None:
-        columns |= _reading_columns(mechanism, plan.readings)
-    write_table(path, columns, force=force)
+    planned = Plan(plan.poses, plan.sets, plan.readings)
+    write_table(path, columns_of(mechanism, planned, orientation), force=force)
 
 
 def write_readings(
@@ -49,7 +51,8 @@ def write_readings(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    write_table(path, _reading_columns(mechanism, readings), force=force)
+    columns = _reading_columns(mechanism, readings)
+    write_table(path, columns, force=force)
 
 
 def write_measurements(
@@ -60,42 +63,57 @@ def write_measurements(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    columns = _pose_columns(mechanism, data)
+    write_table(path, columns_of(mechanism, data), force=force)
+
+
+def columns_of(mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsion") -> Columns:
+    """Return the columns of a plan or of measurements, header with unit to values, SI.
+
+    Args:
+        mechanism: The mechanism.
+        plan: The poses, or the measurements.
+        orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+
+    Raises:
+        MeasurementError: numbers of another mechanism, or no such way.
+    """
+    columns = _pose_columns(mechanism, plan, orientation)
+    if not isinstance(plan, Measurements):
+        if plan.readings is not None:
+            columns |= _reading_columns(mechanism, plan.readings)
+        return columns
     columns = {  # what was never measured has no column
         header: values
         for header, values in columns.items()
         if isinstance(values, tuple) or np.isfinite(values).any()
-    } | _reading_columns(mechanism, data.readings)
+    } | _reading_columns(mechanism, plan.readings)
     platform = mechanism.platform
-    if data.sigma_poses is not None:
-        names = zip(platform.freedoms, platform.units, data.sigma_poses.T, strict=True)
+    if plan.sigma_poses is not None:
+        names = zip(platform.freedoms, platform.units, plan.sigma_poses.T, strict=True)
         columns |= {f"sigma_{name} [{unit}]": values for name, unit, values in names}
-    if data.sigma_readings is not None:
-        read = _reading_columns(mechanism, data.sigma_readings)
+    if plan.sigma_readings is not None:
+        read = _reading_columns(mechanism, plan.sigma_readings)
         columns |= {f"sigma_{name}": values for name, values in read.items()}
-    columns |= {f"{name} [{_unit(name)}]": values for name, values in data.extra.items()}
-    more = data.sigma_extra.items()
-    columns |= {f"sigma_{name} [{_unit(name)}]": values for name, values in more}
-    columns |= {} if data.runs is None else {"run": data.runs}
-    columns |= {} if data.places is None else {"pose": data.places}
-    write_table(path, columns, force=force)
+    for prefix, more in (("", plan.extra), ("sigma_", plan.sigma_extra)):
+        for name, values in more.items():
+            columns[f"{prefix}{name} [{'rad' if name in SINGLE_ANGLES else 'm'}]"] = values
+    columns |= {} if plan.runs is None else {"run": plan.runs}
+    columns |= {} if plan.places is None else {"pose": plan.places}
+    return columns
 
 
-def _unit(column: str) -> str:
-    return "rad" if column in SINGLE_ANGLES else "m"
-
-
-def _pose_columns(
-    mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsion"
-) -> dict[str, Array | tuple[str, ...]]:
+def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> Columns:
     platform = mechanism.platform
-    columns: dict[str, Array | tuple[str, ...]] = {}
+    columns: Columns = {}
+    if orientation not in WAYS:
+        raise MeasurementError(f"orientation {orientation!r}; expected one of {', '.join(WAYS)}")
+    array_of(plan.poses, ("N", platform.dof), f"poses of {mechanism.name!r}", MeasurementError)
     if plan.sets is not None:
         columns["set"] = plan.sets
     poses = plan.poses
     names = list(zip(platform.coordinates, platform.units, strict=True))
     if platform.kind == "spatial" and orientation != "tilt-torsion":
-        turns = columns_of(orientation, platform.transforms(poses).rotation)
+        turns = angles_of(orientation, platform.transforms(poses).rotation)
         poses = np.concatenate((poses[:, :3], turns), axis=1)
         written, unit = WAYS[orientation]
         names = names[:3] + [(name, unit) for name in written]
@@ -104,10 +122,8 @@ def _pose_columns(
     return columns
 
 
-def _reading_columns(mechanism: Mechanism, readings: Array) -> dict[str, Array | tuple[str, ...]]:
-    return {
-        f"{name} [{unit}]": values
-        for name, unit, values in zip(
-            mechanism.reading_names, mechanism.reading_units, readings.T, strict=True
-        )
-    }
+def _reading_columns(mechanism: Mechanism, readings: Array) -> Columns:
+    names, units = mechanism.reading_names, mechanism.reading_units
+    values = array_of(readings, ("N", len(names)), "readings", MeasurementError)
+    triples = zip(names, units, values.T, strict=True)
+    return {f"{name} [{unit}]": column for name, unit, column in triples}

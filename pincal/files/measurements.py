@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +18,18 @@ from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
+Source = Any  # a path, or a pandas DataFrame
 _log = logging.getLogger(__name__)
 _LISTED = 12  # names in a message
 
 
-def read_poses(path: str | Path, mechanism: Mechanism, *, partial: bool = False) -> Plan:
+def read_poses(path: Source, mechanism: Mechanism, *, partial: bool = False) -> Plan:
     """Return the poses of a CSV file, with its ``set`` column if there is one.
 
     And with the readings, of a mechanism whose poses do not tell them.
 
     Args:
-        path: The file.
+        path: The file, or a pandas DataFrame with the same headers.
         mechanism: The mechanism.
         partial: Whether columns or cells of the pose may be missing; they are NaN.
 
@@ -41,10 +42,10 @@ def read_poses(path: str | Path, mechanism: Mechanism, *, partial: bool = False)
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
         readings = _readings(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
-    return Plan(poses, _sets(table, mechanism), readings, lines=tuple(table.lines))
+    return Plan(poses, _sets(table, mechanism), readings, lines=table.file_lines)
 
 
-def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
+def read_readings(path: Source, mechanism: Mechanism) -> Array:
     """Return the readings of a CSV file, shape (N, n_readings), [rad] or [m].
 
     Raises:
@@ -55,12 +56,12 @@ def read_readings(path: str | Path, mechanism: Mechanism) -> Array:
 
 
 def read_measurements(
-    path: str | Path, mechanism: Mechanism, setup: Setup | None = None, *, partial: bool = False
+    path: Source, mechanism: Mechanism, setup: Setup | None = None, *, partial: bool = False
 ) -> Measurements:
     """Return the measurements of a CSV file: poses, readings, sets and standard deviations.
 
     Args:
-        path: The file.
+        path: The file, or a pandas DataFrame with the same headers.
         mechanism: The mechanism.
         setup: What else was measured than the platform's pose.
         partial: Whether columns or cells of the pose may be missing.
@@ -106,13 +107,13 @@ def read_measurements(
         },
         runs=_names(table, "run"),
         places=_names(table, "pose"),
-        lines=tuple(table.lines),
+        lines=table.file_lines,
     )
     told = [data.poses, *(values[:, None] for values in extra.values())]
     blank = np.isnan(np.column_stack([*told, data.readings])).all(axis=1)
     if blank.any():
         raise MeasurementError(
-            f"{table.path}, line {table.lines[int(np.argmax(blank))]}: nothing was measured and "
+            f"{table.where(int(np.argmax(blank)))}: nothing was measured and "
             "nothing read; remove the row"
         )
     if not any(np.isfinite(values).any() for values in told) and not partial:
@@ -120,7 +121,7 @@ def read_measurements(
     return data
 
 
-def _read(path: str | Path, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
+def _read(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
     """Return a table; a column whose header is nearly that of a known one is refused.
 
     Columns without a meaning are logged.
@@ -251,16 +252,14 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
     if column not in table:
         return None
     names = tuple(cell.strip() for cell in table.text[column])
-    for name, line in zip(names, table.lines, strict=True):
+    for row, name in enumerate(names):
         if not name.isprintable():
             raise MeasurementError(
-                f"{table.path}, line {line}: {column} {name[:40]!r} has characters that cannot be "
+                f"{table.where(row)}: {column} {name[:40]!r} has characters that cannot be "
                 "printed; name it otherwise"
             )
     if column == "run" and "" in names:
-        raise MeasurementError(
-            f"{table.path}, line {table.lines[names.index('')]}: no run; name it in every row"
-        )
+        raise MeasurementError(f"{table.where(names.index(''))}: no run; name it in every row")
     return names
 
 
@@ -274,10 +273,10 @@ def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
         return None
     known = {*mechanism.leg_names, EVERY_LEG, ""}
     sets = tuple(cell.strip() for cell in table.text["set"])
-    for name, line in zip(sets, table.lines, strict=True):
+    for row, name in enumerate(sets):
         if name not in known:
             raise MeasurementError(
-                f"{table.path}, line {line}: set {name!r} is no leg of {mechanism.name!r}; "
+                f"{table.where(row)}: set {name!r} is no leg of {mechanism.name!r}; "
                 f"expected {', '.join(mechanism.leg_names)} or {EVERY_LEG}"
             )
     return sets
@@ -307,7 +306,7 @@ def _not_negative(table: Table, column: str, unit: str, *, blank: bool = False) 
     values = table.numbers(column, unit, blank=blank)
     if (values < 0.0).any():
         raise MeasurementError(
-            f"{table.path}, line {table.lines[int(np.argmax(values < 0.0))]}: {column!r} is "
+            f"{table.where(int(np.argmax(values < 0.0)))}: {column!r} is "
             "negative; a standard deviation is 0 or more"
         )
     return values

@@ -9,16 +9,19 @@ import csv
 import io
 import math
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalError
 from pincal.files.input import plain_number, read_text, why_no_number
 from pincal.files.output import writing
+from pincal.model.checks import must_be
 from pincal.model.limits import LARGEST
 
 Array = NDArray[np.float64]
@@ -53,7 +56,18 @@ class Table:
     text: dict[str, list[str]]
     """Cells by column."""
     lines: list[int]
-    """Line of the file in which each row ends."""
+    """Line of the file in which each row ends, or number of the row of a DataFrame."""
+    counted: str = "line"
+    """What ``lines`` are: lines, or rows."""
+
+    @property
+    def file_lines(self) -> tuple[int, ...] | None:
+        """Line of the file in which each row ends, None if it was no file."""
+        return tuple(self.lines) if self.counted == "line" else None
+
+    def where(self, row: int) -> str:
+        """Return where a row stands: file and line."""
+        return f"{self.path}, {self.counted} {self.lines[row]}"
 
     def __contains__(self, column: str) -> bool:
         return column in self.units
@@ -106,20 +120,20 @@ class Table:
                 if cell.strip()
                 else f"empty cell{place}"
             )
-            raise MeasurementError(
-                f"{self.path}, line {self.lines[row]}: {why}; correct it or remove the row"
-            )
+            raise MeasurementError(f"{self.where(row)}: {why}; correct it or remove the row")
         return values
 
 
-def read_table(path: str | Path) -> Table:
-    """Return a CSV file's columns as text.
+def read_table(source: str | Path | Any) -> Table:
+    """Return the columns of a CSV file, or of a pandas DataFrame, as text.
 
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: no header, no rows, repeated columns, or rows of uneven length.
     """
-    path = Path(path)
+    if is_dataframe(source):
+        return _of_dataframe(source)
+    path = Path(must_be(source, (str, Path), "a table", MeasurementError))
     text = read_text(path, _LARGEST, MeasurementError, pipe=True)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows, lines = [], []
@@ -142,6 +156,45 @@ def read_table(path: str | Path) -> Table:
         raise MeasurementError(f"{path}: a header but no rows")
     columns = zip(*rows, strict=True)
     return Table(path, units, dict(zip(units, map(list, columns), strict=True)), lines)
+
+
+def is_dataframe(value: object) -> bool:
+    """Return whether something is a pandas DataFrame; pandas is not imported for it."""
+    pandas = sys.modules.get("pandas")
+    return pandas is not None and isinstance(value, pandas.DataFrame)
+
+
+def _of_dataframe(frame: Any) -> Table:
+    path = Path("DataFrame")
+    units = _header(path, [str(name) for name in frame.columns], 1)
+    if frame.empty:
+        raise MeasurementError(f"{path}: no rows")
+    columns = (list(map(_text, frame.iloc[:, i].tolist())) for i in range(len(units)))
+    rows = list(range(1, len(frame) + 1))
+    return Table(path, units, dict(zip(units, columns, strict=True)), rows, "row")
+
+
+def _text(value: object) -> str:
+    """Return a cell of a DataFrame as it would stand in a file."""
+    if isinstance(value, float):
+        return _cell(value)
+    missing = value is None or type(value).__name__ in ("NAType", "NaTType")
+    return "" if missing else str(value)
+
+
+def dataframe(columns: Mapping[str, Iterable[float] | Iterable[str]]) -> Any:
+    """Return columns (header to values, SI) as a pandas DataFrame.
+
+    Raises:
+        PincalError: pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise PincalError(
+            "a DataFrame needs the package pandas: python -m pip install 'pincal[pandas]'"
+        ) from error
+    return pandas.DataFrame({name: list(values) for name, values in columns.items()})
 
 
 def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.model.checks import must_be, number_of
 from pincal.model.limits import LARGEST
 from pincal.model.placement import Placement
 from pincal.model.sensor import Sensor
@@ -232,13 +233,18 @@ class Leg:
                     f"{self.name} has no parameter {sorted(unknown)[0]!r}; it has "
                     f"{', '.join(self.parameter_names)}"
                 )
-            new = self.nominal_by_name | {name: float(v) for name, v in values.items()}
+            given = dict(values)
         else:
+            must_be(values, (Sequence, np.ndarray), f"parameters of {self.name}", MechanismError)
             if len(values) != len(self.parameters):
                 raise MechanismError(
                     f"{self.name} has {len(self.parameters)} parameters, got {len(values)} values"
                 )
-            new = dict(zip(self.parameter_names, map(float, values), strict=True))
+            given = dict(zip(self.parameter_names, values, strict=True))
+        new = self.nominal_by_name | {
+            name: number_of(value, f"{self.name}.{name}", MechanismError)
+            for name, value in given.items()
+        }
         old = self.nominal_by_name
 
         def moved(joint: Joint) -> Joint:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.model.checks import array_of, must_be, names_of, number_of
 from pincal.model.limits import LARGEST
 from pincal.model.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,7 +37,9 @@ class Noise:
     """Of each sensor reading, [rad] or [m]."""
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
+        for name, given in vars(self).items():
+            value = number_of(given, f"the noise of {name}", MeasurementError)
+            object.__setattr__(self, name, value)
             if not (value == 0.0 or SMALLEST_SIGMA <= value <= LARGEST):
                 raise MeasurementError(
                     f"the noise of {name} is {value}; expected a standard deviation, 0 or more "
@@ -56,6 +64,67 @@ class Plan:
     """Readings to command, shape (N, n_readings), where poses do not tell them."""
     lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
     """Line of the file in which each row stands, if they were read from one."""
+
+    def __post_init__(self) -> None:
+        poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
+        object.__setattr__(self, "poses", poses)
+        self._check({"readings": ("n_readings",)}, ("sets",))
+
+    def _check(self, arrays: Mapping[str, tuple[int | str, ...]], names: Sequence[str]) -> None:
+        """Make fields arrays and tuples with one entry for each row of the poses.
+
+        Raises:
+            MeasurementError: something else, or another number of rows.
+        """
+        count = len(self.poses)
+        for name, shape in arrays.items():
+            if (given := getattr(self, name)) is not None:
+                array = array_of(given, (count, *shape), name, MeasurementError)
+                object.__setattr__(self, name, array)
+        for name in names:
+            if (given := getattr(self, name)) is not None:
+                one_a_row = names_of(given, count, name, MeasurementError)
+                object.__setattr__(self, name, one_a_row)
+
+    @classmethod
+    def from_csv(cls, path: str | Path, mechanism: Mechanism, *, partial: bool = False) -> Plan:
+        """Return the poses of a CSV file: see ``pincal.read_poses``."""
+        from pincal.files.measurements import read_poses
+
+        return read_poses(path, mechanism, partial=partial)
+
+    @classmethod
+    def from_dataframe(cls, frame: Any, mechanism: Mechanism, *, partial: bool = False) -> Plan:
+        """Return the poses of a pandas DataFrame, whose columns are named as in a CSV file.
+
+        Raises:
+            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        """
+        return cls.from_csv(frame, mechanism, partial=partial)
+
+    def to_csv(
+        self,
+        path: str | Path,
+        mechanism: Mechanism,
+        *,
+        orientation: str = "tilt-torsion",
+        force: bool = False,
+    ) -> None:
+        """Write a CSV file: see ``pincal.write_poses`` and ``pincal.write_measurements``."""
+        from pincal.files.measurement_writing import columns_of
+        from pincal.files.tables import write_table
+
+        write_table(path, columns_of(mechanism, self, orientation), force=force)
+
+    def to_dataframe(self, mechanism: Mechanism, *, orientation: str = "tilt-torsion") -> Any:
+        """Return a pandas DataFrame with the columns of a CSV file, units in brackets."""
+        from pincal.files.measurement_writing import columns_of
+        from pincal.files.tables import dataframe
+
+        return dataframe(columns_of(mechanism, self, orientation))
+
+    def __len__(self) -> int:
+        return len(self.poses)
 
     def place(self, row: int) -> str:
         """Return in words where a row stands: the line of its file, else its number."""
@@ -92,8 +161,51 @@ class Measurements(Plan):
     places: tuple[str, ...] | None = None
     """Name of the pose of each row: rows of one name are repeated measurements."""
 
-    def __len__(self) -> int:
-        return len(self.readings)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        dof = self.poses.shape[1]
+        array_of(self.readings, ("N", "n_readings"), "readings", MeasurementError)
+        self._check(
+            {"sigma_poses": (dof,), "sigma_readings": (self.readings.shape[1],)},
+            ("runs", "places"),
+        )
+        for name in ("extra", "sigma_extra"):
+            columns = must_be(getattr(self, name), Mapping, name, MeasurementError)
+            arrays = {
+                column: array_of(values, (len(self),), f"{name} {column!r}", MeasurementError)
+                for column, values in columns.items()
+            }
+            object.__setattr__(self, name, arrays)
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | Path,
+        mechanism: Mechanism,
+        setup: Setup | None = None,
+        *,
+        partial: bool = False,
+    ) -> Measurements:
+        """Return the measurements of a CSV file: see ``pincal.read_measurements``."""
+        from pincal.files.measurements import read_measurements
+
+        return read_measurements(path, mechanism, setup, partial=partial)
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: Any,
+        mechanism: Mechanism,
+        setup: Setup | None = None,
+        *,
+        partial: bool = False,
+    ) -> Measurements:
+        """Return the measurements of a pandas DataFrame, whose columns are named as in a CSV file.
+
+        Raises:
+            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        """
+        return cls.from_csv(frame, mechanism, setup, partial=partial)
 
     def rows(self, chosen: NDArray[np.intp] | Mask) -> Measurements:
         """Return some rows of the measurements, by index or mask."""

@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.model.checks import must_be
 from pincal.model.leg import Leg
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
+from pincal.model.parameter import Parameter, Parameters
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
 
@@ -139,23 +143,44 @@ class Mechanism:
         )
 
     def with_parameters(
-        self, values: Mapping[str, Mapping[str, float] | Sequence[float] | Array]
+        self, values: Mapping[str, float | Mapping[str, float] | Sequence[float] | Array]
     ) -> Mechanism:
-        """Return the mechanism with other nominal parameters: by leg, then by name or in order.
+        """Return the mechanism with other nominal parameters; those not named are kept.
+
+        Args:
+            values: By id (``{"leg_1.l": 0.31}``), or by leg, then by name or all in order.
 
         Raises:
-            MechanismError: an unknown leg or parameter, or a wrong number of values.
+            MechanismError: an unknown leg or parameter, a wrong number of values, or no number.
         """
-        for name in values:
-            self.leg(name)
-        legs = (
-            leg.with_parameters(values[leg.name]) if leg.name in values else leg
-            for leg in self.legs
-        )
+        new: dict[str, Any] = {}
+        ids = {}
+        for key, value in must_be(values, Mapping, "parameters", MechanismError).items():
+            if key in self.leg_names or not ("." in str(key) or isinstance(value, Real)):
+                new[self.leg(key).name] = value
+            else:
+                ids[str(key)] = value
+        for key, value in ids.items():
+            one = self.parameters[key]
+            own = new.setdefault(one.owner, {})
+            if not isinstance(own, Mapping):
+                raise MechanismError(f"{key!r} is given by its id and among all of {one.owner}")
+            new[one.owner] = {**own, one.name: value}
+        legs = (leg.with_parameters(new[leg.name]) if leg.name in new else leg for leg in self.legs)
         return replace(self, legs=tuple(legs))
 
-    def parameters(self) -> dict[str, Array]:
-        """Return the nominal parameter values by leg, each of shape (n_params,), SI units."""
+    @cached_property
+    def parameters(self) -> Parameters:
+        """Identified parameters of all legs, in order; ``parameters["leg_1.l"]`` is one."""
+        return Parameters(
+            Parameter(leg.name, name, leg.units[name], value)
+            for leg in self.legs
+            for name, value in leg.parameters
+        )
+
+    @property
+    def nominal(self) -> dict[str, Array]:
+        """Nominal parameter values by leg, each of shape (n_params,), SI units."""
         return {leg.name: leg.nominal for leg in self.legs}
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:

@@ -9,14 +9,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot
+from typing import Any
 
 from pincal.errors import MeasurementError
+from pincal.model.checks import array_of, must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
 
 Point = tuple[float, float, float]
 _FAR = 3.0  # times the longest leg: no target is that far from its platform
 ORIGIN = "platform"  # the target whose position is x, y, z
+
+
+def _point(values: Any, what: str) -> Point:
+    x, y, z = array_of(values, (3,), what, MeasurementError).tolist()
+    return x, y, z
 
 
 @dataclass(frozen=True)
@@ -29,6 +36,10 @@ class Target:
     """Whether the offset is identified; of ``platform``, also how the measured orientation is
     turned against the platform's."""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "offset", _point(self.offset, "offset of a target"))
+        must_be(self.unknown, bool, "unknown of a target", MeasurementError)
+
 
 @dataclass(frozen=True)
 class Distance:
@@ -37,6 +48,10 @@ class Distance:
     point: Point
     """In the frame of the measurements, [m]."""
     target: str = ORIGIN
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", _point(self.point, "point of a distance"))
+        must_be(self.target, str, "target of a distance", MeasurementError)
 
 
 @dataclass(frozen=True)
@@ -51,6 +66,13 @@ class Setup:
     """By column."""
 
     def __post_init__(self) -> None:
+        must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
+        kinds: dict[str, type] = {"targets": Target, "distances": Distance}
+        for field_name, kind in kinds.items():
+            named = must_be(getattr(self, field_name), Mapping, field_name, MeasurementError)
+            for name, one in named.items():
+                must_be(name, str, f"a name in {field_name}", MeasurementError)
+                must_be(one, kind, f"{field_name}, {name!r}", MeasurementError)
         object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
         for column, one in self.distances.items():
             if one.target not in self.targets:

@@ -1,0 +1,93 @@
+"""What people hand over is checked once, where an object is made: types, shapes, numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import PincalError
+
+Array = NDArray[np.float64]
+
+
+def described(value: object) -> str:
+    """Return a thing's type, with its shape or a short value, for a message."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} and type {value.dtype}"
+    if value is None or isinstance(value, bool | int | float | str):
+        text = repr(value)
+        return text if len(text) <= 60 else f"{text[:57]}…"
+    return f"a {type(value).__name__}"
+
+
+def array_of(
+    values: Any, shape: tuple[int | str, ...], what: str, error: type[PincalError]
+) -> Array:
+    """Return values as an array of float64 that is not writable, a copy if need be.
+
+    Args:
+        values: An array, or lists of numbers.
+        shape: Expected, numbers where the size is known, letters where it is free.
+        what: The thing's name, which heads the message.
+        error: Raised if it is no array of numbers, or of another shape.
+    """
+    wanted = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
+    if isinstance(values, str | bytes | Mapping) or values is None:
+        raise error(f"{what}: expected an array of shape {wanted}; got {described(values)}")
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind not in "fiub":
+            raise ValueError
+        array = array.astype(np.float64, copy=array.flags.writeable)
+    except (TypeError, ValueError) as fault:
+        raise error(f"{what}: expected numbers, shape {wanted}; got {described(values)}") from fault
+    if array.ndim != len(shape) or any(
+        isinstance(size, int) and size != own for size, own in zip(shape, array.shape, strict=True)
+    ):
+        raise error(f"{what}: expected shape {wanted}; got shape {array.shape}")
+    array.setflags(write=False)
+    return array
+
+
+def names_of(values: Any, count: int, what: str, error: type[PincalError]) -> tuple[str, ...]:
+    """Return names, one a row, as a tuple.
+
+    Raises:
+        PincalError: of the given type: no names, or not one a row.
+    """
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise error(f"{what}: expected {count} names, one a row; got {described(values)}")
+    names = tuple(values)
+    if wrong := [name for name in names if not isinstance(name, str)]:
+        raise error(f"{what}: expected names; got {described(wrong[0])} among them")
+    if len(names) != count:
+        raise error(f"{what}: expected {count} names, one a row; got {len(names)}")
+    return names
+
+
+def number_of(value: Any, what: str, error: type[PincalError]) -> float:
+    """Return a number as float.
+
+    Raises:
+        PincalError: of the given type: something else.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise error(f"{what}: expected a number; got {described(value)}")
+    return float(value)
+
+
+def must_be(value: Any, kind: type | tuple[type, ...], what: str, error: type[PincalError]) -> Any:
+    """Return a value that is of a kind.
+
+    Raises:
+        PincalError: of the given type: it is something else.
+    """
+    if not isinstance(value, kind):
+        kinds = kind if isinstance(kind, tuple) else (kind,)
+        expected = " or ".join(f"a {one.__name__}" for one in kinds)
+        raise error(f"{what}: expected {expected}; got {described(value)}")
+    return value

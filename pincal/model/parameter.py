@@ -1,0 +1,94 @@
+"""A kinematic parameter: a number of one owner, with one id that is written the same everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MechanismError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One identified quantity and its nominal value."""
+
+    owner: str
+    """What it belongs to, such as ``"leg_1"``."""
+    name: str
+    """Its name there, such as ``"l"``."""
+    unit: str
+    """m, rad, or 1 for a gain."""
+    nominal: float
+    """Nominal value, SI."""
+
+    @property
+    def id(self) -> str:
+        """The one name by which it is known everywhere: ``"leg_1.l"``."""
+        return f"{self.owner}.{self.name}"
+
+
+class Parameters(tuple[Parameter, ...]):
+    """Parameters in order, found by place or by id: ``parameters["leg_1.l"].nominal``."""
+
+    @cached_property
+    def _by_id(self) -> dict[str, Parameter]:
+        return {one.id: one for one in self}
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids, in order."""
+        return tuple(self._by_id)
+
+    @cached_property
+    def values(self) -> Array:
+        """Nominal values, shape (n_params,), SI units; not writable."""
+        values = np.array([one.nominal for one in self], dtype=np.float64)
+        values.setflags(write=False)
+        return values
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return the parameter at a place, or of an id, or the parameters of a slice.
+
+        Raises:
+            MechanismError: no parameter has this id; the message names those alike.
+        """
+        if isinstance(key, str):
+            if key not in self._by_id:
+                raise MechanismError(unknown_id(key, self.ids))
+            return self._by_id[key]
+        found = super().__getitem__(key)
+        return Parameters(found) if isinstance(key, slice) else found
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._by_id if isinstance(key, str) else super().__contains__(key)
+
+    def __repr__(self) -> str:
+        return f"Parameters({len(self)}: {listed(self.ids)})"
+
+    def __str__(self) -> str:
+        width = max(map(len, self.ids), default=0)
+        return "\n".join(f"{p.id:{width}}  {p.nominal: .6g} {p.unit}" for p in self)
+
+
+def listed(names: Iterable[str], most: int = 6) -> str:
+    """Return names joined by commas, those in the middle left out if there are many."""
+    names = tuple(names)
+    if len(names) > most:
+        names = (*names[: most - 2], "…", *names[-1:])
+    return ", ".join(names)
+
+
+def unknown_id(key: str, ids: tuple[str, ...]) -> str:
+    """Return one sentence on an id that no parameter has, with those that may be meant."""
+    near = get_close_matches(key, ids, 3)
+    near = near or [one for one in ids if one.partition(".")[2] == key][:3]
+    meant = f"did you mean {' or '.join(map(repr, near))}?" if near else f"ids are {listed(ids)}"
+    return f"no parameter {key!r}; {meant}"

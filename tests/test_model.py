@@ -1,0 +1,197 @@
+"""What people hold: parameters by id, objects that check what they are made of, DataFrames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pytest
+
+import pincal
+from pincal.errors import MeasurementError, MechanismError
+
+THREE = pincal.load_mechanism("3RRR")
+POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))
+
+
+def test_parameters_are_found_by_place_and_by_id() -> None:
+    """In order, by id, with units; values are the legs' nominal values one after the other."""
+    found = THREE.parameters
+    assert found.ids[:2] == ("leg_1.l", "leg_1.L")
+    assert found["leg_2.l"] == pincal.Parameter("leg_2", "l", "m", THREE.leg("leg_2").nominal[0])
+    assert found["leg_1.beta"].unit == "rad"
+    assert "leg_3.l" in found
+    assert "leg_4.l" not in found
+    assert found[0] in found
+    assert len(found[:8]) == 8
+    np.testing.assert_array_equal(found.values, np.concatenate(list(THREE.nominal.values())))
+    assert not found.values.flags.writeable
+
+
+def test_parameters_are_set_by_id() -> None:
+    """By id, by leg and name, or by leg and all in order is the same; the rest stays."""
+    by_id = THREE.with_parameters({"leg_1.l": 0.7, "leg_3.k": 1.1, "leg_1.ob": 0.5})
+    assert by_id == THREE.with_parameters({"leg_1": {"l": 0.7, "ob": 0.5}, "leg_3": {"k": 1.1}})
+    assert by_id.parameters["leg_1.l"].nominal == 0.7
+    mixed = THREE.with_parameters({"leg_1.l": 0.7, "leg_1": {"ob": 0.5}, "leg_3": {"k": 1.1}})
+    assert mixed == by_id
+    assert by_id.with_parameters(THREE.nominal) == THREE
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"leg_1.ll": 1.0}, r"no parameter 'leg_1.ll'; did you mean 'leg_1.l'"),
+        ({"l": 1.0}, r"no parameter 'l'; did you mean 'leg_1.l' or 'leg_2.l' or 'leg_3.l'\?"),
+        ({"wholly other.thing": 1.0}, r"no parameter 'wholly other.thing'; ids are leg_1.l, "),
+        ({"leg_9": [1.0]}, r"has no leg 'leg_9'"),
+        ({"leg_1": {"q": 1.0}}, r"leg_1 has no parameter 'q'"),
+        ({"leg_1": [1.0]}, r"leg_1 has 8 parameters, got 1 values"),
+        ({"leg_1": 1.0}, r"parameters of leg_1: expected a Sequence or a ndarray; got 1.0"),
+        ({"leg_1.l": "long"}, r"leg_1.l: expected a number; got 'long'"),
+        ({"leg_1.l": float("nan")}, r"leg_1: a nominal parameter is not a finite number"),
+        ([1.0, 2.0], r"parameters: expected a Mapping; got a list"),
+    ],
+)
+def test_wrong_parameters_are_refused(values: object, said: str) -> None:
+    """The message names what was given and what may be meant."""
+    with pytest.raises(MechanismError, match=said):
+        THREE.with_parameters(values)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"poses": np.zeros(3)}, r"poses: expected shape \(N, dof\); got shape \(3,\)"),
+        ({"poses": "poses.csv"}, r"poses: expected an array of shape \(N, dof\); got 'poses.csv'"),
+        ({"poses": None}, r"poses: expected an array of shape \(N, dof\); got None"),
+        ({"poses": [[1, 2, 3], [4, 5]]}, r"poses: expected numbers, .* got a list"),
+        ({"poses": np.zeros((4, 3), complex)}, r"poses: expected numbers, .* type complex128"),
+        ({"readings": np.ones((3, 3))}, r"readings: expected shape \(4, n_readings\); got .*3, 3"),
+        ({"readings": None}, r"readings: expected an array of shape \(N, n_readings\); got None"),
+        ({"sigma_poses": 1e-4}, r"sigma_poses: expected shape \(4, 3\); got shape \(\)"),
+        ({"sigma_readings": np.ones((4, 2))}, r"sigma_readings: .* \(4, 3\); got shape \(4, 2\)"),
+        ({"sets": "all"}, r"sets: expected 4 names, one a row; got 'all'"),
+        ({"sets": ["all"]}, r"sets: expected 4 names, one a row; got 1"),
+        ({"runs": [1, 2, 3, 4]}, r"runs: expected names; got 1 among them"),
+        ({"extra": {"wire": np.ones(3)}}, r"extra 'wire': expected shape \(4,\); got shape \(3,\)"),
+        ({"extra": [1.0]}, r"extra: expected a Mapping; got a list"),
+    ],
+)
+def test_measurements_say_what_they_expect(change: dict[str, object], said: str) -> None:
+    """Wrong types and shapes are refused with both, where the object is made."""
+    with pytest.raises(MeasurementError, match=said):
+        pincal.Measurements(**{"poses": POSES, "readings": READINGS} | change)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: pincal.Noise("1e-4"), "noise of position: expected a number; got '1e-4'"),
+        (lambda: pincal.Noise(-1.0), "noise of position is -1.0; expected a standard deviation"),
+        (lambda: pincal.Target("x"), r"offset of a target: expected an array of shape \(3,\)"),
+        (lambda: pincal.Target((1.0, 2.0)), r"offset of a target: .* \(3,\); got shape \(2,\)"),
+        (lambda: pincal.Setup(targets=[]), "targets: expected a Mapping; got a list"),
+        (lambda: pincal.Setup(targets={"a": (0, 0, 0)}), "targets, 'a': expected a Target; got"),
+        (lambda: pincal.Setup("frame"), "unknown_frame: expected a bool; got 'frame'"),
+        (lambda: pincal.Setup(distances={"w": 3}), "distances, 'w': expected a Distance; got 3"),
+    ],
+)
+def test_noise_and_setup_say_what_they_expect(make: object, said: str) -> None:
+    """Wrong types are refused where the object is made."""
+    with pytest.raises(MeasurementError, match=said):
+        make()
+
+
+def test_arrays_are_float64_not_writable_and_the_users_stay() -> None:
+    """Lists, integers and frames become arrays that nobody changes; the user's array is free."""
+    own = POSES.copy()
+    data = pincal.Measurements(own, list("abcd"), readings=READINGS.astype(int).tolist())
+    assert data.readings.dtype == data.poses.dtype == np.float64
+    assert data.sets == ("a", "b", "c", "d")
+    for values in (data.poses, data.readings):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0, 0] = 1.0
+    own[0, 0] = 5.0
+    assert data.poses[0, 0] == 0.0
+    assert len(data) == len(pincal.Plan(own)) == 4
+    assert pincal.Plan(pandas.DataFrame(own)).poses[0, 0] == 5.0
+
+
+def measured(kind: str) -> tuple[pincal.Mechanism, pincal.Measurements]:
+    """Return a mechanism and numbers of any meaning for all that its measurements may hold."""
+    mechanism, rng = pincal.load_mechanism(kind), np.random.default_rng(0)
+    shapes = (5, mechanism.platform.dof), (5, len(mechanism.reading_names))
+    poses, readings = map(rng.random, shapes)
+    return mechanism, pincal.Measurements(
+        poses,
+        readings=readings,
+        sets=("all", "leg_1", "leg_2", "all", ""),
+        sigma_poses=1e-4 * poses,
+        sigma_readings=1e-5 * readings,
+        extra={"wire": rng.random(5)},
+        sigma_extra={"wire": rng.random(5)},
+        runs=("a", "a", "b", "b", "b"),
+        places=("1", "2", "3", "4", "5"),
+    )
+
+
+@pytest.mark.parametrize("kind", ["5R", "3RRR", "6UPS"])
+def test_dataframes_are_tables(kind: str, tmp_path: Path) -> None:
+    """A DataFrame has the headers and the numbers of the CSV file, and is read as it is."""
+    mechanism, data = measured(kind)
+    setup = pincal.Setup(distances={"wire": pincal.Distance((0.0, 0.0, 1.0))})
+    frame = data.to_dataframe(mechanism)
+    assert {"x [m]", "sigma_leg_1 [rad]", "wire [m]", "run"} - set(frame.columns) <= (
+        {"sigma_leg_1 [rad]"} if kind == "6UPS" else set()
+    )
+    data.to_csv(tmp_path / "m.csv", mechanism)
+    by_pandas = pandas.read_csv(
+        tmp_path / "m.csv",
+        dtype={"pose": str},
+        keep_default_na=False,
+    )
+    pandas.testing.assert_frame_equal(frame, by_pandas, rtol=1e-15)
+    from_file = pincal.Measurements.from_csv(tmp_path / "m.csv", mechanism, setup)
+    from_frame = pincal.Measurements.from_dataframe(frame, mechanism, setup)
+    for one in (from_file, from_frame):
+        again = one.to_dataframe(mechanism)
+        pandas.testing.assert_frame_equal(again, frame, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(from_file.readings, from_frame.readings)
+    plan = pincal.Plan.from_dataframe(frame, mechanism)
+    plan.to_csv(tmp_path / "p.csv", mechanism)
+    np.testing.assert_array_equal(
+        pincal.Plan.from_csv(tmp_path / "p.csv", mechanism).poses, plan.poses
+    )
+    assert list(plan.to_dataframe(mechanism)) == list(pandas.read_csv(tmp_path / "p.csv"))
+
+
+def test_what_is_wrong_in_a_dataframe_is_named() -> None:
+    """Rows of a DataFrame are counted from 1; units convert; a missing column is named."""
+    mechanism, data = measured("3RRR")
+    frame = data.to_dataframe(mechanism)
+    as_read = pincal.Measurements.from_dataframe
+    wide = frame.rename(columns={"x [m]": "x [mm]"})
+    assert as_read(wide, mechanism).poses[0, 0] == data.poses[0, 0] * 1e-3
+    assert as_read(frame, mechanism).place(2) == "row 3"
+    for changed, said in (
+        (frame.drop(columns="leg_2 [rad]"), "DataFrame: no column 'leg_2'; expected 'leg_2 "),
+        (frame.replace({"set": {"": "leg_7"}}), "DataFrame, row 5: set 'leg_7' is no leg"),
+        (frame.assign(**{"y [m]": [0, 1, 2, None, 4]}), "DataFrame, row 4: empty cell in column"),
+        (frame.rename(columns={"x [m]": "x"}), "DataFrame: column 'x' has no unit"),
+        (frame.iloc[:0], "DataFrame: no rows"),
+    ):
+        with pytest.raises(MeasurementError, match=said):
+            as_read(changed, mechanism)
+    with pytest.raises(MeasurementError, match=r"poses of '5R': expected shape \(N, 2\); got"):
+        data.to_dataframe(pincal.load_mechanism("5R"))
+
+
+def test_replace_checks_too() -> None:
+    """Changed copies are made by ``dataclasses.replace``, with the same checks."""
+    data = pincal.Measurements(POSES, readings=READINGS)
+    assert replace(data, poses=POSES + 1.0).poses[0, 0] == 1.0
+    with pytest.raises(MeasurementError, match="poses"):
+        replace(data, poses=3.0)
