@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 
 import pincal
 from pincal.model.measurements import EVERY_LEG
-from pincal.studies import three_rrr_errors
-from pincal.studies.trials import Way, machines
+from studies import three_rrr_errors
+from studies.trials import Way, machines
 
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
 BENDS = {"3RRR": [-1, -1, -1], "5R": [-1, 1]}

@@ -11,8 +11,8 @@ import pytest
 from command_line import done, run
 
 import pincal
-from pincal.studies import catalogue
-from pincal.studies.study import Claim, Study
+from studies import catalogue
+from studies.study import Claim, Study
 
 
 def told(*arguments: object) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def test_articular_space(tmp_path: Path) -> None:
 def test_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Title, folder and tables of each study, numbers as numbers."""
 
-    def run_study(name: str, seed: int, quick: bool, tell: object) -> Study:
+    def run_study(name: str, seed: int, quick: bool, progress: object) -> Study:
         study = Study(name, f"Study of {name}", "A paper", "pincal study")
         study.table("lengths", "Lengths", {"leg": ["a", "b"], "length [m]": [1.5, float("nan")]})
         study.claims([Claim("what", "1", "2", "differs")])

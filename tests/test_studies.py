@@ -9,8 +9,8 @@ import pytest
 from command_line import contents, done, run
 
 from pincal.files.tables import read_table
-from pincal.studies.study import Study, markdown
-from pincal.studies.trials import root_mean_square
+from studies.study import Study, markdown
+from studies.trials import root_mean_square
 
 pytestmark = pytest.mark.slow
 

@@ -104,7 +104,11 @@ def test_wheel_and_sdist_hold_what_they_should(built: Path) -> None:
     }
     assert source <= names
     assert {name for name in robots if name.endswith((".yaml", ".urdf"))} <= names
-    assert {name.split("/")[0].split("-")[0] for name in names} == {"pincal", "pincal_command.py"}
+    assert {name.split("/")[0].split("-")[0] for name in names} == {
+        "pincal",
+        "pincal_command.py",
+        "pincal_studies",
+    }
     with tarfile.open(sdist) as file:
         held = {name.partition("/")[2] for name in file.getnames()}
     assert {"tests/test_supply.py", "docs/dependencies.md", "LICENSE", "pyproject.toml"} <= held

@@ -1,15 +1,19 @@
-"""``pincal study``: the papers, computed anew."""
+"""``pincal study``: the papers, computed anew, where their studies are installed."""
 
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pincal.cli.app import Force, Seed, answer, command, output_option, remark, working, wrote
-from pincal.files.output import refuse_existing
+from pincal.errors import FileError
+from pincal.files.output import refuse_existing, writing
+
+_BESIDE = Path(__file__).resolve().parents[2]
 
 
 @command(answers=True)
@@ -29,14 +33,12 @@ def study(
     """Compute a paper's figures and tables anew.
 
     And what it lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical
-    workspace, and beyond its paper the calibration. FOLDER gets study.md, tables as
+    workspace and, after its paper, the calibration. FOLDER gets study.md, tables as
     CSV and Markdown, figures as SVG and PNG; with 'all' one folder for each. The same seed
     gives the same text and tables; times are in figures only.
     """
-    from pincal.studies.catalogue import STUDIES, named, run_study
-    from pincal.studies.study import write_page
-
-    names = list(STUDIES) if name == "all" else [named(name)]
+    studies = _installed()
+    names = studies.named(name)
     folders = [output / one for one in names] if name == "all" else [output]
     if name == "all" and not output.is_dir():
         refuse_existing(output, force=False).mkdir()
@@ -44,27 +46,36 @@ def study(
         refuse_existing(folder, force=force, folder=True)
     if page is not None:
         refuse_existing(page, force=force)
-    pages = {}
-    told = []
+    pages, found = [], []
     for one, folder in zip(names, folders, strict=True):
-        with working(f"study of the {one}") as tell:
-            found = run_study(one, seed, quick, tell)
-        found.write(folder, force=force)
+        with working(f"study of the {one}") as progress:
+            done = studies.run_study(one, seed, quick, progress)
+        with writing(folder, force=force, folder=True) as scratch:
+            done.write(scratch)
         wrote(folder)
-        told.append(
-            {
-                "name": one,
-                "title": found.title,
-                "paper": found.paper,
-                "folder": str(folder),
-                "tables": found.tables,
-            }
-        )
+        kept = {key: getattr(done, key) for key in ("name", "title", "paper", "tables")}
+        found.append({**kept, "folder": str(folder)})
         if page is not None:
-            pages[Path(os.path.relpath(folder, page.parent)).as_posix()] = found
+            pages.append(done.page(Path(os.path.relpath(folder, page.parent)).as_posix()))
     if page is not None:
-        write_page(page, pages, force=force)
+        with writing(page, force=force) as scratch:
+            scratch.write_text("\n".join(pages), encoding="utf-8")
         wrote(page)
     else:
         remark(f"read {folders[0] / 'study.md'}")
-    answer({"studies": told})
+    answer({"studies": found})
+
+
+def _installed() -> Any:
+    """Return the catalogue of the studies, which stand beside pincal: installed or as sources.
+
+    Raises:
+        FileError: they are not there.
+    """
+    for name in ("pincal_studies", "studies"):
+        if (_BESIDE / name / "catalogue.py").is_file():
+            return import_module(f"{name}.catalogue")
+    raise FileError(
+        f"the papers' studies are not installed: no folder pincal_studies or studies in {_BESIDE}; "
+        "install pincal from its wheel, or run this in its sources"
+    )

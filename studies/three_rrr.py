@@ -16,15 +16,16 @@ from pincal.identification.task import Method
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import draw_mechanism, draw_observability, draw_poses
 from pincal.show.workspace_plots import articular_figure, draw_workspace
-from pincal.studies.study import Claim, Study
-from pincal.studies.three_rrr_errors import NOISE, cramer_rao, draw_maps, measure_accuracies
-from pincal.studies.trials import Way, choose, paired, times_figure
 from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace, compute_workspace
 from pincal.workspace.sampling import sample_workspace
+
+from .study import Claim, Study
+from .three_rrr_errors import NOISE, cramer_rao, draw_maps, measure_accuracies
+from .trials import Way, choose, paired, times_figure
 
 Array = NDArray[np.float64]
 PAPER = "Symmetrical observability of kinematic parameters in symmetrical-parallel mechanisms"
@@ -41,21 +42,21 @@ CHOICES: dict[str, tuple[Protocol, int]] = {
 }
 
 
-def run(seed: int, quick: bool, tell: Callable[[str], None]) -> Study:
+def run(seed: int, quick: bool, progress: Callable[[str], None]) -> Study:
     """Return the study of the 3-RRR."""
     mechanism = load_mechanism("3RRR")
     study = Study("3RRR", "3-RRR: symmetrical observability", PAPER, "pincal study 3RRR")
-    tell("workspace and articular-variables space")
+    progress("workspace and articular-variables space")
     poses = sample_workspace(mechanism, 2_000 if quick else 30_000, seed)
     planes, reached = _spaces(study, mechanism, poses, quick)
-    tell("choosing poses")
+    progress("choosing poses")
     selections, seconds = _selections(study, mechanism, poses, seed, quick)
     ways = _ways(selections)
     bounds = cramer_rao(study, mechanism, ways)
     machines = 3 if quick else 100
-    tell(f"{machines} machines calibrated in each of {len(ways)} ways")
+    progress(f"{machines} machines calibrated in each of {len(ways)} ways")
     after = measure_accuracies(study, mechanism, ways, poses, seed, machines, quick)
-    tell("mapping errors")
+    progress("mapping errors")
     draw_maps(study, mechanism, ways[0], planes, seed)
     _times(study, seconds)
     _against(study, mechanism, reached, selections, bounds, after)

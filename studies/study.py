@@ -7,6 +7,7 @@ the same text and tables byte for byte.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,9 +15,6 @@ from typing import TypeAlias
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
-
-from pincal.files.output import writing
-from pincal.files.tables import write_table
 
 Cell: TypeAlias = str | float | int
 Columns: TypeAlias = Mapping[str, Sequence[Cell]]
@@ -91,30 +89,23 @@ class Study:
             text = text.replace("(`tables/", f"(`{folder}/tables/")
         return text + "\n"
 
-    def write(self, folder: str | Path, *, force: bool = False) -> Path:
-        """Write the page ``study.md``, ``tables/`` and ``figures/``, whole or not at all.
-
-        Raises:
-            FileError: the folder must not be replaced, or cannot be written.
-        """
-        path = Path(folder)
-        with writing(path, force=force, folder=True) as scratch:
-            (scratch / "study.md").write_text(self.page(), encoding="utf-8")
-            for part in ("tables", "figures"):
-                (scratch / part).mkdir()
-            for name, columns in self.tables.items():
-                cells = {
-                    header: [_cell(c, 8) for c in column] for header, column in columns.items()
-                }
-                write_table(scratch / "tables" / f"{name}.csv", cells)
-                target = scratch / "tables" / f"{name}.md"
-                target.write_text(markdown(columns) + "\n", encoding="utf-8")
-            with mpl.rc_context({"svg.hashsalt": self.name}):
-                for name, figure in self.figures.items():
-                    stem = scratch / "figures" / name
-                    figure.savefig(stem.with_suffix(".svg"), dpi=_DPI, metadata={"Date": None})
-                    figure.savefig(stem.with_suffix(".png"), dpi=_DPI)
-        return path
+    def write(self, folder: Path) -> None:
+        """Write the page ``study.md``, ``tables/`` and ``figures/`` into a folder."""
+        (folder / "study.md").write_text(self.page(), encoding="utf-8")
+        for part in ("tables", "figures"):
+            (folder / part).mkdir()
+        for name, columns in self.tables.items():
+            stem = folder / "tables" / name
+            with stem.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
+                rows = zip(*columns.values(), strict=True)
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerows([list(columns), *([_cell(c, 8) for c in row] for row in rows)])
+            stem.with_suffix(".md").write_text(markdown(columns) + "\n", encoding="utf-8")
+        with mpl.rc_context({"svg.hashsalt": self.name}):
+            for name, figure in self.figures.items():
+                stem = folder / "figures" / name
+                figure.savefig(stem.with_suffix(".svg"), dpi=_DPI, metadata={"Date": None})
+                figure.savefig(stem.with_suffix(".png"), dpi=_DPI)
 
 
 def by_rows(headers: Sequence[str], rows: Sequence[Sequence[Cell]]) -> dict[str, list[Cell]]:
@@ -132,22 +123,6 @@ def markdown(columns: Columns) -> str:
     rows = zip(*columns.values(), strict=True)
     lines += ["| " + " | ".join(_cell(c, _DIGITS) for c in row) + " |" for row in rows]
     return "\n".join(lines)
-
-
-def write_page(path: str | Path, studies: Mapping[str, Study], *, force: bool = False) -> None:
-    """Write one page of several studies, with links to their folders relative to it.
-
-    Args:
-        path: The page.
-        studies: By folder, as written from the page.
-        force: Whether to replace the page.
-
-    Raises:
-        FileError: the page exists and ``force`` is not set, or cannot be written.
-    """
-    pages = [study.page(folder) for folder, study in studies.items()]
-    with writing(path, force=force) as scratch:
-        scratch.write_text("\n".join(pages), encoding="utf-8")
 
 
 def _cell(value: Cell, digits: int) -> str:

@@ -18,20 +18,21 @@ from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import draw_mechanism, draw_poses
 from pincal.show.workspace_plots import draw_workspace
-from pincal.studies.five_bar_errors import INSIDE, NOISE, costs, maps, parameters
-from pincal.studies.study import Cell, Claim, Study, by_rows
-from pincal.studies.trials import (
+from pincal.workspace.criteria import Margins
+from pincal.workspace.inscribed import Inscribed, largest_inscribed
+from pincal.workspace.positions import Grid
+from pincal.workspace.region import compute_workspace
+from pincal.workspace.sampling import sample_workspace
+
+from .five_bar_errors import INSIDE, NOISE, costs, maps, parameters
+from .study import Cell, Claim, Study, by_rows
+from .trials import (
     Way,
     choose,
     compared,
     parameter_errors,
     trial_seeds,
 )
-from pincal.workspace.criteria import Margins
-from pincal.workspace.inscribed import Inscribed, largest_inscribed
-from pincal.workspace.positions import Grid
-from pincal.workspace.region import compute_workspace
-from pincal.workspace.sampling import sample_workspace
 
 Array = NDArray[np.float64]
 PAPER = "Kinematic identification of parallel mechanisms by a divide and conquer strategy"
@@ -64,26 +65,26 @@ CHOICES: dict[str, tuple[Protocol, int]] = {
 }
 
 
-def run(seed: int, quick: bool, tell: Callable[[str], None]) -> Study:
+def run(seed: int, quick: bool, progress: Callable[[str], None]) -> Study:
     """Return the study of the five-bar."""
     mechanism = load_mechanism("5R")
     truth = mechanism.with_parameters(REAL)
     study = Study("5R", "Five-bar (5R): divide and conquer", PAPER, "pincal study 5R")
-    tell("looking for the maximal inscribed workspace")
+    progress("looking for the maximal inscribed workspace")
     circle = _inscribed(study, mechanism, quick)
-    tell("choosing postures")
+    progress("choosing postures")
     plans, seconds = _postures(study, mechanism, circle, seed, quick)
     ways = _ways(plans)
     draws = 12 if quick else 200
     seeds = [noise for _, noise in trial_seeds(seed, draws)]
-    tell(f"{draws} calibrations in each of {len(ways)} ways")
+    progress(f"{draws} calibrations in each of {len(ways)} ways")
     errors, found = {}, {}
     for way in ways:
         begin = perf_counter()
         errors[way.name], found[way.name] = parameter_errors(way, mechanism, truth, NOISE, seeds)
         seconds[f"identify: {way.name}"] = (perf_counter() - begin) / draws
     means = parameters(study, mechanism, truth, ways, errors)
-    tell("mapping errors over the circle")
+    progress("mapping errors over the circle")
     maps(study, mechanism, truth, circle, {w.name: found[w.name] for w in ways}, quick)
     costs(study, mechanism, ways, seconds)
     _against(study, circle, means, draws)

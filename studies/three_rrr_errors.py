@@ -13,9 +13,10 @@ from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.colours import COLOURS
 from pincal.show.plots import HATCHES
-from pincal.studies.study import Cell, Study
-from pincal.studies.trials import Way, machines, platform_rms
 from pincal.workspace.region import Workspace
+
+from .study import Cell, Study
+from .trials import Way, machines, platform_rms
 
 Array = NDArray[np.float64]
 NOISE = Noise(position=1e-4, orientation=1e-4)  # Eq. 23

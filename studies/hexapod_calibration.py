@@ -10,8 +10,9 @@ from pincal.design.select import Protocol
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.plots import draw_observability
-from pincal.studies.study import Study
-from pincal.studies.trials import (
+
+from .study import Study
+from .trials import (
     Way,
     choose,
     machines,

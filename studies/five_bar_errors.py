@@ -12,14 +12,15 @@ from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.colours import COLOURS
 from pincal.show.plots import HATCHES
-from pincal.studies.study import Cell, Study
-from pincal.studies.trials import (
+from pincal.workspace.inscribed import Inscribed
+
+from .study import Cell, Study
+from .trials import (
     Way,
     root_mean_square,
     times_figure,
     values,
 )
-from pincal.workspace.inscribed import Inscribed
 
 Array = NDArray[np.float64]
 NOISE = Noise(position=1e-4, reading=1e-4)

@@ -15,9 +15,6 @@ from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.mechanism import Mechanism
 from pincal.show.colours import COLOURS
-from pincal.studies.hexapod_calibration import COMMON, calibration
-from pincal.studies.study import Claim, Study, by_rows
-from pincal.studies.trials import paired, times_figure
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.workspace.criteria import Margins
@@ -25,6 +22,10 @@ from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace, compute_workspace
 from pincal.workspace.sampling import sample_workspace
+
+from .hexapod_calibration import COMMON, calibration
+from .study import Claim, Study, by_rows
+from .trials import paired, times_figure
 
 Array = NDArray[np.float64]
 PAPER = "Symmetrical workspace of 6-UPS parallel robot using tilt and torsion angles"
@@ -46,20 +47,20 @@ PRINTED = (
 NONE = Margins.none()
 
 
-def run(seed: int, quick: bool, tell: Callable[[str], None]) -> Study:
+def run(seed: int, quick: bool, progress: Callable[[str], None]) -> Study:
     """Return the study of the hexapod."""
     mechanism = load_mechanism("6UPS")
     study = Study(
         "6UPS", "Hexapod (6-UPS): symmetrical workspace, calibrated", PAPER, "pincal study 6UPS"
     )
-    tell("sampling the workspace")
+    progress("sampling the workspace")
     poses = sample_workspace(mechanism, 1_000 if quick else 10_000, seed)
     equal = _lengths(study, mechanism, poses[:300])
-    tell("total orientation workspaces")
+    progress("total orientation workspaces")
     tilts, zyx, kept = _workspaces(study, mechanism, quick)
-    tell("what symmetry saves")
+    progress("what symmetry saves")
     saved = _savings(study, mechanism, quick)
-    tell("choosing poses and calibrating")
+    progress("choosing poses and calibrating")
     outcome = calibration(study, mechanism, poses, seed, quick)
     _against(study, equal, (tilts, zyx), kept, saved, outcome)
     return study
