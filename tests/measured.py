@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,10 +23,29 @@ def put(
     return replace(data, **{field: array})
 
 
-@cache
-def workspace(kind: str, count: int) -> np.ndarray:
-    """Return poses of a bundled mechanism, shape (count, dof)."""
-    return pincal.sample_workspace(pincal.load_mechanism(kind), count, 0)
+#: Poses that are sampled at least: few cost hardly less than these, the workspace's box the most.
+_STOCK = 100
+_sampled: dict[tuple[str, int], np.ndarray] = {}
+
+
+def workspace(kind: str, count: int, seed: int = 0) -> np.ndarray:
+    """Return what ``pincal.sample_workspace`` gives, sampled once for all tests of a process.
+
+    Fewer poses are the first of more (tests/test_workspace.py).
+
+    Args:
+        kind: Name of a bundled mechanism whose poses are not sampled by readings.
+        count: Number of poses.
+        seed: Seed.
+
+    Returns:
+        Poses, shape (count, dof); a copy.
+    """
+    if count > len(_sampled.get((kind, seed), ())):
+        mechanism = pincal.load_mechanism(kind)
+        assert not mechanism.by_readings
+        _sampled[kind, seed] = pincal.sample_workspace(mechanism, max(count, _STOCK), seed)
+    return _sampled[kind, seed][:count].copy()
 
 
 def machine(
@@ -36,7 +54,7 @@ def machine(
     """Return a nominal and a true mechanism, and noisy measurements of all legs."""
     mechanism = pincal.load_mechanism(kind)
     truth = pincal.disturb(mechanism, sigma, 1)
-    plan = pincal.Plan(workspace(kind, count).copy())
+    plan = pincal.Plan(workspace(kind, count))
     return mechanism, truth, pincal.simulate(mechanism, truth, plan, noise, seed).measurements
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import some_slow
 
 import pincal
 from pincal.workspace.chunks import run
@@ -62,7 +63,7 @@ def cluster() -> Iterator[Any]:
         yield local
 
 
-@pytest.mark.parametrize("jobs", [1, 2, -1])
+@pytest.mark.parametrize("jobs", some_slow([1, 2, -1], 2))
 def test_every_chunk_counts_once(jobs: int) -> None:
     """In this process and in several."""
     assert complete(list(run(Slow(), CHUNKS, jobs)))
@@ -110,6 +111,7 @@ def test_a_workspace_on_a_cluster_is_the_same(
     np.testing.assert_array_equal(there.inside, here.inside)
 
 
+@pytest.mark.slow
 def test_a_task_that_fails_says_so(cluster: Any) -> None:
     """With the error of the worker, and what may be the cause."""
     with pytest.raises(pincal.WorkspaceError, match="ZeroDivisionError: on purpose"):

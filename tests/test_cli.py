@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import contents, done, run
+from marks import some_slow
 
 import pincal
 from pincal.cli.app import app
@@ -121,7 +122,7 @@ def test_calibrated_mechanism_serves_as_mech(
     assert after < 0.1 * before
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "4cable"))
 def test_inverse_then_forward_gives_the_poses(
     kind: str, chains: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -137,6 +138,7 @@ def test_inverse_then_forward_gives_the_poses(
     np.testing.assert_allclose(back, poses, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_same_seed_gives_the_same_bytes(kind: str, chains: dict[str, Path], tmp_path: Path) -> None:
     """The chain run again with the same seed writes the same bytes to every file."""
@@ -146,6 +148,7 @@ def test_same_seed_gives_the_same_bytes(kind: str, chains: dict[str, Path], tmp_
     assert "result/result.json" in first
 
 
+@pytest.mark.slow
 def test_other_seed_gives_other_files(chains: dict[str, Path], tmp_path: Path) -> None:
     """Another seed writes other poses, another truth and other measurements."""
     other, first = contents(chain("5R", tmp_path / "other", seed=2)), contents(chains["5R"])
@@ -153,6 +156,7 @@ def test_other_seed_gives_other_files(chains: dict[str, Path], tmp_path: Path) -
         assert other[name] != first[name]
 
 
+@pytest.mark.slow
 def test_existing_truth_is_measured_again(work: Path) -> None:
     """Without --disturb an existing truth is measured as it is, and not written again."""
     before = contents(work / "truth")
@@ -165,6 +169,7 @@ def test_existing_truth_is_measured_again(work: Path) -> None:
             assert abs(p["identified"] - p["nominal"]) < 5.0 * p["std"]
 
 
+@pytest.mark.slow
 def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
     """Measurements in mm and degrees calibrate to the same parameters as in m and rad."""
     three = pincal.load_mechanism("3RRR")
@@ -184,7 +189,7 @@ def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
         np.testing.assert_allclose(other.nominal, leg.nominal, rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "3RRR", "4cable"))
 def test_tables_on_stdout_name_what_was_found(
     kind: str, chains: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -558,7 +563,7 @@ def test_existing_output_is_refused(command: str, readings: Path) -> None:
     assert contents(readings) == before
 
 
-@pytest.mark.parametrize("command", WRITERS)
+@pytest.mark.parametrize("command", some_slow(WRITERS, "calibrate"))
 def test_force_writes_what_a_new_name_gets(command: str, readings: Path) -> None:
     """With --force an earlier output is replaced by what a new name gets, byte for byte."""
     done(*WRITERS[command], "-o", "new")
@@ -600,6 +605,7 @@ def test_output_in_a_missing_folder_is_refused(command: str, readings: Path) -> 
     assert contents(readings) == before
 
 
+@pytest.mark.slow
 def test_rows_not_held_out_by_choice_are_said(work: Path) -> None:
     """--folds 0: the report says that this was why, however quiet; and what was printed too."""
     given = [*NOISE, "--folds", 0, "-o", work / "unfolded"]
@@ -689,7 +695,9 @@ main()
 """
 
 
-@pytest.mark.parametrize("name", ["pinocchio", "yourdfpy"])  # at the start, and in a command
+@pytest.mark.parametrize(
+    "name", some_slow(["pinocchio", "yourdfpy"], "yourdfpy")
+)  # at the start, and in a command
 def test_ctrl_c_ends_without_a_traceback(name: str) -> None:
     """Ctrl-C while modules are loaded, or later, ends the command as shells expect, silently."""
     done = subprocess.run(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import contents, done, run
+from marks import some_slow
 
 import pincal
 from pincal.files.tables import read_table
@@ -56,7 +57,10 @@ def test_the_circle_is_printed_and_drawn(tmp_path: Path) -> None:
     assert positions(tmp_path / "kept.csv")[:, 1].min() > 0.0
 
 
-@pytest.mark.parametrize("more", [["--samples", 2000], ["--axis", "x=-1:1:0.1"], []])
+@pytest.mark.parametrize(
+    "more",
+    [["--samples", 2000], ["--axis", "x=-1:1:0.1"], pytest.param([], marks=pytest.mark.slow)],
+)
 def test_pictures_of_every_kind_of_positions(more: list[object], tmp_path: Path) -> None:
     """Samples, square and polar grids are drawn; in space in slices."""
     picture = tmp_path / "w.png"
@@ -67,6 +71,7 @@ def test_pictures_of_every_kind_of_positions(more: list[object], tmp_path: Path)
     done("workspace", "6UPS", *spatial, "--picture", tmp_path / "s.png", "-o", tmp_path / "s.csv")
 
 
+@pytest.mark.slow
 def test_articular_space(tmp_path: Path) -> None:
     """Poses and readings over the workspace and at three orientations, and the check."""
     picture = tmp_path / "a.png"
@@ -155,7 +160,7 @@ def test_a_cut_workspace_says_so(tmp_path: Path) -> None:
     assert "cut off" not in outcome.out
 
 
-@pytest.mark.parametrize("name", ["5R", "6UPS"])
+@pytest.mark.parametrize("name", some_slow(["5R", "6UPS"], "6UPS"))
 def test_articular_space_of_other_numbers_of_legs(name: str, tmp_path: Path) -> None:
     """Neighbouring legs are drawn in pairs."""
     turn = ["--axis", "tilt [deg]=10", "--axis", "azimuth=0"] if name == "6UPS" else []

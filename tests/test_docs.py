@@ -50,6 +50,7 @@ def test_every_page_is_linked() -> None:
     assert set((ROOT / "docs").glob("*.md")) <= seen
 
 
+@pytest.mark.slow
 def test_measuring_page_runs(tmp_path: Path) -> None:
     """Its Python runs as it stands, in an empty folder, and finds what it says."""
     text = (ROOT / "docs" / "measuring.md").read_text(encoding="utf-8")

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from marks import some_slow
+from measured import workspace
 from numpy.typing import NDArray
 from random_mechanisms import KINDS, poses_near_home, random_leg, random_mechanism
 
@@ -22,6 +25,12 @@ from pincal.model.home import home_gap
 Array = NDArray[np.float64]
 AROUND = (-1e-6, -1e-12, -1e-15, 0.0, 1e-15, 1e-12, 1e-6)
 NOISE = Noise(position=1e-5, orientation=1e-5, reading=1e-6)
+
+
+@cache
+def sampled(mechanism: Mechanism) -> Array:
+    """Return poses of the workspace; asked once, as other poses change nothing about it."""
+    return pincal.sample_workspace(mechanism, 20, seed=0)
 
 
 def everything(mechanism: Mechanism, poses: Array) -> list[str]:
@@ -35,7 +44,7 @@ def everything(mechanism: Mechanism, poses: Array) -> list[str]:
         lambda: pincal.forward(mechanism, readings[told]),
         lambda: pincal.forward(mechanism, readings[told], poses[told]),
         lambda: pincal.in_workspace(mechanism, poses),
-        lambda: pincal.sample_workspace(mechanism, 20, seed=0),
+        lambda: sampled(mechanism),
         lambda: pincal.symmetry_group(mechanism),
         lambda: pincal.calibrate(mechanism, Measurements(poses, readings=readings), noise=NOISE),
         lambda: pincal.select_poses(mechanism, poses, 12, "independent", starts=1),
@@ -116,13 +125,14 @@ def test_around_type2_singularities_a_pose_answers_or_says_no(turned: bool) -> N
     everything(mechanism, np.concatenate((poses, around(mechanism, poses[3]))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pose",
     [
         (0, 0, 1e-12, 0, 0, 0),
-        pytest.param((0, 0, 0, 0, 0, 0), marks=pytest.mark.slow),
-        pytest.param((0, 0, 1.8, 0, 0, np.pi / 2), marks=pytest.mark.slow),
-        pytest.param((0, 0, 1.8, 0, 0, -np.pi / 2), marks=pytest.mark.slow),
+        (0, 0, 0, 0, 0, 0),
+        (0, 0, 1.8, 0, 0, np.pi / 2),
+        (0, 0, 1.8, 0, 0, -np.pi / 2),
     ],
 )
 def test_singular_hexapods(pose: tuple[float, ...]) -> None:
@@ -152,7 +162,9 @@ DEGENERATE = {
 STILL_MOVES = {"one base point": "beta", "base points of two legs": "", "one platform point": "b"}
 
 
-@pytest.mark.parametrize("case", DEGENERATE)
+@pytest.mark.parametrize(
+    "case", some_slow(DEGENERATE, "links of no length", "cranks of no length in space")
+)
 def test_degenerate_geometry_has_an_answer(case: str, tmp_path: Path) -> None:
     """Lengths of zero: home is reached as before, or is said to be out of reach or singular.
 
@@ -259,7 +271,7 @@ def scaled(mechanism: Mechanism, factor: float) -> tuple[Mechanism, Array]:
 
 @pytest.mark.parametrize(
     "name",
-    ["5R", "delta", *(pytest.param(n, marks=pytest.mark.slow) for n in ("3RRR", "3PRR", "6UPS"))],
+    some_slow(["5R", "delta", "3RRR", "3PRR", "6UPS"], "delta", "3RRR", "3PRR", "6UPS"),
 )
 @pytest.mark.parametrize("factor", [1e-9, 1e6])
 def test_a_mechanism_of_any_size_is_the_same(name: str, factor: float, tmp_path: Path) -> None:
@@ -361,7 +373,7 @@ def test_drives_across_half_a_turn_do_not_jump() -> None:
 # Data that tell little
 
 
-@pytest.mark.parametrize("name", ["5R", "3RRR", "6UPS"])
+@pytest.mark.parametrize("name", some_slow(["5R", "3RRR", "6UPS"], "3RRR", "6UPS"))
 def test_nearly_deficient_data_are_refused_or_honest(name: str) -> None:
     """Poses ever more alike: errors within ten standard errors, not converged, or refused.
 
@@ -437,7 +449,7 @@ def test_all_candidates_may_be_chosen(kind: str) -> None:
 def test_orbits_of_candidates_that_are_images_are_chosen_once() -> None:
     """Candidates with their own images among them: no pose of the plan comes twice."""
     mechanism = pincal.load_mechanism("3RRR")
-    first = pincal.sample_workspace(mechanism, 40, seed=0)
+    first = workspace("3RRR", 40)
     elements = pincal.symmetry_group(mechanism).elements
     images = np.concatenate([e.poses(mechanism.platform, first) for e in elements])
     plan = pincal.select_poses(mechanism, images, 20, "orbits", starts=2).plan
@@ -477,11 +489,11 @@ def test_a_million_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("protocol", ["independent", "symmetric", "orbits", "common"])
-@pytest.mark.parametrize("name", ["3RRR", "6UPS"])
+@pytest.mark.parametrize("name", some_slow(["3RRR", "6UPS"], "6UPS"))
 def test_one_pose_said_in_several_ways_is_chosen_once(name: str, protocol: Any) -> None:
     """Candidates again a whole turn on, with the tilt reversed, and off in the last digit."""
     mechanism = pincal.load_mechanism(name)
-    first = pincal.sample_workspace(mechanism, 60, seed=1)
+    first = workspace(name, 60, seed=1)
     turned, near = first.copy(), first + 1e-14
     turned[:, -1] += 2 * np.pi
     if name == "6UPS":
@@ -508,7 +520,7 @@ def test_noise_that_no_arithmetic_bears_is_refused(sigma: float) -> None:
 def test_noise_of_rows_that_no_arithmetic_bears_is_refused() -> None:
     """A standard deviation of a row whose square underflows is refused by its row."""
     mechanism = pincal.load_mechanism("5R")
-    poses = pincal.sample_workspace(mechanism, 24, seed=1)
+    poses = workspace("5R", 24, seed=1)
     sigmas = np.full(poses.shape, 1e-5)
     sigmas[6, 1] = 1e-200
     data = Measurements(
@@ -524,7 +536,7 @@ def test_noise_of_rows_that_no_arithmetic_bears_is_refused() -> None:
 def test_noise_at_its_limits_is_borne(noise: Noise, method: Any) -> None:
     """The least standard deviations, and huge ones, have an answer, or an error that says why."""
     mechanism = pincal.load_mechanism("5R")
-    poses = pincal.sample_workspace(mechanism, 24, seed=1)
+    poses = workspace("5R", 24, seed=1)
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), Noise(1e-6, 1e-6)).measurements
     try:
         result = pincal.calibrate(mechanism, data, noise=noise, method=method)

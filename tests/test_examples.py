@@ -13,13 +13,8 @@ from matplotlib.image import imread
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
 
-def _marked(path: Path) -> object:
-    """Return an example; those that compute for seconds are marked."""
-    long = path.stem[:2] in ("02", "05")
-    return pytest.param(path, id=path.stem, marks=[pytest.mark.slow] if long else [])
-
-
-@pytest.mark.parametrize("path", [_marked(path) for path in EXAMPLES])
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(path: Path, tmp_path: Path) -> None:
     """It ends without error or warning and leaves a picture; it is under 60 lines."""
     run = subprocess.run(

@@ -222,6 +222,7 @@ def _information(mechanism: pincal.Mechanism, poses: np.ndarray) -> float:
     return float(np.exp(np.linalg.slogdet(rows.T @ rows)[1] / (2 * rows.shape[1])))
 
 
+@pytest.mark.slow
 def test_orbits_gain_over_mapped_poses(
     candidates: dict[str, np.ndarray], selections: dict[str, pincal.Selection]
 ) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import run
-from measured import put
+from measured import put, workspace
 
 import pincal
 from pincal.identification.calibrate import calibration_task
@@ -53,6 +53,7 @@ def said(mechanism: pincal.Mechanism, data: pincal.Measurements, **options: Any)
     return "" if result.promises else result.warnings[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
 def test_what_a_rough_mechanism_hides_is_named_when_the_fit_fails(method: str) -> None:
     """Nothing is checked before, but what explains the failure is said, and no pose is blamed."""
@@ -65,6 +66,7 @@ def test_what_a_rough_mechanism_hides_is_named_when_the_fit_fails(method: str) -
         assert words in said(mechanism, wrong, method=method, rough=True)
 
 
+@pytest.mark.slow
 def test_a_frame_found_by_the_fit_hides_no_sign() -> None:
     """Torsion of the other sign in a tracker's frame: the fit fails, and its sign is named."""
     mechanism, data = measured("6UPS", 0.15)
@@ -73,6 +75,7 @@ def test_a_frame_found_by_the_fit_hides_no_sign() -> None:
     assert "torsion has the other sign" in text
 
 
+@pytest.mark.slow
 def test_a_slip_is_named_first() -> None:
     """One cell typed as 0 spoils the fit of all rows: its row is named before all else."""
     mechanism, data = measured("6UPS", 0.15)
@@ -85,6 +88,7 @@ def test_a_slip_is_named_first() -> None:
     assert clean.warnings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
 def test_a_search_that_ran_away_says_so(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where poses tell everything at nominal parameters, they are not said to lack anything."""
@@ -126,6 +130,7 @@ def test_what_uncertainty_explains_is_not_said_to_have_moved() -> None:
     assert "--unknown-target" in told[1]
 
 
+@pytest.mark.slow
 def test_readings_alone_are_told_what_they_lack() -> None:
     """The scale where gains are free; everything where readings are no more than freedoms."""
     for kind, words in (
@@ -133,7 +138,7 @@ def test_readings_alone_are_told_what_they_lack() -> None:
         ("6UPS", "all of them, as readings"),
     ):
         mechanism = pincal.load_mechanism(kind)
-        plan = pincal.Plan(pincal.sample_workspace(mechanism, 60, 0))
+        plan = pincal.Plan(workspace(kind, 60))
         noise = pincal.Noise(0.0, 0.0, 1e-3)
         data = pincal.simulate(mechanism, mechanism, plan, noise, 0).measurements
         data = replace(data, poses=np.full_like(data.poses, np.nan))

@@ -49,7 +49,13 @@ def poses_of(name: str, count: int = 60) -> Array:
 
 @pytest.mark.parametrize(
     ("family", "mode"),
-    [(family, mode) for family in FAMILIES for mode in family.modes],
+    [
+        pytest.param(
+            family, mode, marks=[pytest.mark.slow] if family.name in ("6RUS", "6PUS") else []
+        )
+        for family in FAMILIES
+        for mode in family.modes
+    ],
     ids=lambda value: value.name if isinstance(value, Family) else str(value),
 )
 def test_inverse_kinematics_equals_the_closed_form(family: Family, mode: int) -> None:

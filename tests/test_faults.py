@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 from command_line import contents, done, run
+from marks import some_slow
+from measured import workspace
 
 import pincal
 from pincal.errors import FileError
@@ -53,7 +55,9 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("workspace 5R --count 100 -o {}/new.csv", 1000),
         ("calibrate 5R {data} -o {}/new", 0),
         ("calibrate 5R {data} -o {}/new", 1000),
-        ("calibrate 5R {data} -o {}/new", 50_000),  # all but the report
+        pytest.param(
+            "calibrate 5R {data} -o {}/new", 50_000, marks=pytest.mark.slow
+        ),  # all but the report
         ("inverse 5R {plan} -o {}/new.csv", 100),
         ("picture 5R -o {}/new.png", 1000),
         ("view 5R --html {}/new.html", 100_000),
@@ -141,7 +145,8 @@ def _told(saver: subprocess.Popen[str], line: str = "") -> str:
     return saver.stdout.readline().strip()
 
 
-@pytest.mark.parametrize("times", [10, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [10, 100])
 def test_killed_while_writing(times: int, measured: Path, tmp_path: Path) -> None:
     """Two processes write one folder and are killed at any time: it is whole, or not there.
 
@@ -175,17 +180,18 @@ def test_killed_while_writing(times: int, measured: Path, tmp_path: Path) -> Non
     [
         ("workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001 "
          "--axis torsion=-0.05:0.05:0.005 --jobs 1", " …"),
-        ("workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001 "
-         "--axis torsion=-0.05:0.05:0.005 --jobs 2", " …"),
-        ("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", " …"),
-        ("calibrate 5R {}/many.csv --method latent", " …"),
+        pytest.param("workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001 "
+                     "--axis torsion=-0.05:0.05:0.005 --jobs 2", " …", marks=pytest.mark.slow),
+        pytest.param("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", " …",
+                     marks=pytest.mark.slow),
+        pytest.param("calibrate 5R {}/many.csv --method latent", " …", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_path: Path) -> None:
     """Ctrl-C once work has begun, which stderr says: exit code 130, no traceback, no file."""
     if "many" in line:  # minutes of work
         mechanism = pincal.load_mechanism("5R")
-        poses = pincal.sample_workspace(mechanism, 60_000, seed=0)
+        poses = workspace("5R", 60_000)
         noise = pincal.Noise(1e-4, 1e-4, 1e-5)
         plan = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), noise).measurements
         pincal.write_measurements(measured / "many.csv", mechanism, plan, force=True)
@@ -211,7 +217,11 @@ def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_
 
 @pytest.mark.parametrize(
     ("redirected", "code"),
-    [("| true", 0), ("> /dev/full", 2), (">&-", 0), (">&- 2>&- <&-", 0)],
+    some_slow(
+        [("| true", 0), ("> /dev/full", 2), (">&-", 0), (">&- 2>&- <&-", 0)],
+        ("| true", 0),
+        (">&- 2>&- <&-", 0),
+    ),
 )
 def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
     """A pipe that was closed, a full disk, no output at all: no traceback, a sensible end."""
@@ -225,6 +235,7 @@ def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
     assert ("No space left" in ended.stderr) == (code == 2)
 
 
+@pytest.mark.slow
 def test_a_bare_environment(measured: Path, tmp_path: Path) -> None:
     """POSIX locale, no home, display, terminal or PATH, names beyond ASCII: a result as usual.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done, run
+from measured import workspace
 
 import pincal
 from pincal.design.leg_by_leg import leg_by_leg
@@ -17,10 +18,7 @@ NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
 @pytest.fixture(scope="module")
 def poses() -> dict[str, np.ndarray]:
     """Some poses of each bundled mechanism."""
-    return {
-        name: pincal.sample_workspace(pincal.load_mechanism(name), 40, seed=0)
-        for name in ("5R", "3RRR", "6UPS", "4cable")
-    }
+    return {name: workspace(name, 40) for name in ("5R", "3RRR", "6UPS", "4cable")}
 
 
 def readings(mechanism: pincal.Mechanism, values: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -106,7 +104,7 @@ def test_full_poses_give_the_covariance_of_the_calibration(
 def test_each_leg_alone_gives_the_covariance_of_the_default(name: str, dealt: bool) -> None:
     """``calibrate`` without options, on exact data: the poses of each leg's set, nothing shared."""
     mechanism = pincal.load_mechanism(name)
-    poses = pincal.sample_workspace(mechanism, 60, seed=0)
+    poses = workspace(name, 60)
     sets = tuple(mechanism.leg_names[row % len(mechanism.legs)] for row in range(60))
     plan = pincal.Plan(poses, sets if dealt else None)
     exact = pincal.simulate(mechanism, mechanism, plan, pincal.Noise(0.0, 0.0, 0.0)).measurements
@@ -126,7 +124,7 @@ def test_each_leg_alone_gives_the_covariance_of_the_default(name: str, dealt: bo
 def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
     """The bound is that of --method latent; the default's larger error stands beside it."""
     mechanism = pincal.load_mechanism("5R")
-    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    poses = workspace("5R", 30)
     plan = pincal.Plan(poses, ("leg_1", "leg_2") * 15)
     pincal.write_poses(tmp_path / "plan.csv", mechanism, plan)
     outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4)
@@ -231,6 +229,7 @@ def test_wrong_questions_are_refused(
         pincal.forecast(pincal.load_mechanism("3RRR"), poses["3RRR"], noise, measured)
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     """Standard errors by leg, rank, what moves together, and the poses for an accuracy."""
     mechanism = pincal.load_mechanism("3RRR")

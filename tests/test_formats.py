@@ -384,6 +384,7 @@ def printed(truth: DeltaPrinter, noise: float) -> str:
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.slow
 def test_a_printer_is_calibrated_from_its_configuration(tmp_path: Path) -> None:
     """Import, calibrate, export: at the probed points the written kinematics give the bed.
 

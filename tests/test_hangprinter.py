@@ -102,6 +102,7 @@ def test_rough_starts_reach_the_optimum(
     assert reached >= 45
 
 
+@pytest.mark.slow
 def test_the_command_finds_the_poses(tmp_path: Path) -> None:
     """From the bundled robot and the file as it is: result, mechanism and all 44 poses."""
     noise = ("--noise-position", 1e-3, "--noise-reading", 1e-3)

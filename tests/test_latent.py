@@ -10,6 +10,7 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 from closed_forms import angles, near, reading
+from marks import some_slow
 from measured import (
     EXACT,
     NOISE,
@@ -19,6 +20,7 @@ from measured import (
     put,
     seen_from_elsewhere,
     targets,
+    workspace,
 )
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -56,7 +58,7 @@ def everything(kind: str) -> tuple[pincal.Mechanism, pincal.Measurements, pincal
     return mechanism, replace(data, poses=poses, extra=extra), setup
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))
 def test_derivatives_of_what_is_measured(kind: str) -> None:
     """By the platform's twist and by frame and targets, against central differences."""
     mechanism, data, setup = everything(kind)
@@ -83,7 +85,7 @@ def test_derivatives_of_what_is_measured(kind: str) -> None:
     assert not rows.pose[~observation.measured].any()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))
 def test_derivatives_of_the_problem(kind: str) -> None:
     """Closure rows by parameters and poses, against central differences of the rows."""
     mechanism, _, data = machine(kind, 8)
@@ -124,7 +126,7 @@ def test_derivatives_of_the_problem(kind: str) -> None:
         assert np.abs(rows.pose[:, :n_legs, column] - numeric).max() < 1e-7 * size
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))
 def test_clean_full_poses_recover_the_parameters(kind: str) -> None:
     """Disturbed by 5e-3, parameters come back to 1e-9, exact readings or noisy ones said."""
     mechanism, truth, data = machine(kind, noise=EXACT, sigma=5e-3)
@@ -135,7 +137,7 @@ def test_clean_full_poses_recover_the_parameters(kind: str) -> None:
         assert result.gauge == ()
 
 
-@pytest.mark.parametrize("kind", ["3RRR", "6UPS"])
+@pytest.mark.parametrize("kind", some_slow(["3RRR", "6UPS"], "6UPS"))
 def test_clean_positions_alone_recover_the_platform(kind: str) -> None:
     """But for turns of the platform's frame, which are named; readings exact or not."""
     mechanism, truth, data = machine(kind, noise=EXACT)
@@ -284,7 +286,7 @@ def test_frames_that_legs_cannot_take_up_need_latent_poses() -> None:
     truth = truth.with_parameters(
         {leg.name: {"OA": leg.nominal[2], "beta": leg.nominal[3]} for leg in mechanism.legs}
     )
-    plan = pincal.Plan(pincal.sample_workspace(mechanism, 40, 0))
+    plan = pincal.Plan(workspace("3RRR", 40))
     data = pincal.simulate(mechanism, truth, plan, EXACT).measurements
     moved = seen_from_elsewhere(mechanism, data)
     options = {"setup": FRAME, "fixed": ("OA", "beta"), "noise": pincal.Noise(1e-4, 1e-4)}
@@ -435,10 +437,15 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
-        ("mirror", {"setup": FRAME}, "look mirrored"),
-        ("millimetres", {"setup": FRAME}, "miss the nominal machine's by"),
+        pytest.param("mirror", {"setup": FRAME}, "look mirrored", marks=pytest.mark.slow),
+        pytest.param(
+            "millimetres",
+            {"setup": FRAME},
+            "miss the nominal machine's by",
+            marks=pytest.mark.slow,
+        ),
         ("line", {"setup": FRAME}, "all on a line|all at one place"),
-        ("exchange", {}, "contradict each other by .* order"),
+        pytest.param("exchange", {}, "contradict each other by .* order", marks=pytest.mark.slow),
         ("turn", {}, "contradict each other by .*--unknown-frame"),
         pytest.param(
             "degrees",
@@ -491,6 +498,7 @@ def test_error_in_an_unknown_frame_is_what_was_forecast(kind: str) -> None:
     assert with_frames.position > 2 * found.position
 
 
+@pytest.mark.slow
 def test_refusals_say_true_numbers() -> None:
     """What mirrored positions miss by, either way round, and what exchanged readings contradict."""
     mechanism, _, data = machine("6UPS", 15)

@@ -51,6 +51,7 @@ def probed(
     return put(data, "poses", np.s_[:, :2], np.nan)
 
 
+@pytest.mark.slow
 def test_readings_are_those_of_the_closed_form() -> None:
     """Inverse kinematics of 120 random geometries, each tower with its own, to 1e-11 m."""
     rng = np.random.default_rng(0)
@@ -146,6 +147,7 @@ def test_weak_pairs_are_conditional_standard_errors() -> None:
     assert weakly_told(names, covariance) == ()
 
 
+@pytest.mark.slow
 def test_ties_are_tested_free_of_frames() -> None:
     """With heights alone the towers' circle has a centre anywhere, so one radius always fits.
 

@@ -690,6 +690,7 @@ def origins_of(text: bytes) -> dict[str, np.ndarray]:
     return {name: one.origin for name, one in robot.joint_map.items()}
 
 
+@pytest.mark.slow
 def test_from_cad_urdf_to_calibrated_urdf(tmp_path: Path) -> None:
     """On the command line: import, plan, measure, calibrate, export, and the error is gone."""
     file = five_bar(tmp_path / "robot")

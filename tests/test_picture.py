@@ -245,6 +245,7 @@ def test_wrong_input_leaves_nothing(
     assert not contents(tmp_path)
 
 
+@pytest.mark.slow
 def test_matplotlib_is_imported_where_it_is_needed() -> None:
     """``import pincal`` stays quick: neither plots nor the browser's viewer come with it."""
     code = "import sys, pincal; print(sorted({'matplotlib', 'meshcat'} & set(sys.modules)))"

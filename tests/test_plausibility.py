@@ -6,10 +6,12 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
+from marks import some_slow
 from measured import put
 from numpy.typing import NDArray
 
@@ -218,6 +220,7 @@ def test_a_fault_is_named_and_nothing_else(name: str, kind: str) -> None:
     assert re.search(r"\d %.*\d %", str(caught.value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "count"), [("5R", 80), ("3RRR", 80), ("6UPS", 40)])
 def test_healthy_measurements_pass(kind: str, count: int) -> None:
     """200 healthy sets of measurements in all, of machines 2e-3 and 5e-3 off, raise nothing."""
@@ -287,8 +290,10 @@ def test_faults_are_named_however_short_the_motion(
     assert len(named(str(caught.value))) <= 3
 
 
-@pytest.mark.parametrize("kind", EVERY)
-@pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize(
+    ("noise", "kind"),
+    some_slow(product([1e-5, 1e-4, 1e-3], EVERY), (1e-3, "3RRR"), (1e-3, "6UPS")),
+)
 def test_healthy_measurements_near_home_pass(kind: str, noise: float) -> None:
     """Within 30 mm of home too, with noise up to a tenth of the motion."""
     for seed in range(10):

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import some_slow
+from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.workspace.criteria import Criteria
 
 NONE = pincal.Margins.none()
+BUNDLED = ["5R", "3RRR", "6UPS"]
+KINDS = ["reachable", "constant-orientation", "total-orientation"]
 TILTS = ["azimuth [deg]=-170:180:10", "tilt=0:0.6:0.1", "torsion=-0.6:0.6:0.1"]
 POLAR = {
     "5R": ("radius=0.05:2:0.05", "bearing [deg]=0:360:5"),
@@ -32,7 +37,7 @@ REACH = {
 TURNS = {"5R": [], "3RRR": ["phi=-0.2:0.2:0.1"], "6UPS": ["tilt=0:0.3:0.15", "torsion=-0.2,0,0.2"]}
 
 
-@pytest.fixture(params=["5R", "3RRR", "6UPS"])
+@pytest.fixture(params=BUNDLED)
 def any_mechanism(request: pytest.FixtureRequest) -> pincal.Mechanism:
     """Every bundled mechanism."""
     return pincal.load_mechanism(request.param)
@@ -63,6 +68,7 @@ def brute_force(
     return np.array(inside)
 
 
+@pytest.mark.slow
 def test_total_orientation_with_tilt_and_torsion(
     hexapod: pincal.Mechanism, notes: pincal.Grid
 ) -> None:
@@ -100,9 +106,15 @@ def test_total_orientation_equals_brute_force(hexapod: pincal.Mechanism) -> None
     np.testing.assert_array_equal(test(positions), expected)
 
 
-@pytest.mark.parametrize("grid", ["polar", "cartesian", "samples"])
-@pytest.mark.parametrize("kind", ["reachable", "constant-orientation", "total-orientation"])
-@pytest.mark.parametrize("margins", [NONE, None])
+SLOWEST = [("6UPS", None, "reachable", "polar"), ("6UPS", None, "reachable", "cartesian")]
+
+
+@pytest.mark.parametrize(
+    ("any_mechanism", "margins", "kind", "grid"),
+    some_slow(product(BUNDLED, [NONE, None], KINDS, ["polar", "cartesian", "samples"]), *SLOWEST),
+    ids=lambda value: "free" if value is NONE else None,
+    indirect=["any_mechanism"],
+)
 def test_symmetry_changes_nothing_but_the_work(
     any_mechanism: pincal.Mechanism, grid: str, kind: str, margins: pincal.Margins | None
 ) -> None:
@@ -343,6 +355,7 @@ def test_articular_space_is_as_symmetric_as_the_workspace(
     np.testing.assert_allclose(rolled[:, 0] + 1j * rolled[:, 1], expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_jobs_change_nothing(hexapod: pincal.Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two processes give the very set that one gives."""
     monkeypatch.setattr("pincal.workspace.region._CHUNK", 1 << 12)
@@ -506,6 +519,7 @@ def test_a_singular_home_says_so() -> None:
         pincal.compute_workspace(below, "reachable", pincal.Grid.of("x=0,1", "y=0,1"))
 
 
+@pytest.mark.slow
 def test_largest_circle_in_a_ring() -> None:
     """Many equally good centres: half the width of the ring, within the bound."""
     leg = mirrored().legs[0].with_parameters({"A_x": 0.0, "l": 0.5, "L": 1.2})
@@ -595,11 +609,12 @@ def test_inscribed_circles_need_a_grid() -> None:
         pincal.largest_inscribed(far)
 
 
+@pytest.mark.parametrize("any_mechanism", some_slow(BUNDLED, "6UPS"), indirect=True)
 def test_default_grids_hold_the_workspace(any_mechanism: pincal.Mechanism) -> None:
     """Nothing that counts lies beyond; rotations make the grid polar."""
     grid = pincal.default_grid(any_mechanism)
     assert grid.polar == (any_mechanism.name != "5R")
-    poses = pincal.sample_workspace(any_mechanism, 2000)
+    poses = workspace(any_mechanism.name, 2000)
     reach = [np.abs(axis.values).max() + axis.step for axis in grid.axes]
     if grid.polar:
         assert np.linalg.norm(poses[:, :2], axis=1).max() <= reach[0]

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from command_line import done, run
 from lxml import html as lxml_html
+from marks import some_slow
 from rich.console import Console
 
 import pincal
@@ -96,6 +97,7 @@ def cables() -> Report:
     return pincal.report(result, data, setup=setup, date=DATE)
 
 
+@pytest.mark.slow
 def test_the_first_section_answers(planar: Any) -> None:
     """Better, by how much, to be trusted: with the platform's errors, χ² and held-out rows."""
     result, _, report = planar
@@ -194,6 +196,7 @@ def test_parameters_are_those_of_the_result(planar: Any) -> None:
         assert float(cells[7]) == pytest.approx((p.identified - p.nominal) / p.std, abs=0.0501)
 
 
+@pytest.mark.slow
 def test_names_are_not_capitalised() -> None:
     """A 3-RRR has l and L: lines and notes that begin with a name keep it as it is."""
     mechanism, data = measured("3RRR", 20)
@@ -248,7 +251,7 @@ def test_rejected_rows_are_listed_and_marked(planar: Any) -> None:
     assert "7" in [text.text for text in page.get_element_by_id("figure-residuals").iter("text")]
 
 
-@pytest.mark.parametrize("which", ["planar", "cables", "hexapod"])
+@pytest.mark.parametrize("which", some_slow(["planar", "cables", "hexapod"], "cables", "hexapod"))
 def test_one_sound_file(which: str, request: pytest.FixtureRequest) -> None:
     """Tags close, ids are unique, figures say what they show, and nothing lies elsewhere."""
     made = request.getfixturevalue(which)
@@ -290,6 +293,7 @@ class _Balanced(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.slow
 def test_names_are_text() -> None:
     """Names of code, quotes and letters from elsewhere are shown as they are, everywhere."""
     mechanism, data = measured("5R", 30)
@@ -322,6 +326,7 @@ def test_names_are_text() -> None:
         assert EVIL in tree.text_content()
 
 
+@pytest.mark.slow
 def test_the_same_bytes_but_for_the_date(planar: Any) -> None:
     """Made anew, in whatever style the user draws, a report is the same."""
     result, data, report = planar
@@ -331,6 +336,7 @@ def test_the_same_bytes_but_for_the_date(planar: Any) -> None:
         assert mpl.rcParams["font.size"] == 20
 
 
+@pytest.mark.slow
 def test_as_many_unknowns_as_values_prove_nothing() -> None:
     """Eight poses for eight parameters: no χ², no boast of zero residuals, one warning for all."""
     mechanism, data = measured("3RRR", 8)
@@ -348,6 +354,7 @@ def test_as_many_unknowns_as_values_prove_nothing() -> None:
     assert "nan" not in result._repr_html_()
 
 
+@pytest.mark.slow
 def test_exact_readings_are_no_proof() -> None:
     """Latent poses and exact readings: residuals are those of what was measured, with noise."""
     mechanism, data = measured("3RRR", 30, pincal.Noise(1e-4, 0.0))
@@ -383,6 +390,7 @@ def test_exact_readings_are_no_proof() -> None:
     assert "0.0000" not in text.getvalue()
 
 
+@pytest.mark.slow
 def test_the_limit_holds_in_95_of_100_calibrations(planar: Any) -> None:
     """Of machines whose parameters differ by the covariance; and the report names the limit."""
     result, _, report = planar
@@ -439,6 +447,7 @@ def test_what_was_not_given_is_refused(planar: Any) -> None:
         pincal.report(result, data, files=["/nowhere/at.all"])
 
 
+@pytest.mark.slow
 def test_unknown_frames(cables: Report) -> None:
     """Errors leave out motions of the frames; poses measured elsewhere are shown in the base."""
     found, result = cables.found, cables.found.result

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
-from measured import EXACT, NOISE, error, machine, put
+from measured import EXACT, NOISE, error, machine, put, workspace
 from scipy.stats import chi2
 
 import pincal
@@ -26,13 +27,15 @@ def spoiled(data: pincal.Measurements, seed: int, sigma: float) -> tuple:
     return replace(data, poses=poses), set(rows.tolist())
 
 
-@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    "loss",
+    ("loss", "method"),
     [
-        "reject",
-        pytest.param("tukey", marks=pytest.mark.slow),
-        pytest.param("cauchy", marks=pytest.mark.slow),
+        ("reject", "together"),
+        *(
+            pytest.param(loss, method, marks=pytest.mark.slow)
+            for loss, method in product(["reject", "tukey", "cauchy"], METHODS)
+            if (loss, method) != ("reject", "together")
+        ),
     ],
 )
 def test_gross_outliers_are_listed_and_do_little_harm(method: str, loss: str) -> None:
@@ -262,7 +265,7 @@ def test_ties_hold_or_do_not(method: str) -> None:
     mechanism = pincal.load_mechanism("3RRR")
     truth = pincal.disturb(mechanism, 2e-3, 1)
     same = truth.with_parameters({leg.name: {"ob": 0.867} for leg in mechanism.legs})
-    plan = pincal.Plan(pincal.sample_workspace(mechanism, 40, 0))
+    plan = pincal.Plan(workspace("3RRR", 40))
     options = {"method": method, "noise": NOISE, "poses": "all"}
     values = []
     for seed in range(5):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
@@ -43,7 +44,7 @@ def hexapod() -> pincal.Mechanism:
 
 @pytest.fixture(scope="module")
 def poses(hexapod: pincal.Mechanism) -> np.ndarray:
-    return pincal.sample_workspace(hexapod, 4000, seed=0)
+    return workspace("6UPS", 4000)
 
 
 @pytest.fixture(scope="module")
@@ -173,6 +174,7 @@ def test_inverse_kinematics_equals_the_distance(
         assert np.abs(joints - lengths(mechanism, poses[:100])).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_identification_jacobian_equals_central_differences(
     hexapod: pincal.Mechanism, poses: np.ndarray
 ) -> None:

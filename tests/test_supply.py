@@ -42,6 +42,7 @@ for command in sys.argv[1].split(";"):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("commands", "made"),
     [
@@ -50,7 +51,6 @@ for command in sys.argv[1].split(";"):
             ["demo 3RRR -o {}/demo", "view 3RRR {}/demo/plan.csv {}/demo/result --html {}/a.html"],
             ["demo/result/report.html", "a.html"],
             id="demo",
-            marks=pytest.mark.slow,
         ),
     ],
 )

@@ -142,6 +142,7 @@ def test_files_keep_readings(
     assert pincal.load_mechanism(tmp_path / "m") == mechanism
 
 
+@pytest.mark.slow
 def test_chosen_configurations_beat_random_ones(mechanism: pincal.Mechanism) -> None:
     """The choice has more information than 50 random ones of the same size, none of it twice."""
     offered = pincal.sample_configurations(mechanism, 400, seed=5)

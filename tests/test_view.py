@@ -273,6 +273,7 @@ def test_wrong_input_leaves_nothing(
     assert not contents(tmp_path)
 
 
+@pytest.mark.slow
 def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: Path) -> None:
     """Whole rows are drawn and the others told; a latent fit's result gives the poses of all."""
     lines = (work / "measured.csv").read_text().splitlines()
@@ -336,6 +337,7 @@ def shown_poses(page: Path, group: str = "pose") -> np.ndarray:
     return np.array([row["values"] for row in rows]).T * factors
 
 
+@pytest.mark.slow
 def test_interrupt_ends_the_server() -> None:
     """The command prints the page's address, serves it, and Ctrl-C ends it with exit code 0."""
     command = [sys.executable, "-W", "error", "-m", "pincal", "view", "5R", "--no-open"]

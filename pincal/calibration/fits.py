@@ -88,11 +88,14 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
         moments = Moments.of(fits, unit)
         if moments.rounding:
             break
-        pools = pools or moments.pools(exact=noise.reading == 0.0)
+        pools = pools or moments.first_pools(exact=noise.reading == 0.0)
         then = estimated_noise(moments, noise, unit, pools)
         changes = zip(vars(noise).values(), vars(then).values(), strict=True)
         if all(abs(a - b) <= _ALIKE * max(a, b) for a, b in changes):
-            break
+            pools = moments.split(pools)
+            if pools is None:
+                break
+            then = estimated_noise(moments, noise, unit, pools)
         noise, unit = then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
     return one

@@ -64,27 +64,37 @@ class Moments:
         std = self.scale * np.sqrt(2.0 * np.diagonal(inverse))
         return np.asarray(inverse @ (P.T @ self.q)), std
 
-    def pools(self, *, exact: bool) -> Pools:
-        """Return which groups share a variance: all that were measured, but for clear differences.
+    def first_pools(self, *, exact: bool) -> Pools:
+        """Return one pool of all groups that were measured; without readings if they are exact."""
+        return (tuple(g for g in range(3) if self.F[g, g] > 0.0 and not (g == _R and exact)),)
 
-        Orientations have one of their own where theirs differs clearly from that of positions, and
-        readings where theirs does, or is clearly above zero if they were taken as exact.
+    def split(self, pools: Pools) -> Pools | None:
+        """Return pools with the group apart that differs most clearly from its pool.
 
-        Args:
-            exact: Whether readings were taken as exact.
+        Readings may also appear, if they were exact and their variance is clearly above zero. None
+        if no group differs so.
         """
-        present = [group for group in range(3) if self.F[group, group] > 0.0]
-        own = []
-        for group in present[1:]:
-            P = np.zeros((3, 2))
-            P[[one for one in present if not (one == _R and exact)], 0] = 1.0
-            P[group, 1] = 1.0
+        pooled = {group: pool for pool in pools for group in pool}
+        best, most = None, _CLEAR
+        for group in (_O, _R):
+            if not self.F[group, group] > 0.0 or len(pooled.get(group, (0, 0))) < 2:
+                continue
+            P = _columns((*pools, (group,)))
             variance, std = self.components(P)
-            size = variance[1] if group == _R and exact else abs(variance[1])
-            if size > _CLEAR * std[1]:
-                own.append(group)
-        shared = (one for one in present if one not in own and not (one == _R and exact))
-        return tuple(pool for pool in (tuple(shared), *((one,) for one in own)) if pool)
+            z = variance[-1] / std[-1]
+            if (abs(z) if group in pooled else z) > most:
+                best, most = group, float(abs(z))
+        if best is None:
+            return None
+        rest = (tuple(one for one in pool if one != best) for pool in pools)
+        return (*(pool for pool in rest if pool), (best,))
+
+
+def _columns(pools: Pools) -> Array:
+    P = np.zeros((3, len(pools)))
+    for column, pool in enumerate(pools):
+        P[list(pool), column] = 1.0
+    return P
 
 
 def estimated_noise(moments: Moments, noise: Noise, reading: float, pools: Pools) -> Noise:
@@ -96,9 +106,7 @@ def estimated_noise(moments: Moments, noise: Noise, reading: float, pools: Pools
         reading: Standard deviation to which that of readings is relative, [rad] or [m].
         pools: Which groups share a variance; those in none are exact.
     """
-    P = np.zeros((3, len(pools)))
-    for column, pool in enumerate(pools):
-        P[list(pool), column] = 1.0
+    P = _columns(pools)
     variance, _ = moments.components(P)
     least, most = moments.scale / _MOST, moments.scale * _MOST
     factors = np.sqrt(P @ np.clip(variance, least, most))
