@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,24 @@ class Calibration:
         found = replace(self)
         model = noise_model(self.mechanism, self.measurements, noise)
         found.__dict__["noise"] = replace(model, source=self.noise.source)
+        return found
+
+    def at_this_noise(self) -> Calibration:
+        """Return the calibration with its noise as it is, not estimated again."""
+        found = replace(self, options=replace(self.options, noise=self.noise.noise))
+        found.__dict__["noise"] = self.noise
+        found.__dict__["fixed_noise"] = True
+        return found
+
+    @cached_property
+    def fixed_noise(self) -> bool:
+        """Whether noise is taken as it is: given, or estimated from more rows than these."""
+        return self.noise.known
+
+    def with_options(self, **changes: Any) -> Calibration:
+        """Return the calibration with other options, its noise as it is."""
+        found = replace(self, options=replace(self.options, **changes))
+        found.__dict__["noise"] = self.noise
         return found
 
     def rows(self, chosen: NDArray[np.intp] | Mask) -> Calibration:

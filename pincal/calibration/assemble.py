@@ -1,0 +1,220 @@
+"""From fits to a result: parameters with intervals, residuals leg by leg, what to know first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
+
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.covariance import covariances
+from pincal.calibration.findings import findings_of
+from pincal.calibration.fits import Fits
+from pincal.calibration.leg_residuals import leg_residuals
+from pincal.calibration.result import (
+    CalibrationResult,
+    IdentifiedParameter,
+    LegResult,
+    Observed,
+)
+from pincal.calibration.ties import tie_tests
+from pincal.estimation.robust import Outlier, Robust
+from pincal.model.measurements import Noise
+from pincal.model.parameter import Parameter
+
+Array = NDArray[np.float64]
+_CONFIDENCE = 0.95
+
+
+def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
+    """Return the result of all legs from one fit of all, or one fit each.
+
+    Args:
+        found: The fits.
+        without_ties: The fits without ties, if there were any.
+    """
+    calibration, gauge, held = found.calibration, found.gauge, found.held
+    mechanism = calibration.mechanism
+    fits = [one.fit for one in found.fits]
+    covariance, outer = covariances(found)
+    sizes = [len(leg.parameters) for leg in mechanism.legs]
+    variances = np.split(np.diagonal(covariance), np.cumsum(sizes)[:-1])
+    std = dict(zip(mechanism.leg_names, map(np.sqrt, variances), strict=True))
+    dof = sum(one.degrees_of_freedom for one in fits)
+    quantile = _quantile(calibration, dof)
+    by_name = {
+        leg.name: leg for one in found.fits for leg in _leg_results(calibration, one, std)
+    }
+    legs = tuple(by_name[name] for name in mechanism.leg_names)
+    chi2 = float(sum(one.chi2 for one in fits) / dof) if dof else np.nan
+    directions = None if held is None or not held.of_legs.shape[1] else held.of_legs
+    shifts = [one.shift for one in found.fits]
+    result = CalibrationResult(
+        calibration=calibration,
+        identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
+        legs=legs,
+        external=_external(found, outer, quantile),
+        covariance=covariance,
+        noise=_noise(calibration, chi2),
+        noise_source=calibration.noise.source,
+        degrees_of_freedom=dof,
+        reduced_chi2=chi2,
+        evaluations=sum(one.evaluations for one in fits),
+        left=max(one.left for one in fits),
+        converged=all(one.converged for one in fits),
+        outliers=_merged([outlier for one in found.fits for outlier in one.outliers]),
+        shift=None if None in shifts else max(s for s in shifts if s is not None),
+        gauge=() if gauge is None else gauge.found,
+        gauge_directions=None if gauge is None else gauge.of_legs,
+        frames_moved=None if gauge is None else gauge.frames,
+        undetermined_directions=directions,
+        ties=() if without_ties is None else tie_tests(without_ties),
+        observed=_observed(found) if found.latent else (),
+        estimated_poses=mechanism.platform.from_matrices(fits[0].last.state.matrices)
+        if found.latent
+        else None,
+    )
+    return replace(result, findings=findings_of(result, held))
+
+
+def _noise(calibration: Calibration, chi2: float) -> Noise | None:
+    """Return the noise of all rows; estimated noise to its last digit by χ²."""
+    model = calibration.noise
+    if model.source == "rows":
+        return None
+    if model.known:
+        return model.noise
+    scale = float(np.sqrt(chi2)) if np.isfinite(chi2) else 1.0
+    return Noise(*(scale * value for value in vars(model.noise).values()))
+
+
+def _quantile(calibration: Calibration, dof: int) -> float:
+    """Return how many standard errors half a 95 % interval is."""
+    half = (1 + _CONFIDENCE) / 2
+    return float(ndtri(half) if calibration.noise.known else stdtrit(dof, half))
+
+
+def _identified(
+    one: Parameter, value: float, std: float, quantile: float, given: str = ""
+) -> IdentifiedParameter:
+    """Return a parameter with its 95 % interval."""
+    return IdentifiedParameter(
+        owner=one.owner,
+        name=one.name,
+        unit=one.unit,
+        nominal=one.nominal,
+        identified=float(value),
+        std=float(std),
+        low=float(value - quantile * std),
+        high=float(value + quantile * std),
+        given=given,
+    )
+
+
+def _leg_results(
+    calibration: Calibration, one: Robust, std: dict[str, Array]
+) -> list[LegResult]:
+    """Return the results of the legs of a fit."""
+    found, problem = one.fit, one.fit.problem
+    quantile = _quantile(calibration, found.degrees_of_freedom)
+    nominal, results = calibration.mechanism.parameters, []
+    for index, (leg, columns) in enumerate(zip(problem.legs, problem.columns, strict=True)):
+        own = problem.used[:, index] & (found.weights > 0.0)
+        before = leg_residuals(problem, found.first, index)
+        after = leg_residuals(problem, found.last, index)
+        rank, condition = found.ranks[index]
+        values = after.value[own]
+        parameters = [nominal[f"{leg.name}.{name}"] for name in leg.parameter_names]
+        results.append(
+            LegResult(
+                name=leg.name,
+                parameters=tuple(
+                    _identified(p, value, error, quantile, _given(calibration, p))
+                    for p, value, error in zip(
+                        parameters, found.parameters[columns], std[leg.name], strict=True
+                    )
+                ),
+                rank=rank,
+                condition=condition,
+                rms_before=_rms(before.value[own]),
+                rms_after=_rms(values),
+                unit=after.unit,
+                n_residuals=values.size,
+                sigma=after.sigma[own].ravel(),
+                rows=np.repeat(one.rows[own], values.shape[1]),
+                residuals_before=before.value[own].ravel(),
+                residuals=values.ravel(),
+            )
+        )
+    return results
+
+
+def _given(calibration: Calibration, one: Parameter) -> str:
+    """Return what was given of a parameter beforehand."""
+    options = calibration.options
+    said = {"fixed": options.fixed, "tied": options.tied, "prior": options.priors}
+    kinds = [kind for kind, names in said.items() if {one.name, one.id} & set(names)]
+    return "fixed" if "fixed" in kinds else ", ".join(kinds)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean())) if len(values) else np.nan
+
+
+def _external(
+    found: Fits, outer: Array | None, quantile: float
+) -> tuple[IdentifiedParameter, ...]:
+    """Return frame and targets with their intervals."""
+    outside, values = found.calibration.observation.external, found.external
+    if values is None or outer is None or not len(outside):
+        return ()
+    start, there = (outside.coordinates(one) for one in (outside.start, values))
+    D = outside.coordinates_by_step(values)
+    std = np.sqrt(np.diagonal(D @ outer @ D.T))
+    return tuple(
+        _identified(Parameter(*id_.split("."), unit, float(first)), value, error, quantile)
+        for id_, unit, first, value, error in zip(
+            outside.names, outside.units, start, there, std, strict=True
+        )
+    )
+
+
+def _observed(found: Fits) -> tuple[Observed, ...]:
+    """Return how the measured quantities of the platform fit."""
+    fit = found.fits[0].fit
+    problem, seen = fit.problem, fit.problem.observation
+    n_legs = problem.leg_rows[-1].stop
+    before, values = (linear.stack.value[:, n_legs:] for linear in (fit.first, fit.last))
+    results = []
+    for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):
+        own = seen.measured[:, column] & (fit.weights > 0.0)
+        if own.any():
+            sigmas = fit.noise_scale * problem.sigma_observed[own, column]
+            results.append(
+                Observed(
+                    name=name,
+                    unit=unit,
+                    count=int(own.sum()),
+                    rms=_rms(values[own, column]),
+                    sigma=_rms(sigmas),
+                    rows=np.flatnonzero(own),
+                    sigmas=sigmas,
+                    residuals_before=before[own, column],
+                    residuals=values[own, column],
+                )
+            )
+    return tuple(results)
+
+
+def _merged(outliers: Sequence[Outlier]) -> tuple[Outlier, ...]:
+    """Return outliers of all fits, one for each row, the worst first."""
+    rows: dict[int, Outlier] = {}
+    for one in sorted(outliers, key=lambda o: -o.sigma):
+        worst = rows.setdefault(one.row, one)
+        if worst is not one:
+            legs = (*worst.legs, *one.legs)
+            rows[one.row] = replace(worst, legs=legs, weight=min(worst.weight, one.weight))
+    return tuple(rows.values())

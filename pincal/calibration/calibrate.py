@@ -1,0 +1,102 @@
+"""Calibrate: check, fit, report. Parameters of all legs from what was measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pincal.calibration.assemble import assemble
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.fits import Fits, fitted
+from pincal.calibration.misaligned import misaligned
+from pincal.calibration.options import Options
+from pincal.calibration.plausibility import (
+    check_copies,
+    check_noise,
+    check_plausible,
+    explain_misfit,
+    said,
+)
+from pincal.calibration.result import CalibrationResult
+from pincal.errors import MeasurementError, PincalError
+from pincal.estimation.external import External
+from pincal.files.mechanism_folders import as_mechanism
+from pincal.files.measurements import as_measurements
+from pincal.model.finding import Finding
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+
+
+def calibrate(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    **more: Any,
+) -> CalibrationResult:
+    """Return the identified parameters of a mechanism, with uncertainties.
+
+    By default all legs are identified at once from every row, with all that was measured: this
+    reaches the Cramér–Rao bound. ``method="per-leg"`` identifies each leg alone.
+
+    Args:
+        mechanism: The nominal mechanism, where the search starts; or its name or folder.
+        measurements: What was measured; or a CSV file or a DataFrame of it.
+        options: How to calibrate.
+        **more: Single options by name, such as ``noise=`` or ``setup=``: see ``Options``.
+
+    Raises:
+        ObservabilityError: too few poses, or poses that leave parameters undetermined.
+        MeasurementError: measurements that cannot be this mechanism's; noise that is given
+            twice, or leaves a residual without any; the joint residual out of reach; an unknown
+            parameter or option.
+    """
+    return identify(prepared(mechanism, measurements, options, **more))
+
+
+def prepared(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    **more: Any,
+) -> Calibration:
+    """Return a calibration to be done; arguments and errors are those of ``calibrate``."""
+    chosen = Options.of(options, **more)
+    machine = as_mechanism(mechanism)
+    return Calibration(machine, as_measurements(measurements, machine, chosen.setup), chosen)
+
+
+def identify(calibration: Calibration) -> CalibrationResult:
+    """Return what a calibration finds; errors are those of ``calibrate``."""
+    mechanism, data, options = calibration.mechanism, calibration.measurements, calibration.options
+    if options.noise is not None:
+        check_noise(mechanism, options.noise)
+    check_copies(data, every_pose=options.every_pose)
+    if options.setup.plain and not options.rough:
+        check_plausible(mechanism, data)
+    try:
+        found = fitted(calibration)
+    except PincalError as error:
+        if causes := _causes(calibration, None):
+            raise MeasurementError(said(causes)) from error
+        raise
+    result = assemble(found, fitted(calibration, tied=False) if options.tied else None)
+    return _explained(result, found)
+
+
+def _explained(result: CalibrationResult, found: Fits) -> CalibrationResult:
+    """Return the result with what would explain residuals or changes that are too large, first."""
+    first: tuple[Finding, ...] = ()
+    if not (result.promises and result.corrects):
+        first = _causes(result.calibration, found.external)
+    elif result.converged and result.options.setup.plain and not result.options.tied:
+        first = misaligned(result)
+    rest = (one for one in result.findings if one not in first)
+    return result.with_only((*first, *rest))
+
+
+def _causes(calibration: Calibration, frame: External | None) -> tuple[Finding, ...]:
+    """Return what would explain that measurements do not fit."""
+    options = calibration.options
+    return explain_misfit(
+        calibration.mechanism, calibration.measurements, options.setup, frame
+    )

@@ -1,0 +1,79 @@
+"""Covariance of all parameters from several fits: legs identified alone share the poses' noise.
+
+Each fit's estimate follows the noise by its influence K; two legs that use the same pose have the
+cross covariance Σ K_i K_iᵀ over the columns of its noise. If a frame was moved so that the
+parameters are nearest to nominal, they all follow that, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.fits import Fits
+from pincal.estimation.fit import influence
+from pincal.estimation.gauge import Gauge
+from pincal.estimation.robust import Robust
+from pincal.estimation.unknowns import Unknowns
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
+    """Return the covariance of all legs' parameters in the mechanism's order, shape (n, n)."""
+    sizes = [len(leg.parameters) for leg in mechanism.legs]
+    ends = dict(zip(mechanism.leg_names, np.cumsum(sizes).tolist(), strict=True))
+    covariance = np.zeros((sum(sizes), sum(sizes)))
+    parts = []
+    for robust in fits:
+        one = robust.fit
+        legs = one.problem.legs
+        places = np.concatenate(
+            [np.arange(ends[leg.name] - len(leg.parameters), ends[leg.name]) for leg in legs]
+        )
+        covariance[np.ix_(places, places)] = one.covariance[: len(places), : len(places)]
+        last = one.problem.reading_columns[-1].stop
+        by_pose = influence(one)[:, : len(places), last : last + mechanism.platform.dof]
+        parts.append((places, robust.rows, by_pose))
+    for index, (places, rows, K) in enumerate(parts):
+        for others, their_rows, L in parts[:index]:
+            shared, mine, theirs = np.intersect1d(rows, their_rows, return_indices=True)
+            if len(shared):
+                cross = np.einsum("npd,nqd->pq", K[mine], L[theirs])
+                covariance[np.ix_(places, others)] = cross
+                covariance[np.ix_(others, places)] = cross.T
+    return covariance
+
+
+def nearest_to_nominal(covariance: Array, gauge: Gauge, unknowns: Unknowns) -> tuple[Array, Array]:
+    """Return covariances of parameters that were moved along gauge directions, and of the frames.
+
+    Args:
+        covariance: Of the legs' parameters with the frames as they were, shape (n, n).
+        gauge: The gauge freedoms.
+        unknowns: Of the legs and the external unknowns.
+    """
+    n, T = len(covariance), unknowns.map
+    along = T @ gauge.directions.T
+    amounts = np.linalg.solve(
+        gauge.constraints @ gauge.directions.T, gauge.constraints @ np.linalg.pinv(T)[:, :n]
+    )
+    follows = along @ amounts
+    P = np.eye(n) - follows[:n]
+    return P @ covariance @ P.T, follows[n:] @ covariance @ follows[n:].T
+
+
+def covariances(found: Fits) -> tuple[Array, Array | None]:
+    """Return the covariance of all legs' parameters, and of the external unknowns' steps."""
+    mechanism = found.calibration.mechanism
+    n = sum(len(leg.parameters) for leg in mechanism.legs)
+    if found.latent:
+        full = found.fits[0].fit.covariance
+        return full[:n, :n], full[n:, n:]
+    covariance = all_legs(mechanism, found.fits)
+    if found.gauge is None or found.unknowns is None:
+        return covariance, None
+    return nearest_to_nominal(covariance, found.gauge, found.unknowns)

@@ -1,0 +1,51 @@
+"""Residuals of one leg as people read them: closure at the measured pose, or of its readings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.estimation.problem import Linear, Problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LegResiduals:
+    """Residuals of one leg, k at a pose."""
+
+    value: Array
+    """Shape (N, k)."""
+    sigma: Array
+    """Their modelled standard deviations, shape (N, k)."""
+    unit: str
+    """m of closures, that of the readings otherwise."""
+
+
+def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
+    """Return what a leg misses at each pose.
+
+    Poses as measured: its closure, or joint residual, there. Poses that were estimated: predicted
+    less measured reading; of exact readings, which are missed by nothing, the closure at the pose
+    that was measured (to first order), where it was.
+    """
+    demand = linear.stack.demands[index]
+    condition, own = problem.conditions[index], problem.reading_columns[index]
+    by_reading = demand.reading * problem.sigma_readings[:, None, own]
+    if problem.pose_roots is not None:
+        noise = np.concatenate((by_reading, demand.pose @ problem.pose_roots), axis=2)
+        unit = "m" if problem.weighted else condition.reading_unit
+        return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), unit)
+    if problem.sigma_readings[:, own].any() and demand.value.shape[1] == 1:
+        sigma = problem.sigma_readings[:, own]
+        return LegResiduals(demand.as_joint().value, sigma, condition.reading_unit)
+    n_legs = problem.leg_rows[-1].stop
+    h, B = linear.stack.value[:, n_legs:], linear.stack.pose[:, n_legs:]
+    whole = problem.observation.measured.sum(axis=1) >= problem.platform.dof
+    back = np.where(whole[:, None, None], np.linalg.pinv(B, rcond=1e-9), 0.0)
+    moved = demand.pose @ back  # from what was measured to the estimated pose
+    noise = np.concatenate((by_reading, moved * problem.sigma_observed[:, None]), axis=2)
+    value = demand.value - (moved @ h[:, :, None])[:, :, 0]
+    return LegResiduals(value, np.linalg.norm(noise, axis=2), "m")

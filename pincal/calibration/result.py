@@ -1,0 +1,389 @@
+"""What a calibration found: parameters with uncertainties, and what it was made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_law
+
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.options import Options
+from pincal.design.platform_error import PlatformError, Unidentified, platform_error
+from pincal.errors import MeasurementError
+from pincal.estimation.robust import Outlier
+from pincal.estimation.weak import WeakPair, weakly_told
+from pincal.model.finding import Finding
+from pincal.model.measurements import Measurements, Noise, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.parameter import Parameter, Parameters
+from pincal.words.sentences import sentence
+
+if TYPE_CHECKING:
+    from pincal.calibration.runs import RunComparison
+    from pincal.calibration.validation import Validation
+
+Array = NDArray[np.float64]
+UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
+_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
+_FELL = 0.5  # of the residuals: less must be left of them if anything was corrected
+
+
+class Page(Protocol):
+    """What can be written as a page."""
+
+    def html(self) -> str:
+        """Return the page."""
+
+
+@dataclass(frozen=True)
+class IdentifiedParameter(Parameter):
+    """One parameter: nominal and identified value, and how sure the latter is."""
+
+    identified: float
+    """Identified value, SI."""
+    std: float
+    """Standard error."""
+    low: float
+    """Lower end of the 95 % confidence interval."""
+    high: float
+    """Upper end of the 95 % confidence interval."""
+    given: str = ""
+    """What was given of it beforehand: ``"fixed"``, ``"tied"``, ``"prior"``, or several."""
+
+    @property
+    def change(self) -> float:
+        """Identified less nominal value."""
+        return self.identified - self.nominal
+
+
+@dataclass(frozen=True)
+class LegResult:
+    """Calibration of one leg."""
+
+    name: str
+    parameters: tuple[IdentifiedParameter, ...]
+    rank: int
+    condition: float
+    """Of the leg's whitened identification Jacobian, columns scaled to unit length."""
+    rms_before: float
+    """Root mean square residual with nominal parameters: closure or joint at measured poses, or
+    predicted less measured reading at those that were estimated."""
+    rms_after: float
+    """Root mean square residual with identified parameters."""
+    unit: str
+    """Of the residuals: m of closures, that of the reading otherwise."""
+    n_residuals: int
+    sigma: Array
+    """Modelled standard deviation of each residual used, shape (n_residuals,)."""
+    rows: NDArray[np.intp]
+    """Rows of the measurements used, shape (n_residuals,)."""
+    residuals_before: Array
+    """Residuals with nominal parameters, shape (n_residuals,)."""
+    residuals: Array
+    """Residuals with identified parameters, shape (n_residuals,)."""
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses that served the leg."""
+        return len(np.unique(self.rows))
+
+    @property
+    def identified(self) -> Array:
+        """Identified values, shape (n_params,)."""
+        return np.array([p.identified for p in self.parameters])
+
+    @property
+    def std(self) -> Array:
+        """Standard errors, shape (n_params,)."""
+        return np.array([p.std for p in self.parameters])
+
+
+@dataclass(frozen=True)
+class Observed:
+    """How a measured quantity of the platform fits."""
+
+    name: str
+    unit: str
+    count: int
+    """How often it was measured."""
+    rms: float
+    """Root mean square of predicted less measured."""
+    sigma: float
+    """Root mean square standard deviation of the measurements."""
+    rows: NDArray[np.intp]
+    """Rows of the measurements, shape (count,)."""
+    sigmas: Array
+    """Standard deviations of the measurements, shape (count,)."""
+    residuals_before: Array
+    """Predicted less measured where the search started, shape (count,)."""
+    residuals: Array
+    """Predicted less measured, shape (count,)."""
+
+
+@dataclass(frozen=True)
+class TieTest:
+    """Whether a parameter that was tied has one value for all legs."""
+
+    name: str
+    restrictions: int
+    """By how many parameters there are fewer."""
+    statistic: float
+    """Square of the differences between legs in standard errors, over the restrictions."""
+    p_value: float
+    """Probability of such a growth, or a larger one, if the tie holds."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the measurements do not contradict the tie, at 1 %."""
+        return self.p_value >= 0.01
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class CalibrationResult:
+    """Result of ``calibrate``; holds the mechanism, measurements and options it was made from."""
+
+    calibration: Calibration
+    """What was calibrated, from what, and how."""
+    identified: Mechanism
+    """The calibrated mechanism."""
+    legs: tuple[LegResult, ...]
+    external: tuple[IdentifiedParameter, ...]
+    """Where the base stands in the frame of the measurements (``tracker.x`` …, a rotation vector),
+    and where the targets sit on the platform (``target.x`` …)."""
+    covariance: Array
+    """Covariance of the legs' parameters, legs in order, shape (n, n)."""
+    noise: Noise | None
+    """Standard deviations given or estimated for all rows; None if rows have their own."""
+    noise_source: str
+    """``"given"``, ``"rows"`` of the measurements, ``"repeats"`` of rows, or ``"estimated"`` from
+    the residuals."""
+    degrees_of_freedom: int
+    reduced_chi2: float
+    """χ² over degrees of freedom, near 1 if the noise is as given or was estimated."""
+    evaluations: int
+    """Evaluations of the conditions."""
+    left: float
+    """How far the optimum is where the search ended, to first order, in standard errors."""
+    converged: bool
+    findings: tuple[Finding, ...] = ()
+    """What to know first: warnings and remarks, as data."""
+    outliers: tuple[Outlier, ...] = ()
+    """Rows that do not fit the others, the worst first."""
+    shift: float | None = None
+    """With a robust loss: by how many standard errors a parameter would move, at most, without."""
+    gauge: tuple[Finding, ...] = ()
+    """What was fixed by choice, since no such measurement can observe it."""
+    gauge_directions: Array | None = None
+    """Directions of the legs' parameters along which that choice was made, shape (n, n_gauge)."""
+    frames_moved: Array | None = None
+    """Motions of frames that these are (see ``estimation.frames.frames_moved``)."""
+    undetermined_directions: Array | None = None
+    """Directions of the legs' parameters that were held near nominal, as far as machines may
+    differ, shape (n, n_lost)."""
+    ties: tuple[TieTest, ...] = ()
+    observed: tuple[Observed, ...] = ()
+    """How the measured quantities of the platform fit, where poses were unknowns."""
+    estimated_poses: Array | None = None
+    """The poses of all rows in the base frame, shape (N, dof), where they were unknowns."""
+    validation: Validation | None = None
+    """Errors at held-out rows, if that was asked for."""
+    runs: RunComparison | None = None
+    """How well runs of the experiment agree, if that was asked for."""
+
+    @property
+    def nominal(self) -> Mechanism:
+        """The nominal mechanism."""
+        return self.calibration.mechanism
+
+    @property
+    def measurements(self) -> Measurements:
+        """What was measured."""
+        return self.calibration.measurements
+
+    @property
+    def options(self) -> Options:
+        """How it was calibrated."""
+        return self.calibration.options
+
+    @property
+    def method(self) -> str:
+        """``"all-legs"`` or ``"per-leg"``."""
+        return self.options.method
+
+    @property
+    def loss(self) -> str:
+        """Name of the robust loss, ``"none"`` without."""
+        loss = self.options.loss
+        return loss if isinstance(loss, str) else loss.name
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """All identified parameters: of the legs in order, then those outside the mechanism."""
+        return Parameters([*(p for leg in self.legs for p in leg.parameters), *self.external])
+
+    def __getitem__(self, key: str) -> IdentifiedParameter:
+        """Return a parameter by its id: ``result["leg_1.l"].std``.
+
+        Raises:
+            MechanismError: no parameter has this id; the message names those alike.
+        """
+        found: IdentifiedParameter = self.parameters[key]
+        return found
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know first, in sentences."""
+        return tuple(sentence(one) for one in self.findings if one.severity != "info")
+
+    @property
+    def message(self) -> str:
+        """Whether the search converged, in a sentence."""
+        if self.converged:
+            return f"converged after {self.evaluations} evaluations"
+        return (
+            f"not converged after {self.evaluations} evaluations: the next step would be "
+            f"{self.left:.2g} standard errors"
+        )
+
+    @cached_property
+    def weak(self) -> tuple[WeakPair, ...]:
+        """Pairs of parameters that are weakly determined, the weakest first."""
+        names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
+        return weakly_told(names, self.covariance, self.gauge_directions)
+
+    @property
+    def excess(self) -> float:
+        """How many times larger residuals are than the noise given makes them.
+
+        1 if that noise explains them, or was estimated from them.
+        """
+        dof, chi2 = self.degrees_of_freedom, self.reduced_chi2
+        if self.noise_source == "estimated" or not dof:
+            return 1.0
+        return float(np.sqrt(chi2)) if chi2_law.sf(dof * chi2, dof) < UNEXPLAINED else 1.0
+
+    @property
+    def promises(self) -> bool:
+        """Whether residuals are near enough to the noise that uncertainties mean anything."""
+        return self.excess <= _PROMISED
+
+    @property
+    def corrects(self) -> bool:
+        """Whether residuals fell by half at least, in standard deviations, or are noise."""
+        parts = [(leg.residuals_before, leg.residuals, leg.sigma) for leg in self.legs]
+        if not any((sigma > 0.0).any() for *_, sigma in parts):
+            parts = [(one.residuals_before, one.residuals, one.sigmas) for one in self.observed]
+        before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
+        noisy = sigma > 0.0
+        squares = [((values[noisy] / sigma[noisy]) ** 2).sum() for values in (before, after)]
+        return self.excess == 1.0 or bool(squares[1] <= _FELL**2 * squares[0])
+
+    def leg(self, name: str) -> LegResult:
+        """Return the result of one leg by name."""
+        return self.legs[self.nominal.leg_names.index(self.nominal.leg(name).name)]
+
+    @property
+    def moves_frames(self) -> bool:
+        """Whether a choice named in ``gauge`` moves the base or the platform frame."""
+        return any(one.code.startswith("gauge-") for one in self.gauge)
+
+    def expected_error(self, poses: Plan | Array | None = None) -> PlatformError:
+        """Return the platform error to expect of the calibrated mechanism.
+
+        Where frames were fixed by choice, less what a motion of these frames explains. Infinite
+        where what was held, being undetermined, moves the platform at one of the poses.
+
+        Args:
+            poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan;
+                those that were measured or estimated if not given.
+
+        Raises:
+            MechanismError: poses of a wrong shape, or not finite.
+            MeasurementError: no poses are given, and none were measured whole.
+        """
+        lost = self.undetermined_directions
+        return platform_error(
+            self.identified,
+            self.covariance,
+            self.poses if poses is None else poses,
+            None if lost is None else Unidentified(lost, self.nominal),
+            self.frames_moved,
+            None if self.noise_source != "estimated" else self.degrees_of_freedom,
+        )
+
+    @property
+    def poses(self) -> Array:
+        """Poses that were measured, or estimated, in the base frame, shape (N, dof).
+
+        Raises:
+            MeasurementError: neither.
+        """
+        if self.estimated_poses is not None:
+            return self.estimated_poses
+        poses, _ = self.calibration.given_poses(None)
+        whole = poses[np.isfinite(poses).all(axis=1)]
+        if not len(whole):
+            raise MeasurementError("no whole pose was measured; give poses")
+        return whole
+
+    def with_only(self, findings: tuple[Finding, ...]) -> CalibrationResult:
+        """Return the result with these findings."""
+        return replace(self, findings=findings)
+
+    def to_dataframe(self) -> Any:
+        """Return the parameters as a pandas DataFrame, one row each, ids as its index."""
+        import pandas as pd  # an extra
+
+        names = ("unit", "nominal", "identified", "change", "std", "low", "high", "given")
+        rows = [{name: getattr(p, name) for name in names} for p in self.parameters]
+        return pd.DataFrame(rows, index=pd.Index(self.parameters.ids, name="parameter"))
+
+    def __repr__(self) -> str:
+        return (
+            f"CalibrationResult({self.nominal.name!r}, {len(self.parameters)} parameters, "
+            f"reduced χ² {self.reduced_chi2:.3g}, {self.message.split(' after')[0]})"
+        )
+
+    def __str__(self) -> str:
+        """Return a page: the fit, all parameters with their 95 % intervals, warnings."""
+        lines = [
+            f"{self.nominal.name}: {self.method}, {self.message}",
+            f"reduced χ² {self.reduced_chi2:.3g} on {self.degrees_of_freedom} degrees of freedom",
+            "",
+            f"{'parameter':16s} {'nominal':>12s} {'identified':>14s} {'± 95 %':>10s}",
+        ]
+        for p in self.parameters:
+            half = p.given if p.given == "fixed" else f"{(p.high - p.low) / 2:.2g}"
+            lines.append(
+                f"{p.id:16s} {p.nominal:12.6f} {p.identified:14.7f} {half:>10s} {p.unit}"
+            )
+        lines.append("")
+        lines += [
+            f"{leg.name}: rms residual {leg.rms_before:.3g} to {leg.rms_after:.3g} {leg.unit}, "
+            f"{leg.n_residuals} residuals, rank {leg.rank}, condition {leg.condition:.3g}"
+            for leg in self.legs
+        ]
+        return "\n".join(lines + [f"warning: {text}" for text in self.warnings])
+
+    def save(self, folder: str | Path, *, force: bool = False, report: Page | None = None) -> Path:
+        """Write the result to a folder: ``load_result`` gives it back.
+
+        ``result.json``, ``residuals.csv``, the nominal and the calibrated mechanism and the
+        measurements.
+
+        Args:
+            folder: Where to; whole or not at all.
+            force: Whether to replace a result that is there.
+            report: Page to write beside them as ``report.html``, by ``result.report()``.
+
+        Raises:
+            FileError: the folder exists and ``force`` is not set, or cannot be written.
+        """
+        from pincal.calibration.result_files import save_result
+
+        return save_result(self, folder, force=force, report=report)

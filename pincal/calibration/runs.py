@@ -1,0 +1,120 @@
+"""Runs of an experiment compared: do they say the same, within their own standard errors?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+from scipy.stats import f as f_law
+
+from pincal.errors import MeasurementError
+from pincal.calibration.calibrate import identify, prepared
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.options import Options
+from pincal.calibration.validation import UNLIKELY
+from pincal.model.finding import Finding
+from pincal.words.sentences import finding
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """Spread of parameters over runs against predicted standard errors."""
+
+    runs: tuple[str, ...]
+    names: tuple[str, ...]
+    """``leg.parameter``, length n."""
+    values: Array
+    """Identified in each run, shape (n_runs, n)."""
+    spread: Array
+    """Standard deviation over the runs, shape (n,)."""
+    predicted: Array
+    """Root mean square standard error of a run, shape (n,)."""
+    ratio: float
+    """Root mean square of the deviations in predicted standard errors, all directions alike;
+    near 1 if runs differ by their noise only."""
+    p_value: float
+    """Probability of such a spread, or a larger one, by noise alone."""
+
+    @property
+    def agree(self) -> bool:
+        """Whether noise alone explains the spread, at 0.1 %."""
+        return self.p_value >= UNLIKELY
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What to know first."""
+        if self.agree:
+            return ()
+        off = np.argsort(-self.spread / np.where(self.predicted > 0.0, self.predicted, np.inf))[:3]
+        worst = [self.names[i] for i in off]
+        return (finding("runs-differ", parameters=worst, ratio=self.ratio, p_value=self.p_value),)
+
+
+def compare_runs(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    **more: Any,
+) -> RunComparison:
+    """Return how well the runs of an experiment agree, each calibrated alone.
+
+    Args:
+        mechanism: The nominal mechanism; or its name or folder.
+        measurements: What was measured, with the run of each row; or a CSV file or DataFrame.
+        options: How to calibrate.
+        **more: Single options by name: see ``Options``.
+
+    Raises:
+        MeasurementError: no runs, or only one; a run whose fit does not converge.
+        ObservabilityError: a run that does not determine the parameters alone.
+    """
+    return runs_compared(prepared(mechanism, measurements, options, **more))
+
+
+def runs_compared(calibration: Calibration) -> RunComparison:
+    """Return how well the runs of a calibration agree; errors are those of ``compare_runs``."""
+    mechanism, measurements = calibration.mechanism, calibration.measurements
+    names = tuple(dict.fromkeys(measurements.runs or ()))
+    if len(names) < 2:
+        raise MeasurementError("runs are compared by a column 'run' with at least two runs in it")
+    of_rows = np.array(measurements.runs)
+    values, covariances, freedoms, known = [], [], 0, True
+    for name in names:
+        result = identify(calibration.rows(of_rows == name))
+        if not result.converged:
+            raise MeasurementError(f"run {name!r}: {result.message}")
+        values.append(np.concatenate([leg.identified for leg in result.legs]))
+        covariances.append(result.covariance)
+        freedoms += result.degrees_of_freedom
+        known = known and result.noise_source != "estimated"
+    found, C = np.array(values), np.array(covariances)
+    scale = np.sqrt(np.einsum("rii->ri", C).mean(axis=0))
+    scale[scale == 0.0] = 1.0
+    weights = np.linalg.pinv(C / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    relative = found / scale
+    mean = np.linalg.pinv(weights.sum(axis=0), rcond=1e-12, hermitian=True) @ np.einsum(
+        "rij,rj->i", weights, relative
+    )
+    off = relative - mean
+    statistic = float(np.einsum("ri,rij,rj->", off, weights, off))
+    rank = int(np.linalg.matrix_rank(weights.sum(axis=0), hermitian=True))
+    dof = rank * (len(names) - 1)
+    return RunComparison(
+        runs=names,
+        names=tuple(f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names),
+        values=found,
+        spread=found.std(axis=0, ddof=1),
+        predicted=np.sqrt(np.einsum("rii->ri", C).mean(axis=0)),
+        ratio=float(np.sqrt(statistic / dof)),
+        p_value=float(
+            chi2.sf(statistic, dof) if known else f_law.sf(statistic / dof, dof, max(freedoms, 1))
+        ),
+    )

@@ -1,0 +1,259 @@
+"""Errors at rows that a fit has not seen, and drift.
+
+Held-out rows are predicted like those of the fit, whitened by their noise; of them more is
+expected by what the fit does not know: r has the covariance 1 + J C Jᵀ. What then exceeds the
+fit's own χ² says that the model follows its rows more closely than the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_law
+from scipy.stats import spearmanr
+
+from pincal.calibration.calibrate import prepared
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.fits import Fits, fitted
+from pincal.calibration.leg_residuals import leg_residuals
+from pincal.calibration.options import Options
+from pincal.design.platform_error import closing_twists
+from pincal.errors import MeasurementError
+from pincal.estimation.fit import Fit
+from pincal.estimation.problem import Linear
+from pincal.estimation.solve import solve_poses
+from pincal.estimation.start import placed, poses_at_rest
+from pincal.model.finding import Finding
+from pincal.model.measurements import Measurements, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.words.sentences import finding
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+FOLDS = 5
+UNLIKELY = 1e-3  # probability at which fit and held-out rows part, rows drift, runs differ
+_ENOUGH = 10  # rows from which a trend is asked for
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Errors at rows that a fit has seen, and at held-out rows."""
+
+    folds: int
+    rows: int
+    """Rows that were held out, each once."""
+    fit: float
+    """Root mean square residual of the fit in standard deviations of the noise."""
+    held_out: float
+    """The same at held-out rows."""
+    expected: float
+    """Of held-out rows, by the fit's own residuals and what the fits did not know."""
+    p_value: float
+    """Probability of such a growth, or a larger one, if the model is right."""
+    position: tuple[float, float] | None
+    """Root mean square misfit of the platform's position, [m], in the fit and held out; where
+    poses were measured in full."""
+    orientation: tuple[float, float] | None
+    """The same of its orientation, [rad]."""
+    findings: tuple[Finding, ...]
+    """What to know first: drift, held-out rows that miss by more than is expected."""
+
+
+def validate(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    *,
+    folds: int = FOLDS,
+    **more: Any,
+) -> Validation:
+    """Return the errors at rows that a calibration has not seen, by cross-validation.
+
+    Rows are dealt to the folds in turn, those of each ``set`` alike; rows of one ``pose`` stay
+    together. Rows that a robust loss finds outlying are left out.
+
+    Args:
+        mechanism: The nominal mechanism; or its name or folder.
+        measurements: What was measured; or a CSV file or a DataFrame of it.
+        options: How to calibrate.
+        folds: How many times a share of the rows is held out.
+        **more: Single options by name: see ``Options``.
+
+    Raises:
+        MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
+        ObservabilityError: what is left does not determine the parameters.
+    """
+    return held_out(prepared(mechanism, measurements, options, **more), folds)
+
+
+def held_out(calibration: Calibration, folds: int = FOLDS) -> Validation:
+    """Return the errors of a calibration at held-out rows; errors are those of ``validate``."""
+    whole = fitted(calibration)
+    calibration = whole.calibration
+    if calibration.options.loss != "none":
+        out = [outlier.row for one in whole.fits for outlier in one.outliers]
+        kept = ~np.isin(np.arange(len(calibration.measurements)), out)
+        calibration = calibration.rows(kept).with_options(loss="none")
+        whole = fitted(calibration)
+        calibration = whole.calibration
+    groups = _folds(calibration.measurements, folds)
+    parts: list[_Predicted] = []
+    misfits: list[Array] = []
+    for fold in range(folds):
+        calibration.options.report(f"held-out rows, fold {fold + 1} of {folds}")
+        found = fitted(calibration.rows(groups != fold).at_this_noise())
+        unseen = calibration.rows(groups == fold)
+        parts += [_Predicted.of(one, linear) for one, linear in _predictions(found, unseen)]
+        misfits.append(_misfit(unseen, found))
+    equations = sum(one.equations for one in parts)
+    dof = sum(one.fit.degrees_of_freedom for one in whole.fits)
+    own = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
+    unit = 1.0 if calibration.noise.known else max(own, 1e-300)  # noise that was estimated
+    growth = sum(one.unknown for one in parts) / equations
+    held = np.sqrt(sum(one.squares for one in parts) / equations / unit)
+    expected = np.sqrt(own / unit * (1.0 + growth))
+    ratio = sum(one.statistic for one in parts) / equations
+    p_value = float(f_law.sf(ratio / own, equations, dof)) if own > 0 else 1.0
+    more = []
+    if p_value < UNLIKELY:
+        more.append(
+            finding(
+                "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
+            )
+        )
+    fit_misfits = _misfit(calibration, whole)
+    lengths = np.array([one == "m" for one in calibration.mechanism.platform.units])
+    return Validation(
+        folds=folds,
+        rows=len(calibration.measurements),
+        fit=float(np.sqrt(own / unit)),
+        held_out=float(held),
+        expected=float(expected),
+        p_value=p_value,
+        position=_both(fit_misfits, np.concatenate(misfits), lengths),
+        orientation=_both(fit_misfits, np.concatenate(misfits), ~lengths),
+        findings=(*_drift(whole), *more),
+    )
+
+
+def _folds(data: Measurements, folds: int) -> NDArray[np.intp]:
+    """Return the fold of each row, shape (N,).
+
+    Raises:
+        MeasurementError: too few rows, or fewer than two folds.
+    """
+    places = [row.tobytes() for row in data.readings] if data.places is None else data.places
+    places = [place or str(row) for row, place in enumerate(places)]  # an empty one is its own
+    sets = data.sets or ("",) * len(data)
+    first: dict[tuple[str, str | bytes], int] = {}
+    counts: dict[str, int] = {}
+    for key in zip(sets, places, strict=True):
+        if key not in first:
+            first[key] = counts.setdefault(key[0], 0)
+            counts[key[0]] += 1
+    if not 2 <= folds <= max(counts.values()):
+        raise MeasurementError(
+            f"{folds} folds of {max(counts.values())} poses; expected at least two folds, and no "
+            "more than there are poses"
+        )
+    return np.array([first[key] % folds for key in zip(sets, places, strict=True)])
+
+
+@dataclass(frozen=True)
+class _Predicted:
+    """Residuals of a fit at rows that it has not seen."""
+
+    statistic: float
+    """Σ rᵀ (1 + J C Jᵀ)⁻¹ r."""
+    squares: float
+    """Σ rᵀ r."""
+    unknown: float
+    """Σ tr(J C Jᵀ): growth of the squares by what the fit does not know."""
+    equations: int
+
+    @classmethod
+    def of(cls, one: Fit, linear: Linear) -> _Predicted:
+        """Return how a fit does at rows, noise of unit variance."""
+        scale = one.noise_scale**2
+        J, r = linear.jacobian, linear.value
+        spread = J @ (one.covariance / scale) @ J.transpose(0, 2, 1)
+        weighed = np.linalg.solve(np.eye(J.shape[1]) + spread, r[:, :, None])[:, :, 0]
+        return cls(
+            float((r * weighed).sum()),
+            float((r**2).sum()),
+            float(np.einsum("nkk->", spread)),
+            int(linear.equations.sum()),
+        )
+
+
+def _predictions(found: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
+    """Return fits with their residuals and derivatives at rows that they have not seen."""
+    fits = [robust.fit for robust in found.fits]
+    if found.latent:
+        (one,) = fits
+        problem = unseen.latent_problem
+        external = one.last.state.external
+        state = placed(problem, unseen.measurements, one.parameters, external)
+        linear = problem.linearise(poses_at_rest(problem, state))
+        return [(one, solve_poses(problem, linear)[0])]
+    names = list(unseen.mechanism.leg_names)
+    given = unseen.given_poses(found.external)
+    pairs = []
+    for one in fits:
+        group = [names.index(leg.name) for leg in one.problem.legs]
+        problem, _ = unseen.measured_problem(group, *given)
+        pairs.append((one, problem.linearise(problem.start(one.parameters))))
+    return pairs
+
+
+def _misfit(calibration: Calibration, found: Fits) -> Array:
+    """Return by how much the platform misses measured poses, shape (N, dof); NaN where unknown."""
+    setup, data = calibration.options.setup, calibration.measurements
+    if setup.distances or len(setup.targets) > 1:
+        return np.full(data.poses.shape, np.nan)
+    machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
+    whole = np.isfinite(data.poses).all(axis=1)
+    twists = np.full(data.poses.shape, np.nan)
+    poses, _ = calibration.rows(whole).given_poses(None if setup.plain else found.external)
+    twists[whole] = closing_twists(machine, Plan(poses, readings=data.readings[whole]))
+    return twists
+
+
+def _both(fitted: Array, held_out: Array, columns: Mask) -> tuple[float, float] | None:
+    """Return root mean square sizes of some columns of twists, or None where there are none."""
+    sizes = []
+    for twists in (fitted, held_out):
+        known = twists[np.isfinite(twists).all(axis=1)][:, columns]
+        if not known.size:
+            return None
+        sizes.append(float(np.sqrt((known**2).sum(axis=1).mean())))
+    return sizes[0], sizes[1]
+
+
+def _drift(whole: Fits) -> Sequence[Finding]:
+    """Return legs whose residuals rise or fall with the order of the rows."""
+    found = []
+    for robust in whole.fits:
+        one = robust.fit
+        for index, leg in enumerate(one.problem.legs):
+            own = one.problem.used[:, index] & (one.weights > 0.0)
+            values = leg_residuals(one.problem, one.last, index).value[own]
+            if len(values) < _ENOUGH or not np.ptp(values, axis=0).all():
+                continue
+            trends = [spearmanr(np.arange(len(values)), column) for column in values.T]
+            worst = min(trends, key=lambda trend: trend.pvalue)
+            if worst.pvalue < UNLIKELY / len(one.problem.legs) / len(trends):
+                found.append(
+                    finding(
+                        "drift",
+                        leg=leg.name,
+                        correlation=float(worst.statistic),
+                        p_value=float(worst.pvalue),
+                    )
+                )
+    return found
