@@ -20,8 +20,9 @@ WHY = {
     "joblib": "chunks of work on several cores (`--jobs`)",
     "lxml": "reads URDF strictly and safely (no entities, no network), with line numbers; yourdfpy "
     "repairs what is broken and folds roll-pitch-yaw into matrices, so what was read could not be "
-    "written back bit for bit; writes reports as trees, so that names of users stay text (a "
-    "template engine would be one dependency more, and escape by setting)",
+    "written back bit for bit",
+    "jinja2": "pages (reports, tables, notebooks) from templates that escape what people's files "
+    "hold",
     "yourdfpy": "second reader of the URDFs that pincal writes (`pincal check`, tests); shapes for "
     "`pincal view`",
     "PyYAML": "mechanism files, scanned by the libyaml in its wheels",

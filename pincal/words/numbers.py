@@ -1,0 +1,111 @@
+"""Numbers as people read them: in handy units, to the digits that their uncertainty leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import floor, isfinite, log10, pi
+
+#: Units by name, and how many of each an SI unit is.
+FACTORS = {
+    "m": 1.0, "mm": 1e3, "µm": 1e6, "rad": 1.0, "mrad": 1e3, "°": 180 / pi, "1": 1.0, "": 1.0,
+}  # fmt: skip
+#: In which unit values of parameters are read: as in mechanism.yaml, but lengths in mm.
+VALUES = {"m": "mm", "rad": "rad", "1": ""}
+#: In which unit small quantities are read: errors, residuals, standard deviations.
+SMALL = {"m": "mm", "rad": "mrad", "1": ""}
+#: In which unit poses and readings are read.
+POSES = {"m": "mm", "rad": "°", "1": ""}
+#: Digits behind the point of values whose uncertainty is not known, by the unit they are read in.
+_DIGITS = {"mm": 3, "µm": 0, "m": 6, "rad": 6, "mrad": 3, "°": 4, "": 6}
+
+
+def shown_in(value: float, unit: str, units: Mapping[str, str] = SMALL) -> float:
+    """Return a number of SI units in those in which it is read."""
+    return FACTORS[units[unit]] * value
+
+
+def decimals(half: float) -> int:
+    """Return how many digits behind the point leave an uncertainty two digits of its own."""
+    return min(max(1 - floor(log10(half)), 0), 9)
+
+
+def amount(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
+    """Return a number with the unit in which it is read: ``0.12 mm`` of 0.00012 m."""
+    return f"{shown_in(value, unit, units):.{digits}g} {units[unit]}".strip()
+
+
+def size(position: float, orientation: float | None = None) -> str:
+    """Return an error of the platform in mm and, if it turns, mrad."""
+    parts = [amount(position, "m")]
+    return " and ".join(parts if orientation is None else [*parts, amount(orientation, "rad")])
+
+
+def rounded(value: float, digits: int = 2) -> str:
+    """Return a number rounded to some digits, without an exponent where it can be."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
+def percent(share: float, digits: int = 2) -> str:
+    """Return a share in percent."""
+    return f"{rounded(100 * share, digits)} %"
+
+
+def listed(words: Iterable[object], last: str = "and") -> str:
+    """Return words with commas between them and a word before the last: ``a, b and c``."""
+    *first, end = map(str, words)
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def counted(count: int, one: str, many: str = "") -> str:
+    """Return a number of things: ``1 row``, ``2 rows``."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def capital(text: str) -> str:
+    """Return a sentence with a capital, unless it begins with a name such as ``leg_1.l``."""
+    first = text.partition(" ")[0].rstrip(":,")
+    named = len(first) == 1 or any(not letter.isalpha() for letter in first.strip("-()"))
+    return text if named else f"{text[:1].upper()}{text[1:]}"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A number with its uncertainty, in SI."""
+
+    value: float
+    half: float
+    """Half width of its interval, or its standard error."""
+    unit: str = "1"
+
+    def text(self, units: Mapping[str, str] = VALUES) -> str:
+        """Return value ± uncertainty to two digits of the latter, with the unit: ``1.23 ± 0.45``.
+
+        Without an uncertainty, the value to the digits of its unit.
+        """
+        if not self.half > 0.0 or not isfinite(self.half):
+            return f"{fixed(self.value, 0.0, self.unit, units)} {units[self.unit]}".strip()
+        value, half = (fixed(v, self.half, self.unit, units) for v in (self.value, self.half))
+        return f"{value} ± {half} {units[self.unit]}".strip()
+
+
+def fixed(
+    value: float,
+    half: float,
+    unit: str,
+    units: Mapping[str, str] = VALUES,
+    sign: str = "",
+) -> str:
+    """Return a value of SI units, as it is read, to two digits of an uncertainty.
+
+    Args:
+        value: In SI.
+        half: The uncertainty, in SI; 0 or infinite if there is none.
+        unit: Of both.
+        units: In which they are read.
+        sign: ``"+"`` to write the sign of what is positive too.
+    """
+    scaled = shown_in(half, unit, units)
+    known = half > 0.0 and isfinite(half)
+    digits = decimals(scaled) if known else _DIGITS[units[unit]]
+    return f"{shown_in(value, unit, units):{sign}.{digits}f}"

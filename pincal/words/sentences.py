@@ -1,0 +1,60 @@
+"""Sentences of findings: what was found and what to do about it, made of a code and its values.
+
+``finding("chi2-too-large", chi2=2.1, ...)`` makes a ``Finding`` and checks that it has the values
+which its sentence needs; ``sentence(found)`` says it. The codes are, with their values, titles
+and remedies, in ``pincal.words.results``, ``faults`` and ``freedoms``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pincal.model.finding import Finding
+from pincal.words.faults import FAULTS
+from pincal.words.freedoms import FREEDOMS
+from pincal.words.results import RESULTS
+from pincal.words.wording import Wording
+
+#: What is said of each code.
+WORDINGS: Mapping[str, Wording] = {**FAULTS, **RESULTS, **FREEDOMS}
+
+
+def finding(
+    code: str, rows: Iterable[int] = (), parameters: Iterable[str] = (), **values: Any
+) -> Finding:
+    """Return a finding, of the severity of its code.
+
+    Args:
+        code: One of ``WORDINGS``.
+        rows: Rows of the measurements concerned, counted from 0.
+        parameters: Parameters concerned, by their ids.
+        **values: What the code's wording asks for, in SI.
+
+    Raises:
+        KeyError: a code that there is not.
+        TypeError: values that are missing, or that the code does not have.
+    """
+    wording = WORDINGS[code]
+    if set(values) != set(wording.values):
+        raise TypeError(
+            f"{code} has the values {sorted(wording.values)}, got {sorted(values)}: see "
+            "pincal.words"
+        )
+    places = tuple(int(row) for row in rows)
+    return Finding(code, wording.severity, values, places, tuple(parameters))
+
+
+def sentence(found: Finding) -> str:
+    """Return what was found and what to do about it.
+
+    It begins with a small letter, as it stands behind ``warning:``, and ends without a full stop.
+    """
+    wording = WORDINGS[found.code]
+    said, remedy = wording.said(found), wording.remedied(found)
+    return f"{said}. {remedy}" if remedy else said
+
+
+def sentences(found: Iterable[Finding], *severities: str) -> list[str]:
+    """Return the sentences of findings, of some severities if they are given."""
+    return [sentence(one) for one in found if not severities or one.severity in severities]

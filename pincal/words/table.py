@@ -1,0 +1,209 @@
+"""Tables: columns and rows said once, shown in a terminal, on a page, as Markdown, as data.
+
+A cell is a number, a string, None, a ``Measured`` number with its uncertainty, or a ``Cell`` whose
+text is its own. Numbers are SI and stay so in ``records``; a column's unit says in what they are
+read. Headers say that unit: ``rms [mm]``.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+
+from pincal.errors import PincalError
+from pincal.words.numbers import SMALL, Measured, shown_in
+
+if TYPE_CHECKING:
+    import pandas
+    from rich.console import Console, ConsoleOptions, RenderResult
+
+_SHORT = 12  # rows of a table that is not broken over printed pages
+
+
+class Cell(NamedTuple):
+    """A value and how it is shown, where that depends on more than its column."""
+
+    value: float | str | None
+    """Raw, SI."""
+    text: str
+
+
+Value: TypeAlias = "float | str | Measured | Cell | None"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table."""
+
+    name: str
+    """What heads it, and the key of its values in records."""
+    unit: str = ""
+    """SI unit of its numbers, ``"m"``, ``"rad"`` or ``"1"``, if it is one for all."""
+    format: str = ".4g"
+    """Of its numbers, in the unit in which they are read."""
+    align: Literal["left", "right"] | None = None
+    """To the right if not given and there is a number in it."""
+    units: Mapping[str, str] = field(default_factory=lambda: SMALL)
+    """In which unit numbers are read, by SI unit."""
+
+    @property
+    def head(self) -> str:
+        """The name with the unit in which numbers are read."""
+        shown = self.units[self.unit] if self.unit else ""
+        return f"{self.name} [{shown}]" if shown else self.name
+
+    def text(self, value: Value) -> str:
+        """Return a value as it is shown."""
+        if value is None:
+            return ""
+        if isinstance(value, Cell):
+            return value.text
+        if isinstance(value, Measured):
+            return value.text(self.units) if not self.unit else value.text(self.units).split(" ")[0]
+        if isinstance(value, str):
+            return value
+        if isinstance(value, int):
+            return str(value)
+        if not isfinite(value):
+            return "" if value != value else "∞"
+        return f"{shown_in(value, self.unit, self.units) if self.unit else value:{self.format}}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: shown by rich's console, by a page's template, by a notebook."""
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: Sequence[Sequence[Value]]
+    caption: str = ""
+    """What to know of it."""
+    grouped: bool = False
+    """Whether the first column heads groups of rows: said once in each."""
+
+    def cells(self) -> list[list[str]]:
+        """Return all cells as text, those of a group's name but once."""
+        shown = [
+            [column.text(value) for column, value in zip(self.columns, row, strict=True)]
+            for row in self.rows
+        ]
+        if self.grouped:
+            for above, row in reversed(list(pairwise(shown))):
+                row[0] = "" if row[0] == above[0] else row[0]
+        return shown
+
+    @property
+    def aligned(self) -> tuple[Literal["left", "right"], ...]:
+        """On which side each column's cells stand."""
+        number = [any(_is_number(row[i]) for row in self.rows) for i in range(len(self.columns))]
+        return tuple(
+            column.align or ("right" if one else "left")
+            for column, one in zip(self.columns, number, strict=True)
+        )
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return the rows for JSON: raw values in SI by the columns' names; None if not finite."""
+        return [
+            {c.name: _plain(value) for c, value in zip(self.columns, row, strict=True)}
+            for row in self.rows
+        ]
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the rows as a pandas DataFrame, raw values in SI; uncertainties in own columns.
+
+        Raises:
+            PincalError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise PincalError("a DataFrame needs pandas: pip install pandas") from error
+        found = []
+        for row in self.rows:
+            record: dict[str, Any] = {}
+            for column, value in zip(self.columns, row, strict=True):
+                record[column.name] = _raw(value)
+                if isinstance(value, Measured):
+                    record[f"{column.name} ±"] = value.half
+            found.append(record)
+        return pandas.DataFrame(found, columns=None if found else [c.name for c in self.columns])
+
+    def markdown(self) -> str:
+        """Return the table as Markdown."""
+        rule = ["---:" if side == "right" else "---" for side in self.aligned]
+        lines = [[_escaped(column.head) for column in self.columns], rule]
+        lines += [[_escaped(cell) for cell in row] for row in self.cells()]
+        return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+    def html(self) -> str:
+        """Return the table as HTML, in a frame that scrolls where the page is too narrow."""
+        from pincal.words.pages import environment
+
+        template = environment("pincal.words").get_template("table.html")
+        return template.render(table=self, sides=self.aligned, short=len(self.rows) <= _SHORT)
+
+    def __html__(self) -> str:
+        """Return the table for templates, which escape text but not this."""
+        return self.html()
+
+    def _repr_html_(self) -> str:
+        """Return the table for notebooks."""
+        return self.html()
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the title, the table, and the caption as wide as the terminal."""
+        from rich import box
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
+        for place, (column, side) in enumerate(zip(self.columns, self.aligned, strict=True)):
+            fold = side == "left" and not (place and self.grouped)
+            drawn.add_column(Text(column.head), justify=side, no_wrap=not fold)
+        cells = self.cells()
+        for row, after in zip(cells, [*cells[1:], [""]], strict=False):
+            drawn.add_row(*map(Text, row), end_section=self.grouped and bool(after[0]))
+        yield Text(self.title, style="bold")
+        yield drawn
+        if self.caption:
+            yield Text(self.caption + "\n")
+
+    def __str__(self) -> str:
+        """Return the table as text."""
+        from rich.console import Console
+
+        out = io.StringIO()
+        Console(file=out, width=120).print(self)
+        return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+
+
+def _is_number(value: Value) -> bool:
+    return isinstance(value, (int, float, Measured)) or (
+        isinstance(value, Cell) and isinstance(value.value, (int, float))
+    )
+
+
+def _raw(value: Value) -> float | str | None:
+    """Return a value without its looks."""
+    if isinstance(value, (Measured, Cell)):
+        return value.value
+    return value
+
+
+def _plain(value: Value) -> Any:
+    """Return a value for JSON."""
+    if isinstance(value, Measured):
+        return {"value": _plain(value.value), "plus_minus": _plain(value.half)}
+    raw = _raw(value)
+    return None if isinstance(raw, float) and not isfinite(raw) else raw
+
+
+def _escaped(text: str) -> str:
+    """Return text that Markdown takes for text in a cell."""
+    for letter in "\\`*_[]<>|":
+        text = text.replace(letter, f"\\{letter}")
+    return " ".join(text.split())

@@ -1,0 +1,55 @@
+"""What is said of a code: title, sentence, meaning, remedy, and the values that these need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from pincal.model.finding import Finding, Severity
+
+#: Words that need no values, or a function of the finding.
+Words: TypeAlias = str | Callable[[Finding], str]
+
+
+@dataclass(frozen=True)
+class Wording:
+    """All that is said of one code."""
+
+    title: str
+    """What it is, in few words."""
+    values: Mapping[str, str]
+    """What each value of the finding is, with its unit."""
+    says: Words
+    """What was found, in one sentence without capital and full stop."""
+    means: str
+    """What that means, for the page of errors."""
+    remedy: Words
+    """What to do about it, in a sentence without full stop; may be empty."""
+    severity: Severity = "warning"
+
+    def said(self, found: Finding) -> str:
+        """Return what was found."""
+        return self.says if isinstance(self.says, str) else self.says(found)
+
+    def remedied(self, found: Finding) -> str:
+        """Return what to do about it."""
+        return self.remedy if isinstance(self.remedy, str) else self.remedy(found)
+
+
+def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = 4) -> str:
+    """Return which parameters move together, a list cut where it is long.
+
+    Args:
+        groups: Ids of parameters; one that stands alone has no effect.
+        most: How many groups are listed.
+    """
+    parts = [
+        f"{', '.join(group[:-1])} and {group[-1]} move together"
+        if len(group) > 1
+        else f"{group[0]} has no effect"
+        for group in groups
+    ]
+    if len(parts) > most + 1:
+        parts[most:] = [f"and {len(parts) - most} more (result.json)"]
+    return "; ".join(parts)

@@ -1,0 +1,232 @@
+"""What is said: numbers to the digits that are known, tables by one description, sentences."""
+
+# ruff: noqa: E501  (a line a code)
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from lxml import html as lxml_html
+
+from pincal.words.faults import HYPOTHESES
+from pincal.words.numbers import (
+    Measured,
+    amount,
+    capital,
+    decimals,
+    fixed,
+    listed,
+    percent,
+    rounded,
+    size,
+)
+from pincal.words.sentences import WORDINGS, finding, sentence, sentences
+from pincal.words.table import Cell, Column, Table
+
+EVIL = '<b>"é"\'&amp;|*_$x$\0'
+BANNED = ("told", "tell", "hollow", "accused", "doubtful", "stands", "eased", "shaken", "settled")
+
+
+@pytest.mark.parametrize("half", [3.21e-7, 1e-6, 9.99e-5, 0.0123, 0.5, 4.7, 99.0])
+def test_two_digits_of_the_uncertainty(half: float) -> None:
+    """The last digit shown is the second of the uncertainty, or the first before the point."""
+    step = 10.0 ** -decimals(half)
+    assert step <= half
+    assert half < 100 * step
+    assert float(fixed(math.pi, half, "1")) == pytest.approx(math.pi, abs=0.5001 * step)
+
+
+def test_numbers_as_people_read_them() -> None:
+    """Lengths in mm, small angles in mrad, a value with its ± in one unit."""
+    assert amount(1.234e-4, "m") == "0.123 mm"
+    assert amount(1.234e-4, "rad") == "0.123 mrad"
+    assert amount(0.5, "1") == "0.5"
+    assert size(1e-3) == "1 mm"
+    assert size(1e-3, 2e-3) == "1 mm and 2 mrad"
+    assert Measured(0.512345, 1.234e-5, "m").text() == "512.345 ± 0.012 mm"
+    assert Measured(0.512345, 0.0, "m").text() == "512.345 mm"
+    assert Measured(1.0, math.inf).text() == "1.000000"
+    assert (rounded(12.345), rounded(1234.5), percent(0.0123)) == ("12", "1200", "1.2 %")
+    assert (listed("a"), listed("abc"), listed("ab", "or")) == ("a", "a, b and c", "a or b")
+    assert capital("noise was") == "Noise was"
+    assert [capital(one) for one in ("l of", "leg_1.l is", "2 rows")] == [
+        "l of",
+        "leg_1.l is",
+        "2 rows",
+    ]
+
+
+@pytest.fixture
+def table() -> Table:
+    """A table of every kind of cell."""
+    columns = (
+        Column("leg"),
+        Column("name"),
+        Column("rms", "m", ".4f"),
+        Column("poses"),
+        Column("value"),
+        Column("unit"),
+    )
+    rows = [
+        (EVIL, "l", 1.25e-3, 12, Measured(0.5, 1e-5, "m"), Cell("m", "mm")),
+        (EVIL, "L", math.nan, 9, Cell(0.25, "a quarter"), None),
+        ("b", "l", 0.0, 8, None, ""),
+    ]
+    return Table("A title", columns, rows, caption="A caption.", grouped=True)
+
+
+def test_a_table_shows_the_same_everywhere(table: Table) -> None:
+    """Terminal, page and Markdown hold the same cells; a group's name is said once."""
+    cells = table.cells()
+    assert [row[0] for row in cells] == [EVIL, "", "b"]
+    assert cells[0][2:] == ["1.2500", "12", "500.000 ± 0.010 mm", "mm"]
+    assert cells[1][2:] == ["", "9", "a quarter", ""]
+    page = lxml_html.fromstring(table.html())
+    assert [one.text_content() for one in page.iter("th")][:6] == [
+        "leg", "name", "rms [mm]", "poses", "value", "unit",
+    ]  # fmt: skip
+    shown = [[cell.text_content() for cell in row] for row in page.xpath(".//tbody/tr")]
+    assert shown == [[cell.replace("\0", "\ufffd") for cell in row] for row in cells]
+    assert not list(page.iter("b"))
+    assert table.aligned == ("left", "left", "right", "right", "right", "left")
+    numbers = [cell.get("class") for cell in page.xpath(".//tbody/tr")[0]]
+    assert numbers == [None, None, "n", "n", "n", None]
+    text = str(table)
+    assert text.startswith("A title")
+    assert text.rstrip().endswith("A caption.")
+    assert "500.000 ± 0.010 mm" in text
+    lines = table.markdown().splitlines()
+    assert lines[0] == "| leg | name | rms \\[mm\\] | poses | value | unit |"
+    assert len(lines) == 5
+    assert all(line.replace("\\|", "").count("|") == 7 for line in lines)
+
+
+def test_a_table_is_data(table: Table) -> None:
+    """Records and DataFrames hold raw SI numbers, every group's name, and null for no number."""
+    records = table.records()
+    assert [one["leg"] for one in records] == [EVIL, EVIL, "b"]
+    assert records[0]["rms"] == 1.25e-3
+    assert records[0]["value"] == {"value": 0.5, "plus_minus": 1e-5}
+    assert (records[1]["rms"], records[1]["value"]) == (None, 0.25)
+    assert json.loads(json.dumps(records, allow_nan=False)) == records
+    pandas = pytest.importorskip("pandas")
+    frame = table.to_dataframe()
+    assert isinstance(frame, pandas.DataFrame)
+    np.testing.assert_array_equal(frame["rms"], [1.25e-3, math.nan, 0.0])
+    assert frame["value"][0] == 0.5
+    assert frame["value ±"][0] == 1e-5
+
+
+def test_a_table_without_rows() -> None:
+    """Heads alone are a table too."""
+    empty = Table("None", (Column("a"), Column("b", "m")), [])
+    assert empty.aligned == ("left", "left")
+    assert empty.markdown().count("\n") == 2
+    assert "b [mm]" in str(empty)
+    assert "<tbody>" in empty.html()
+
+
+_ONE = {"code": "reading-sign", "values": {"names": ()}, "left": 1e-4}
+_UNIT = {
+    "code": "unit",
+    "values": {"wrong": (("readings", "mm", "metre"),), "names": ("leg_1",)},
+    "left": 2e-4,
+}
+#: Values of each code, the finding's rows and parameters, and what must be said of them.
+SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = {
+    "not-converged": ({"message": "no step is left"}, (), (), "did not converge: no step is left"),
+    "not-corrected": ({"excess": 100.0}, (), (), "100 times as large as the noise given makes them, and hardly fell"),
+    "residuals-too-large": ({"excess": 4.0}, (), (), "no accuracy can be promised: residuals are 4 times"),
+    "noise-assumed": ({"turns": True, "readings": False}, (), (), "of position [m] and orientation [rad], exact readings were assumed"),
+    "noise-estimated": ({"position": 1e-4, "orientation": None, "reading": 0.0}, (), (), "0.1 mm in position, readings exact"),
+    "unequal-noise": ({"position_ratio": 0.5, "orientation_ratio": 2.0, "position": 1e-4, "orientation": 2e-3}, (), (), "(--noise-position 0.0001 --noise-orientation 0.002 fit the residuals)"),
+    "chi2-too-large": ({"chi2": 4.0, "dof": 30, "source": "given"}, (), (), "reduced χ² is 4 where 1 is expected: the noise is larger than given, or the model lacks something"),
+    "chi2-too-small": ({"chi2": 0.1, "dof": 30, "source": "repeats"}, (), (), "the noise is smaller than repeated rows show; the uncertainties"),
+    "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
+    "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit"),
+    "slips": ({"times": 123.4}, (7, 8), (), "data row 8 misses the nominal mechanism 123 times as far as rows usually do, and 1 more row so"),
+    "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: 8 poses for 8 parameters"),
+    "unused-poses": ({"unused": 24, "total": 36}, (), (), "24 of 36 measured poses serve other legs only. --poses all"),
+    "weakly-determined": ({"parameter": "leg_1.l", "half": 0.12, "unit": "m", "held": False}, (), ("leg_1.l", "leg_2.l"), "2 parameters are weakly determined, leg_1.l to ± 0.12 m only"),
+    "undetermined-held": ({"groups": (("leg_1.l", "leg_1.L"), ("leg_2.k",)), "weak": ("leg_3.l", "leg_3.k")}, (), (), "leg_1.l and leg_1.L move together; leg_2.k has no effect; leg_3.l and leg_3.k are weakly determined"),
+    "far-from-nominal": ({"parameter": "leg_1.gamma", "change": 0.123, "unit": "rad", "options": ("unknown-target",)}, (), ("leg_1.gamma",), "leg_1.gamma moved by +0.123 rad, farther than a machine differs from its drawing"),
+    "moved-as-one-body": ({"frame": "base", "share": 0.9, "shift": 5e-3, "turn": 1e-3, "p_value": 1e-7, "option": "unknown-frame"}, (), (), "one motion of the base's frame, by 5 mm and 1 mrad"),
+    "tie-contradicted": ({"name": "l", "p_value": 0.001}, (), (), "l is tied over the legs, and the measurements contradict that (p = 0.001)"),
+    "held-out-worse": ({"held_out": 3.0, "expected": 1.1, "p_value": 1e-6}, (), (), "the model follows its rows more closely than the machine. Measure more poses"),
+    "drift": ({"leg": "leg_1", "correlation": -0.8, "p_value": 1e-9}, (), (), "leg_1: residuals follow the order of the rows (rank correlation -0.80, p = 1e-09): drift"),
+    "runs-differ": ({"ratio": 4.2, "p_value": 1e-9}, (), ("leg_2.OA",), "parameters differ between runs 4.2 times as much as their standard errors say (p = 1e-09), leg_2.OA most: something changed between runs"),
+    "sensor-still": ({"sensors": ({"name": "leg_1", "value": 0.5, "moves": 0.3, "unit": "rad"},)}, (), (), "leg_1 reads the same in all rows (0.5 rad), where readings of the nominal mechanism differ by 0.3 rad"),
+    "wrong-measurements": ({"legs": ("leg_1",), "left": 0.051, "hypotheses": (_ONE, _UNIT)}, (), (), "by 5.1 % of a leg's length (median), but only by 0.01 % if the readings have the other sign, or by 0.02 % if the readings of leg_1 are in mm under a metre header. Change their sign, or the sensor's 'direction' in mechanism.yaml; or: Correct the units"),
+    "gauge-base-frame": ({"freedoms": 3, "unknown_frame": True}, (), (), "the base frame: 3 freedoms, since the frame of the measurements is unknown"),
+    "gauge-platform-frame": ({"freedoms": 1}, (), (), "the platform's frame: 1 freedom, since"),
+    "redundant-parameters": ({"count": 1, "groups": (("leg_1.l", "leg_1.L"),)}, (), (), "1 parameter is redundant, whatever is measured: leg_1.l and leg_1.L move together"),
+}  # fmt: skip
+#: Values of each hypothesis, and the clause that follows 'if'.
+CLAUSES: dict[str, tuple[dict[str, Any], str]] = {
+    "reading-sign": ({"names": ("leg_1",)}, "the readings of leg_1 have the other sign"),
+    "columns-exchanged": ({"columns": ("a", "b")}, "a and b are exchanged"),
+    "legs-exchanged": (
+        {"fits": (("leg_2", "leg_1"), ("leg_1", "leg_2"))},
+        "legs are exchanged: column leg_2 fits leg_1 and column leg_1 fits leg_2",
+    ),
+    "unit": (
+        {"wrong": (("positions", "mm", "metre"), ("readings", "degrees", "radian")), "names": ()},
+        "the positions are in mm under a metre header and the readings are in degrees under a "
+        "radian header",
+    ),
+    "mirrored-frame": (
+        {"axes": "xy", "orientations_right": True},
+        "x and y are exchanged and the orientations are right",
+    ),
+    "angle-sign": ({"name": "torsion"}, "torsion has the other sign"),
+    "orientation-inverse": ({}, "the orientations turn the other way"),
+    "pose-inverse": ({}, "the poses are those of the base in the platform's frame"),
+    "rows-shifted": ({"rows": -2}, "the readings stand 2 rows above the poses they belong to"),
+}
+
+
+def test_every_code_is_tried() -> None:
+    """No code without a test, a title, a meaning, and a sentence of its own."""
+    assert set(SAID) == set(WORDINGS)
+    assert set(CLAUSES) == set(HYPOTHESES)
+    for code, one in WORDINGS.items():
+        assert code == code.lower().replace("_", "-")
+        assert one.title[0].isupper()
+        assert one.means.endswith(".")
+
+
+@pytest.mark.parametrize("code", SAID)
+def test_what_each_finding_says(code: str) -> None:
+    """Its numbers stand in its sentence, in units that people read, in the words of the field."""
+    values, rows, parameters, words = SAID[code]
+    text = sentence(finding(code, rows, parameters, **values))
+    assert words in text
+    assert not any(f" {word} " in f" {text} " for word in BANNED)
+    assert not text.endswith(".")
+    assert "  " not in text
+
+
+@pytest.mark.parametrize("code", CLAUSES)
+def test_what_each_hypothesis_says(code: str) -> None:
+    """Its clause follows 'if'."""
+    values, words = CLAUSES[code]
+    one = HYPOTHESES[code]
+    assert set(values) == set(one.values)
+    assert one.clause(values).startswith(words)
+
+
+def test_findings_have_what_their_sentences_need() -> None:
+    """A value too few or too many is refused where the finding is made; severities can be asked."""
+    with pytest.raises(TypeError, match="chi2-too-large has the values"):
+        finding("chi2-too-large", chi2=2.0)
+    with pytest.raises(KeyError):
+        finding("no-such-code")
+    found = [finding("few-poses", legs=("leg_1",), poses=1, unknowns=8)]
+    found += [finding("unused-poses", unused=1, total=2)]
+    assert [one.severity for one in found] == ["warning", "info"]
+    assert len(sentences(found)) == 2
+    assert sentences(found, "warning")[0].startswith("leg_1: 1 poses for 8 parameters")
