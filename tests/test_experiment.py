@@ -10,7 +10,7 @@ import pytest
 import pincal
 from pincal.design.certificate import continuous_design
 from pincal.design.exchange import exchange
-from pincal.design.select import noise_weighted
+from pincal.design.information import leg_whitener
 from pincal.estimation.observability import identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import leg_demand
 
@@ -40,18 +40,18 @@ def test_r_diagonal_is_that_of_gram_schmidt() -> None:
     np.testing.assert_allclose(r_diagonal(C), expected, rtol=1e-12)
 
 
-def test_what_cannot_be_told_apart_is_named() -> None:
+def test_what_is_not_identifiable_is_named() -> None:
     """Two proportional columns move together, a zero column has no effect, the rest is found."""
     C = np.random.default_rng(2).standard_normal((20, 5)) * [1.0, 1e-4, 1e3, 1.0, 1.0]
-    assert identifiability(C, "abcde").complete
+    names = [f"leg_2.{name}" for name in "abcde"]
+    assert identifiability(C, names).complete
     C[:, 3] = -2.0 * C[:, 1]
     C[:, 4] = 0.0
-    found = identifiability(C, "abcde")
+    found = identifiability(C, names)
     assert found.rank == 3
-    words = found.in_words("leg_2")
-    assert "b and d of leg_2 move together" in words
-    assert "e of leg_2 has no effect" in words
-    assert "a" not in [name for group in found.groups for name in group]
+    assert "leg_2.b and leg_2.d move together" in found.describe()
+    assert "leg_2.e has no effect" in found.describe()
+    assert "leg_2.a" not in [name for group in found.groups for name in group]
 
 
 def at_one_orientation(poses: np.ndarray) -> np.ndarray:
@@ -166,7 +166,7 @@ def test_the_reported_efficiency_is_that_of_the_plan(
 
     def rows(poses: np.ndarray) -> np.ndarray:
         demand = leg_demand(mechanism, "leg_1", poses)
-        return noise_weighted(demand, mechanism, pincal.Noise())[:, 0]
+        return leg_whitener(demand, mechanism, pincal.Noise())(demand.parameter)[:, 0]
 
     A, own = rows(candidates["3RRR"]), rows(plan.poses[plan.serves("leg_1")])
     A, own = A / np.linalg.norm(A, axis=0), own / np.linalg.norm(A, axis=0)
@@ -218,7 +218,7 @@ def test_mapped_poses_are_symmetrically_observable(
 def _information(mechanism: pincal.Mechanism, poses: np.ndarray) -> float:
     """Return det^(1/2n) of leg 1's information: one over the mean width of its ellipsoid."""
     demand = leg_demand(mechanism, "leg_1", poses)
-    rows = noise_weighted(demand, mechanism, pincal.Noise())[:, 0]
+    rows = leg_whitener(demand, mechanism, pincal.Noise())(demand.parameter)[:, 0]
     return float(np.exp(np.linalg.slogdet(rows.T @ rows)[1] / (2 * rows.shape[1])))
 
 
@@ -274,7 +274,7 @@ def test_unobservable_candidates_are_refused_by_name(candidates: dict[str, np.nd
     """3-RRR candidates at one orientation raise, naming what moves together."""
     mechanism = pincal.load_mechanism("3RRR")
     poses = at_one_orientation(candidates["3RRR"][:300])
-    with pytest.raises(pincal.ObservabilityError, match="of leg_1 move together"):
+    with pytest.raises(pincal.ObservabilityError, match=r"leg_1\.\w+ move together"):
         pincal.select_poses(mechanism, poses, 12)
 
 
@@ -370,3 +370,26 @@ def test_accuracy_of_the_truth_is_exact(
     wrong = pincal.accuracy(mechanism, shifted, poses)
     assert 3e-4 < wrong.position < 2e-2
     assert wrong.worst_position >= wrong.position
+
+
+def test_what_people_see_of_a_selection(selections: dict[str, pincal.Selection]) -> None:
+    """A line, a page with a row for each leg, and a frame with the same."""
+    pandas = pytest.importorskip("pandas")
+    found = selections["3RRR"]
+    assert repr(found).startswith("Selection(symmetric, 72 poses of ")
+    assert "\n" not in repr(found)
+    assert [line.split()[0] for line in str(found).splitlines()[2:]] == ["leg_1", "leg_2", "leg_3"]
+    frame = found.to_dataframe()
+    assert isinstance(frame, pandas.DataFrame)
+    assert list(frame.index) == ["leg_1", "leg_2", "leg_3"]
+    assert frame["efficiency"].min() == found.efficiency
+    assert frame["O2"]["leg_1"] == found.legs[0].indices.O2
+
+
+def test_wrong_options_of_a_selection_are_refused(mechanism: pincal.Mechanism) -> None:
+    """An option that does not exist, and measurements without noise."""
+    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    with pytest.raises(TypeError, match="sead"):
+        pincal.select_poses(mechanism, poses, 12, sead=1)
+    with pytest.raises(pincal.MeasurementError, match="a residual has no noise at all"):
+        pincal.select_poses(mechanism, poses, 12, noise=pincal.Noise(0.0, 0.0, 0.0))

@@ -10,7 +10,6 @@ from command_line import done, run
 from measured import workspace
 
 import pincal
-from pincal.design.leg_by_leg import leg_by_leg
 
 NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
 
@@ -109,8 +108,7 @@ def test_each_leg_alone_gives_the_covariance_of_the_default(name: str, dealt: bo
     plan = pincal.Plan(poses, sets if dealt else None)
     exact = pincal.simulate(mechanism, mechanism, plan, pincal.Noise(0.0, 0.0, 0.0)).measurements
     result = pincal.calibrate(mechanism, exact, noise=NOISE)
-    found = leg_by_leg(mechanism, plan, NOISE)
-    assert found is not None
+    found = pincal.forecast(mechanism, plan, NOISE, method="per-leg")
     np.testing.assert_allclose(found.covariance, result.covariance, rtol=1e-6, atol=1e-18)
     expected = pincal.expected_error(result, poses)
     assert found.platform_error(poses).position == pytest.approx(expected.position, rel=1e-6)
@@ -129,9 +127,8 @@ def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
     pincal.write_poses(tmp_path / "plan.csv", mechanism, plan)
     outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4)
     said = " ".join(outcome.out.split())
-    own = leg_by_leg(mechanism, plan, pincal.Noise())
+    own = pincal.forecast(mechanism, plan, method="per-leg")
     over = pincal.sample_configurations(mechanism, 1000, 0)
-    assert own is not None
     alone = 1e3 * own.platform_error(over).position
     best = 1e3 * pincal.forecast(mechanism, plan).platform_error(over).position
     assert best < 0.9 * alone
@@ -148,7 +145,7 @@ def test_what_positions_alone_do_not_tell(poses: dict[str, np.ndarray]) -> None:
     found = pincal.forecast(mechanism, poses["3RRR"], NOISE, ["x", "y"])
     assert found.rank.rank == 23
     words = "leg_1.beta_b, leg_2.beta_b and leg_3.beta_b move together"
-    assert found.rank.in_words() == words
+    assert found.rank.describe() == words
     names = [name for leg in mechanism.legs for name in leg.parameter_names]
     turned = found.gauge[:, 0] / np.abs(found.gauge[:, 0]).max()
     moved = [n for n, t in zip(names, turned, strict=True) if abs(t) > 1e-6]
@@ -262,3 +259,51 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     outcome = done("identifiability", "5R", "--measure", "x", "--count", 30)
     assert "measured: x" in outcome.out
     assert run("identifiability", "3RRR", "--measure", "nothing").code == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("3RRR", {"measured": ["x", "y"]}, "whole poses in the base frame"),
+        ("3RRR", {"setup": pincal.Setup(unknown_frame=True)}, "whole poses in the base frame"),
+        ("3RPS", {}, "determine the readings"),
+        ("3RRR", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "no noise at all"),
+        ("3RRR", {"method": "each"}, "no method 'each'; expected all-legs or per-leg"),
+    ],
+)
+def test_each_leg_alone_takes_whole_poses(name: str, options: dict, message: str) -> None:
+    """What a leg alone cannot be calibrated with is refused, and the other method named."""
+    mechanism = pincal.load_mechanism(name)
+    plan = pincal.sample_configurations(mechanism, 20, 0)
+    with pytest.raises(pincal.MeasurementError, match=message):
+        pincal.forecast(mechanism, plan, **({"method": "per-leg"} | options))
+
+
+def test_a_leg_without_enough_poses_of_its_own() -> None:
+    """Its parameters are named, their errors and the platform's infinite; the others' are not."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    plan = pincal.Plan(poses, ("leg_1",) * 10 + ("leg_2",) * 15 + ("leg_3",) * 5)
+    found = pincal.forecast(mechanism, plan, NOISE, method="per-leg")
+    assert (found.rank.rank, found.lost.shape[1]) == (21, 3)
+    assert {name.split(".")[0] for group in found.rank.groups for name in group} == {"leg_3"}
+    assert np.isfinite(found.std[:16]).all()
+    assert np.isinf(found.std[16:]).any()
+    assert found.platform_error(poses).position == np.inf
+    none = pincal.Plan(poses, ("leg_1",) * 15 + ("leg_2",) * 15)
+    found = pincal.forecast(mechanism, none, NOISE, method="per-leg")
+    assert np.isinf(found.std[16:]).all()
+    assert np.isinf(found.poses_for(1e-3, poses))
+
+
+def test_what_people_see(poses: dict[str, np.ndarray]) -> None:
+    """A line, a page of forty lines, and a frame with a row for each parameter."""
+    pandas = pytest.importorskip("pandas")
+    found = pincal.forecast(pincal.load_mechanism("6UPS"), poses["6UPS"], NOISE, ["x", "y", "z"])
+    assert repr(found) == "Forecast('6UPS', all-legs, 40 poses, rank 45 of 48)"
+    assert len(str(found).splitlines()) <= 40
+    assert "leg_1." in str(found)
+    frame = found.to_dataframe()
+    assert isinstance(frame, pandas.DataFrame)
+    assert len(frame) == 48
+    np.testing.assert_array_equal(frame["std"], found.std)

@@ -10,7 +10,7 @@ import pytest
 from measured import put
 
 import pincal
-from pincal.estimation.weak import weakly_told
+from pincal.estimation.weak import weak_pairs
 from pincal.formats.delta import delta_printer
 
 PROBE = pincal.Noise(2e-5, 0.0, 0.0)  # of heights [m]
@@ -136,7 +136,7 @@ def test_weak_pairs_are_conditional_standard_errors() -> None:
     A[:, 3] *= 1e3
     names = [("a", "u"), ("a", "v"), ("b", "w"), ("b", "t")]
     covariance = np.linalg.inv(A.T @ A)
-    (pair,) = weakly_told(names, covariance)
+    (pair,) = weak_pairs(names, covariance)
     assert (pair.first, pair.second) == (("a", "u"), ("a", "v"))
     for place, other in enumerate((1, 0)):
         kept = [i for i in range(4) if i != other]
@@ -144,7 +144,7 @@ def test_weak_pairs_are_conditional_standard_errors() -> None:
         assert pair.known[place] == pytest.approx(np.sqrt(alone), rel=1e-9)
     assert pair.gain > 3.0
     covariance[0, :] = covariance[:, 0] = np.inf
-    assert weakly_told(names, covariance) == ()
+    assert weak_pairs(names, covariance) == ()
 
 
 @pytest.mark.slow

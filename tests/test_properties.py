@@ -24,7 +24,7 @@ import pincal
 from pincal import Measurements, Mechanism, Noise, Placement, Platform, cartesian
 from pincal.design.certificate import continuous_design
 from pincal.design.exchange import exchange
-from pincal.design.select import noise_weighted
+from pincal.design.information import leg_whitener
 from pincal.kinematics.derivatives import leg_demand
 
 Array = NDArray[np.float64]
@@ -378,7 +378,8 @@ def chosen_poses_are_reached_and_told_apart(draw: Draw, folder: Path) -> None:
 
 
 def _log_det(mechanism: Mechanism, leg: str, poses: Array) -> float:
-    rows = noise_weighted(leg_demand(mechanism, leg, poses), mechanism, Noise())
+    demand = leg_demand(mechanism, leg, poses)
+    rows = leg_whitener(demand, mechanism, Noise())(demand.parameter)
     J = rows.reshape(-1, rows.shape[2])
     return float(np.linalg.slogdet(J.T @ J)[1])
 

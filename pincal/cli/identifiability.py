@@ -21,7 +21,6 @@ from pincal.cli.setups import (
     setup_from,
 )
 from pincal.design.forecast import forecast
-from pincal.design.leg_by_leg import leg_by_leg
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.configurations import check_reached
@@ -76,7 +75,9 @@ def identifiability(
     found = forecast(mechanism, poses, noise, measured, how)
     error = found.platform_error(over)
     whole = how.plain and set(measured) >= set(mechanism.platform.freedoms)
-    own = leg_by_leg(mechanism, poses, noise) if whole else None
+    own = None
+    if whole and not mechanism.by_readings:
+        own = forecast(mechanism, poses, noise, measured, how, method="per-leg")
     alone = None if own is None else own.platform_error(over)
     stdout.print(forecast_table(found, error, len(poses.poses), alone))
     needed = needed_alone = None

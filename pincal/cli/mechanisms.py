@@ -69,8 +69,8 @@ def check(mech: Mech) -> None:
         if rows.value.shape[1] == len(leg.sensors):
             rows = rows.as_joint()
         C = rows.parameter.reshape(-1, len(leg.parameters))
-        found = identifiability(C, leg.parameter_names)
-        words = "" if found.complete else f": {found.in_words(leg.name)}"
+        found = identifiability(C, [f"{leg.name}.{name}" for name in leg.parameter_names])
+        words = "" if found.complete else f": {found.describe()}"
         stdout.print(
             f"{leg.name}: {found.rank} of {found.n_params} parameters observable from full poses "
             f"(condition {found.condition:.3g}){words}",

@@ -1,4 +1,4 @@
-"""Candidates that say one configuration in other words, or off in the last digits, are one."""
+"""Candidates that are one configuration in other coordinates, or nearly, are one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -
     Args:
         platform: The platform.
         poses: Coordinates, shape (N, dof), [m] and [rad], or transforms.
-        readings: Shape (N, n_readings), where poses do not tell them, [rad] or [m].
+        readings: Shape (N, n_readings), where poses do not determine them, [rad] or [m].
 
     Raises:
         MechanismError: a pose of a wrong shape, or not finite.
@@ -45,7 +45,7 @@ def distinct(platform: Platform, poses: Poses, readings: Array | None = None) ->
     Args:
         platform: The platform.
         poses: Coordinates, shape (N, dof), [m] and [rad], or transforms.
-        readings: Shape (N, n_readings), where poses do not tell them, [rad] or [m].
+        readings: Shape (N, n_readings), where poses do not determine them, [rad] or [m].
 
     Raises:
         MechanismError: a pose of a wrong shape, or not finite.

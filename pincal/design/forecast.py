@@ -1,9 +1,8 @@
 """What measurements will give before they are made: rank, standard errors, platform error.
 
-At each pose all legs demand e(x, ψ; φ) = 0, and something is measured of the platform. The pose
-is eliminated from these rows by the left null space of its columns. What is left, whitened by
-the noise that it carries, is the information that the best estimator can draw from the pose:
-its inverse is the Cramér-Rao bound.
+With all legs together the covariance is the inverse of the information that the best estimator
+draws (see ``information``): the Cramér-Rao bound. Each leg alone takes no notice of what the legs
+have in common, the pose, measured once, and poses that were chosen for other legs.
 """
 
 from __future__ import annotations
@@ -11,50 +10,68 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.information import information_rows, leg_whitener, parameter_ids
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
-from pincal.estimation.external import ExternalUnknowns
 from pincal.estimation.frames import frames_moved, split_frames
 from pincal.estimation.observability import Identifiability, identifiability, scaled_axes
-from pincal.estimation.observation import Observation, Rows
-from pincal.estimation.weak import WeakPair, weakly_told
+from pincal.estimation.weak import WeakPair, weak_pairs
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.configurations import Legs, check_reached, legs_at, nearby
-from pincal.model.measurements import Measurements, Noise, Plan
+from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at, nearby
+from pincal.kinematics.derivatives import leg_demand
+from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
 from pincal.model.setup import Setup
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 Array = NDArray[np.float64]
-_GENERIC = 100  # poses at which frames are told from parameters, at least
-_TAKES_PART = 1e-6  # of a direction that the measurements do not tell
+Method = Literal["all-legs", "per-leg"]
+_GENERIC = 100  # poses at which motions of frames are found among the parameters, at least
+_TAKES_PART = 1e-6  # of a direction that is not identified
+_LINES = 30  # of parameters on a page
 
 
 @dataclass(frozen=True)
-class Forecast:
-    """What a plan of measurements will tell about the parameters of all legs."""
+class Estimable:
+    """What rows of measurements determine."""
 
-    mechanism: Mechanism
-    poses: int
-    """Number of poses that all legs reach."""
     measured: tuple[str, ...]
     """What is measured of the platform."""
     equations: int
     """Equations that a pose gives."""
+    least: float
+    """Fewest poses like these that can determine as much."""
     rank: Identifiability
-    """Of all parameters and external unknowns together; names are ``leg.parameter``."""
+    """Of all parameters and external unknowns together, by their ids."""
     covariance: Array
-    """Cramér-Rao bound on what is determined, shape (n, n), parameters leg by leg."""
+    """Of what is determined, shape (n, n), parameters leg by leg."""
     lost: Array
     """Directions that are not determined, columns of shape (n, n_lost)."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Forecast(Estimable):
+    """What a plan of measurements will give: rank, standard errors, error of the platform.
+
+    The covariance is the Cramér-Rao bound with ``"all-legs"``, that of each leg's own rows with
+    ``"per-leg"``. Directions ``lost`` are less those that only move frames.
+    """
+
+    mechanism: Mechanism
+    method: Method
+    """All legs together, or each leg alone by the poses of its set."""
+    poses: int
+    """Number of poses that all legs reach."""
     gauge: Array
     """Directions that only move frames that are not measured, columns of shape (n, n_gauge):
     parameters are those nearest to the nominal ones."""
-
     frames: Array
     """Motions of frames that these are (see ``frames_moved``), shape (k, n_moved)."""
 
@@ -66,11 +83,11 @@ class Forecast:
 
     @cached_property
     def weak(self) -> tuple[WeakPair, ...]:
-        """Parameters that are determined, but weakly told apart, the weakest first."""
+        """Pairs of parameters that are weakly determined, the weakest first."""
         names = [(leg.name, name) for leg in self.mechanism.legs for name in leg.parameter_names]
         determined = np.isfinite(self.std)
         clear = np.outer(determined, determined)
-        return weakly_told(names, np.where(clear, self.covariance, 0.0), self.gauge)
+        return weak_pairs(names, np.where(clear, self.covariance, 0.0), self.gauge)
 
     def platform_error(self, poses: Plan | Array) -> PlatformError:
         """Return the error to expect of the calibrated platform over poses, shape (N, dof).
@@ -93,17 +110,39 @@ class Forecast:
         """
         if not accuracy > 0.0:
             raise MeasurementError(f"the wanted accuracy is {accuracy:g} m; expected more than 0")
-        least = np.ceil(self.rank.rank / self.equations)
         now = self.platform_error(poses).position
-        return float(max(least, poses_needed(self.poses, now, accuracy)))
+        return float(max(self.least, np.ceil(self.poses * (now / accuracy) ** 2)))
 
+    def to_dataframe(self) -> DataFrame:
+        """Return a row for each parameter: unit, nominal value and standard error, SI units."""
+        import pandas as pd  # optional
 
-def poses_needed(count: int, error: float, accuracy: float) -> float:
-    """Return how many poses bring an error to an accuracy if ``count`` of them give the error.
+        legs = self.mechanism.legs
+        return pd.DataFrame(
+            {
+                "unit": [leg.units[name] for leg in legs for name in leg.parameter_names],
+                "nominal": np.concatenate([leg.nominal for leg in legs]),
+                "std": self.std,
+            },
+            index=pd.Index(parameter_ids(self.mechanism), name="parameter"),
+        )
 
-    Errors fall with the root of the number of poses; infinite if no number does.
-    """
-    return float(np.ceil(count * (error / accuracy) ** 2))
+    def __repr__(self) -> str:
+        rank = f"rank {self.rank.rank} of {self.rank.n_params}"
+        name = self.mechanism.name
+        return f"Forecast({name!r}, {self.method}, {self.poses} poses, {rank})"
+
+    def __str__(self) -> str:
+        legs = self.mechanism.legs
+        units = [leg.units[name] for leg in legs for name in leg.parameter_names]
+        rows = [
+            f"  {name:<24} {std:12.4g} {unit}" if std < np.inf else f"  {name:<24} not determined"
+            for name, std, unit in zip(parameter_ids(self.mechanism), self.std, units, strict=True)
+        ]
+        if more := len(rows) - _LINES:
+            rows[_LINES:] = [f"  and {more} more (to_dataframe)"] if more > 0 else []
+        words = [] if self.rank.complete else [f"not determined apart: {self.rank.describe()}"]
+        return "\n".join([repr(self), "standard errors (1 σ):", *rows, *words])
 
 
 def forecast(
@@ -112,8 +151,9 @@ def forecast(
     noise: Noise | None = None,
     measured: Sequence[str] | None = None,
     setup: Setup | None = None,
+    method: Method = "all-legs",
 ) -> Forecast:
-    """Return what measurements at poses will tell about the parameters of all legs.
+    """Return what measurements at poses will say of the parameters of all legs.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
@@ -122,158 +162,116 @@ def forecast(
         measured: Freedoms of the platform that are measured (see ``Platform.freedoms``; axes of
             the measurements' frame) and columns of the setup; all if not given.
         setup: What measured numbers will mean: unknown frame, targets, distances.
+        method: ``"all-legs"``: every row for every leg, as the best estimator does.
+            ``"per-leg"``: each leg alone, by the poses of its set, measured in full in the base
+            frame.
 
     Raises:
-        MeasurementError: unknown freedoms, measurements without any noise, or no pose in reach.
+        MeasurementError: unknown freedoms, measurements without any noise, or no pose in reach;
+            with ``"per-leg"`` poses that are not measured in full, or do not determine readings.
         MechanismError: poses of a wrong shape, or not finite.
     """
     noise, setup, platform = noise or Noise(), setup or Setup(), mechanism.platform
+    if method not in get_args(Method):
+        raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
     legs = legs_at(mechanism, poses)
     if not len(legs.poses):
         check_reached(mechanism, poses)
-    rows, unknowns, kept = information_rows(mechanism, legs, noise, measured, setup)
-    n = rows.shape[2]
-    n_legs = legs.parameter.shape[2]
-    flat = rows.reshape(-1, n)
-    rank = identifiability(flat, unknowns)
-    covariance, lost = _inverse(flat, rank.rank)
+    if method == "per-leg":
+        _check_whole(mechanism, measured, setup)
+        found = _each_leg(mechanism, as_plan(mechanism, poses), legs.reached, noise)
+    else:
+        found = _all_legs(legs, *information_rows(mechanism, legs, noise, measured, setup))
     size = largest_size(mechanism.legs, platform)
     plan = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, plan, _GENERIC, size))
     there = platform.transforms(near.poses).as_matrix()
-    gauge, lost = split_frames(platform, there, near.gain, lost[:n_legs], size)
+    gauge, lost = split_frames(platform, there, near.gain, found.lost, size)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it
         lost = lost - gauge @ np.linalg.lstsq(gauge, lost, rcond=None)[0]
     return Forecast(
-        mechanism,
-        len(legs.poses),
-        kept,
-        rows.shape[1],
-        rank,
-        covariance[:n_legs, :n_legs],
-        lost,
-        gauge,
-        frames_moved(platform, there, near.gain, gauge),
+        **vars(found) | {"lost": lost},
+        mechanism=mechanism,
+        method=method,
+        poses=len(legs.poses),
+        gauge=gauge,
+        frames=frames_moved(platform, there, near.gain, gauge),
     )
 
 
-def information_rows(
-    mechanism: Mechanism,
-    legs: Legs,
-    noise: Noise,
-    measured: Sequence[str] | None,
-    setup: Setup,
-) -> tuple[Array, list[str], tuple[str, ...]]:
-    """Return what configurations tell about parameters and external unknowns, pose by pose.
+def _all_legs(
+    legs: Legs, rows: Array, unknowns: Sequence[str], measured: tuple[str, ...]
+) -> Estimable:
+    """Return what all legs' rows determine, external unknowns left out of the covariance."""
+    flat, n_legs = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
+    rank, equations = identifiability(flat, unknowns), rows.shape[1]
+    root, lost = _pseudo_inverse(flat, rank.rank)
+    root = root[:, :n_legs]
+    least = float(np.ceil(rank.rank / equations))
+    return Estimable(measured, equations, least, rank, root.T @ root, lost[:n_legs])
 
-    Rows free of the poses and whitened, shape (N, k, n): their Gram matrix is the information.
 
-    Args:
-        mechanism: The mechanism.
-        legs: What all legs demand there.
-        noise: Standard deviations of what is measured.
-        measured: See ``forecast``.
-        setup: What measured numbers will mean.
-
-    Returns:
-        The rows, the names of the unknowns, and what is measured.
+def _check_whole(mechanism: Mechanism, measured: Sequence[str] | None, setup: Setup) -> None:
+    """Raise if each leg cannot be calibrated alone.
 
     Raises:
-        MeasurementError: unknown freedoms, or measurements without noise or equations.
+        MeasurementError: poses are measured in part or in another frame, or do not determine the
+            readings.
     """
-    platform = mechanism.platform
-    matrices = platform.transforms(legs.poses).as_matrix()
-    seen, sigma, kept = _planned(mechanism, matrices, noise, measured, setup)
-    (count, n_rows, n_legs), n_readings = legs.parameter.shape, legs.reading.shape[2]
-    parameter = np.zeros((count, n_rows + len(sigma), n_legs + seen.external.shape[2]))
-    parameter[:, :n_rows, :n_legs] = legs.parameter
-    parameter[:, n_rows:, n_legs:] = seen.external
-    pose = np.concatenate((legs.pose, seen.pose), axis=1)
-    root = np.zeros((count, n_rows + len(sigma), n_readings + len(sigma)))
-    root[:, :n_rows, :n_readings] = noise.reading * legs.reading
-    root[:, n_rows:, n_readings:] = np.diag(sigma)
-    rows = _whitened(pose, parameter, root)
-    if not rows.size:
+    freedoms = mechanism.platform.freedoms
+    part = measured is not None and not set(measured) >= set(freedoms)
+    if part or not setup.plain or mechanism.by_readings:
         raise MeasurementError(
-            f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
-            f"{n_rows} equations for {pose.shape[2]} freedoms. Measure more of the platform"
+            "each leg alone (method 'per-leg') takes whole poses in the base frame that determine "
+            "the readings; take method 'all-legs'"
         )
-    names = [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names]
-    return rows, [*names, *seen_names(platform, setup, kept)], kept
 
 
-def seen_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the external unknowns of planned measurements."""
-    oriented = any(name in platform.freedoms[platform.units.count("m") :] for name in measured)
-    return ExternalUnknowns(platform, setup, oriented).names
+def _each_leg(
+    mechanism: Mechanism, plan: Plan, reached: NDArray[np.bool_], noise: Noise
+) -> Estimable:
+    """Return what each leg's rows determine, poses that all legs reach, of the leg's set.
 
-
-def _planned(
-    mechanism: Mechanism,
-    matrices: Array,
-    noise: Noise,
-    measured: Sequence[str] | None,
-    setup: Setup,
-) -> tuple[Rows, Array, tuple[str, ...]]:
-    """Return the rows of planned measurements, their standard deviations, and their names.
-
-    Raises:
-        MeasurementError: unknown freedoms.
+    With W e of a leg whitened and J = ∂(W e)/∂φ, δφ = −(Jᵀ J)⁻¹ Jᵀ W S ν: what legs do with the
+    noise ν of one pose goes together.
     """
-    platform, count = mechanism.platform, len(matrices)
-    columns = dict.fromkeys(setup.columns(mechanism), np.zeros(count))
-    offered = (*platform.freedoms, *columns)
-    kept = offered if measured is None else tuple(measured)
-    if unknown := [name for name in kept if name not in offered]:
-        raise MeasurementError(
-            f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
-            f"{', '.join(offered)}"
-        )
-    coordinates = platform.from_matrices(matrices)
-    turning = platform.freedoms[platform.units.count("m") :]
-    if not set(kept) & set(turning):
-        coordinates[:, platform.units.count("m") :] = np.nan
-    data = Measurements(
-        poses=coordinates, readings=np.zeros((count, len(mechanism.reading_names))), extra=columns
+    sigma, count = noise.of_poses(mechanism), len(parameter_ids(mechanism))
+    noisy = np.zeros((len(reached), count, len(sigma) + len(mechanism.reading_names)))
+    ranks, lost, least, equations, place = [], [], 0.0, 0, 0
+    for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
+        rows = np.flatnonzero(reached & plan.serves(leg.name))
+        demand = leg_demand(mechanism, leg.name, plan.poses[rows])
+        white = leg_whitener(demand, mechanism, noise)
+        J = white(demand.parameter)
+        flat = J.reshape(-1, J.shape[2])
+        names = [f"{leg.name}.{name}" for name in leg.parameter_names]
+        ranks.append(identifiability(flat, names))
+        root, own_lost = _pseudo_inverse(flat, ranks[-1].rank)
+        moved = (root.T @ root) @ J.transpose(0, 2, 1) @ white.by_noise
+        own = np.arange(place, place := place + J.shape[2])
+        kinds = np.r_[: len(sigma), len(sigma) + np.arange(columns.start, columns.stop)]
+        noisy[np.ix_(rows, own, kinds)] = moved
+        lost.append(np.zeros((count, own_lost.shape[1])))
+        lost[-1][own] = own_lost
+        equations += J.shape[1]
+        share = len(rows) / max(int(reached.sum()), 1)
+        needed = np.ceil(ranks[-1].rank / J.shape[1] / share) if share else np.inf
+        least = max(least, float(needed))
+    rank = Identifiability(
+        sum(one.rank for one in ranks),
+        count,
+        max((one.condition for one in ranks), default=1.0),
+        tuple(group for one in ranks for group in one.groups),
     )
-    observation = Observation(mechanism, data, setup)
-    rows = observation.evaluate(matrices, observation.external.start)
-    chosen = [observation.names.index(name) for name in kept]
-    some = Rows(rows.value[:, chosen], rows.pose[:, chosen], rows.external[:, chosen])
-    sigma = observation.sigma(data, noise)[0, chosen] if count else np.zeros(len(chosen))
-    return some, sigma, kept
+    covariance = np.einsum("nid,njd->ij", noisy, noisy, optimize=True)
+    measured = mechanism.platform.freedoms
+    return Estimable(measured, equations, least, rank, covariance, np.concatenate(lost, axis=1))
 
 
-def _whitened(pose: Array, parameter: Array, root: Array) -> Array:
-    """Return rows free of the poses, over their noise, shape (N, k, n).
-
-    Args:
-        pose: Derivatives by the pose, shape (N, r, dof).
-        parameter: By parameters and external unknowns, shape (N, r, n).
-        root: Of the rows' covariance, how they follow what is measured, shape (N, r, s).
-
-    Raises:
-        MeasurementError: rows without noise.
-    """
-    Q, _ = np.linalg.qr(pose, mode="complete")
-    free = Q[:, :, pose.shape[2] :].transpose(0, 2, 1)
-    noisy = free @ root
-    try:
-        factor = np.linalg.cholesky(noisy @ noisy.transpose(0, 2, 1))
-    except np.linalg.LinAlgError as error:
-        raise MeasurementError(
-            "some measurements carry no noise at all; give standard deviations above zero for what "
-            "is measured, and for readings (--noise-reading) where there are more of them than "
-            "freedoms, or positions are measured in part"
-        ) from error
-    return np.asarray(np.linalg.solve(factor, free @ parameter))
-
-
-def _inverse(rows: Array, rank: int) -> tuple[Array, Array]:
-    """Return the pseudo-inverse of the information of rows, and the directions it lacks."""
+def _pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:
+    """Return a root R of the pseudo-inverse Rᵀ R of rows' information, and what it lacks."""
     n = rows.shape[1]
-    scale, s, axes = scaled_axes(rows)
-    axes = axes / scale  # directions in parameters
-    kept = axes[:rank] / s[:rank, None]
+    lengths, s, axes = scaled_axes(rows)
+    axes = axes / lengths  # directions in parameters
     lost, _ = np.linalg.qr(axes[rank:].T) if rank < n else (np.empty((n, 0)), None)
-    return kept.T @ kept, lost
+    return axes[:rank] / s[:rank, None], lost

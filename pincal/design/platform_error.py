@@ -1,95 +1,253 @@
-"""What uncertain parameters mean for the platform: the error of where it goes."""
+"""What uncertain parameters mean for the platform: the error of where it goes.
+
+With e of all legs, δx = −(∂e/∂x)⁻¹ (∂e/∂φ) δφ: single parameters may be uncertain and yet well
+known together. Where frames are not measured, motions of these frames are left out.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.frames import beyond, frame_motions
+from pincal.estimation.frames import frame_motions, unexplained
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
+from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_SLIDES = 1e-6  # of the largest motion, from which a direction is said to move the platform
+Mask = NDArray[np.bool_]
+_MOVES = 1e-6  # of the largest motion, from which a direction is said to move the platform
+_CONFIDENCE = 0.95
+_DRAWS = 10_000
 
 
 @dataclass(frozen=True)
+class Unidentified:
+    """Directions that were held at nominal, as the measurements do not determine them."""
+
+    directions: Array
+    """Columns of shape (n, n_lost), as long as parameters may differ from nominal."""
+    nominal: Mechanism
+    """The mechanism at which they were found."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
 class PlatformError:
-    """Root mean square error of the platform over poses; infinite where it is not determined."""
+    """Errors to expect of the platform: root mean squares over poses, and pose by pose.
+
+    Infinite where what is not identified moves the platform.
+    """
 
     position: float
-    """[m]."""
+    """Root mean square over the poses that all legs reach, [m]."""
     orientation: float
-    """[rad]; zero for a platform without orientation."""
+    """The same, [rad]; zero for a platform without orientation."""
     poses: int
     """Poses that all legs reach."""
+    std: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Standard error of each freedom at each planned pose, shape (N, dof), twists in base axes,
+    [m] and [rad]; NaN out of reach, infinite where not determined."""
+    units: tuple[str, ...] = ()
+    """``"m"`` or ``"rad"`` of each freedom."""
+    weights: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    """Eigenvalues of the mean squares of position and orientation, shape (2, n)."""
+    degrees_of_freedom: int | None = None
+    """Of the noise, where its scale was estimated; None where it is known."""
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Standard errors of position [m] and orientation [rad] at each pose, shape (N, 2)."""
+        return sizes(self.units, self.std)
+
+    @cached_property
+    def determined(self) -> Mask:
+        """Planned poses that are reached and at which all is determined, shape (N,)."""
+        return np.asarray(np.isfinite(self.std).all(axis=1))
+
+    @cached_property
+    def where_determined(self) -> tuple[float, float]:
+        """Root mean squares over the poses at which all is determined, [m] and [rad]."""
+        return root_mean_squares(self.sizes)
+
+    @cached_property
+    def limit(self) -> tuple[float, float]:
+        """Below which these root mean squares are in 95 of 100 such calibrations, [m] and [rad].
+
+        With errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal
+        numbers, weighted by the eigenvalues of MC: drawn, with the scale of the noise if that was
+        estimated.
+        """
+        if not self.determined.any():
+            return np.nan, np.nan
+        rng = np.random.default_rng(0)
+        squares = rng.standard_normal((_DRAWS, self.weights.shape[1])) ** 2
+        if self.degrees_of_freedom is not None:
+            dof = max(self.degrees_of_freedom, 1)
+            squares *= dof / rng.chisquare(dof, (_DRAWS, 1))
+        position, orientation = np.sqrt(np.quantile(squares @ self.weights.T, _CONFIDENCE, axis=0))
+        return float(position), float(orientation)
+
+    def __repr__(self) -> str:
+        return f"PlatformError({self._said(self.position, self.orientation)}, {self.poses} poses)"
+
+    def __str__(self) -> str:
+        lines = [f"platform error over {self.poses} poses, root mean square"]
+        lines.append(f"  expected          {self._said(self.position, self.orientation)}")
+        lines.append(f"  95 of 100 below   {self._said(*self.limit)}")
+        if missing := len(self.std) - int(self.determined.sum()):
+            lines.append(f"  out of reach or not determined at {missing} of {len(self.std)} poses")
+        return "\n".join(lines)
+
+    def _said(self, position: float, orientation: float) -> str:
+        said = f"{1e3 * position:.3g} mm"
+        return f"{said}, {1e3 * orientation:.3g} mrad" if "rad" in self.units else said
 
 
 def platform_error(
     mechanism: Mechanism,
     covariance: Array,
     planned: Plan | Array,
-    lost: Array | None = None,
+    lost: Array | Unidentified | None = None,
     frames: Array | None = None,
+    degrees_of_freedom: int | None = None,
 ) -> PlatformError:
     """Return what the covariance of the parameters means for the platform.
-
-    Single parameters may be uncertain and yet well known together. What counts is where the
-    platform goes: with e of all legs, δx = −(∂e/∂x)⁻¹ (∂e/∂φ) δφ.
 
     Args:
         mechanism: The mechanism.
         covariance: Of the parameters of all legs, shape (n, n).
-        planned: Poses over which to take the mean, coordinates of shape (N, dof), or a plan.
-        lost: Directions of parameters that are not determined, columns of shape (n, n_lost).
+        planned: N poses over which to take the mean, coordinates of shape (N, dof), or a plan.
+        lost: Directions of parameters that are not identified, columns of shape (n, n_lost): what
+            they move at all is not determined. Of ``Unidentified`` ones, which were held: what they
+            may move by more than its median standard error.
         frames: Motions of frames that are not measured (see ``frames_moved``), shape (k, n_moved):
             what they explain is left out.
+        degrees_of_freedom: Of the noise, where its scale was estimated.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    legs = legs_at(mechanism, planned)
-    gain = legs.gain
-    if frames is not None and frames.shape[1]:
-        size = largest_size(mechanism.legs, mechanism.platform)
-        matrices = mechanism.platform.transforms(legs.poses).as_matrix()
-        motions = frame_motions(mechanism.platform, matrices) @ frames
-        gain = beyond(mechanism.platform, gain, motions, size)
-    variance = np.einsum("nip,pq,niq->ni", gain, covariance, gain).mean(axis=0)
-    if lost is not None and lost.shape[1]:
-        variance = np.where(_sliding(gain, lost).any(axis=0), np.inf, variance)
-    linear = np.array([unit == "m" for unit in mechanism.platform.units])
+    legs, units = legs_at(mechanism, planned), mechanism.platform.units
+    held = np.isfinite(legs.gain).all(axis=(1, 2))  # not at a type-2 singularity
+    gain = without_frames(mechanism, legs.poses[held], legs.gain[held], frames)
+    rows = np.flatnonzero(legs.reached)[held]
+    std = np.full((len(legs.reached), len(units)), np.nan)
+    std[legs.reached] = np.inf
+    std[rows] = np.sqrt(np.einsum("nip,pq,niq->ni", gain, covariance, gain).clip(0.0))
+    if isinstance(lost, Unidentified):
+        least = np.median(std[rows], axis=0) if len(rows) else np.zeros(len(units))
+        std[slides(lost.nominal, planned, lost.directions, least)] = np.inf
+    elif lost is not None and lost.shape[1]:
+        std[rows] = np.where(_moving(gain, lost), np.inf, std[rows])
+    determined = np.isfinite(std).all(axis=1)
+    values, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(values.clip(0.0))
+    weights = []
+    for unit in ("m", "rad"):
+        own = gain[determined[rows]][:, [one == unit for one in units]]
+        G = own.reshape(-1, len(root)) @ root
+        weights.append(np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(own), 1))
+    position, orientation = root_mean_squares(sizes(units, std), infinite=True)
     return PlatformError(
-        float(np.sqrt(variance[linear].sum())),
-        float(np.sqrt(variance[~linear].sum())),
-        len(gain),
+        position,
+        orientation,
+        int(legs.reached.sum()),
+        std,
+        units,
+        np.array(weights),
+        degrees_of_freedom,
     )
 
 
-def slides(
-    mechanism: Mechanism, planned: Plan | Array, lost: Array, least: Array
-) -> NDArray[np.bool_]:
-    """Return at which planned configurations which freedoms are not told, shape (M, dof).
+def slides(mechanism: Mechanism, planned: Plan | Array, lost: Array, least: Array) -> Mask:
+    """Return at which planned configurations which freedoms are not determined, shape (N, dof).
 
     Args:
         mechanism: The mechanism at which directions were found to be lost.
-        planned: Poses, coordinates of shape (M, dof), or a plan.
-        lost: Directions of parameters that are not determined, as far as these may differ from
+        planned: Poses, coordinates of shape (N, dof), or a plan.
+        lost: Directions of parameters that are not identified, as far as these may differ from
             nominal, columns of shape (n, n_lost).
         least: By how much each freedom is uncertain anyway, shape (dof,), [m] and [rad].
     """
     legs = legs_at(mechanism, planned)
     found = np.zeros((len(legs.reached), mechanism.platform.dof), dtype=bool)
-    found[legs.reached] = _sliding(legs.gain, lost, least)
+    found[legs.reached] = _moving(legs.gain, lost, least)
     return found
 
 
-def _sliding(gain: Array, lost: Array, least: Array | float = 0.0) -> NDArray[np.bool_]:
-    """Return where lost directions move the platform, shape (N, dof)."""
+def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
+    """Return where directions move the platform by more than a least motion, shape (N, dof)."""
     most = np.abs(gain).max(axis=(0, 2), initial=0.0) * np.abs(lost).max(initial=0.0)
     moved = np.abs(gain @ lost).max(axis=2, initial=0.0)
-    return np.asarray(moved > np.maximum(_SLIDES * most, least))
+    return np.asarray(moved > np.maximum(_MOVES * most, least))
+
+
+def without_frames(
+    mechanism: Mechanism, poses: Array, twists: Array, frames: Array | None
+) -> Array:
+    """Return twists of the platform less what motions of frames explain of them.
+
+    Args:
+        mechanism: The mechanism.
+        poses: Coordinates, shape (N, dof).
+        twists: One column for each change, shape (N, dof, k).
+        frames: See ``frames_moved``, shape (m, n_moved).
+    """
+    if frames is None or not frames.shape[1] or not len(poses):
+        return twists
+    matrices = mechanism.platform.transforms(poses).as_matrix()
+    motions = frame_motions(mechanism.platform, matrices) @ frames
+    size = largest_size(mechanism.legs, mechanism.platform)
+    return unexplained(mechanism.platform, twists, motions, size)
+
+
+def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:
+    """Return how the platform misses measured poses: what closes all legs there, (N, dof).
+
+    Twists in base axes, to first order, of least squares where legs are redundant; NaN where a
+    pose or a reading was not measured.
+
+    Args:
+        mechanism: The mechanism.
+        measured: Poses in the base frame, and readings.
+    """
+    readings = measured.readings
+    twists = np.full(measured.poses.shape, np.nan)
+    if readings is None:
+        return twists
+    rows = np.flatnonzero(np.isfinite(np.hstack((measured.poses, readings))).all(axis=1))
+    poses, own = measured.poses[rows], readings[rows]
+    demands = [
+        leg_demand(mechanism, leg.name, poses, None, own[:, columns])
+        for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True)
+    ]
+    by_pose = np.concatenate([one.pose for one in demands], axis=1)
+    gaps = np.concatenate([one.value for one in demands], axis=1)
+    twists[rows] = -(np.linalg.pinv(by_pose) @ gaps[:, :, None])[:, :, 0]
+    return twists
+
+
+def sizes(units: tuple[str, ...], twists: Array) -> Array:
+    """Return the sizes of positions [m] and of orientations [rad] of twists, (N, dof) to (N, 2)."""
+    turns = np.array([unit == "rad" for unit in units], dtype=bool)
+    parts = (np.linalg.norm(twists[:, own], axis=1) for own in (~turns, turns))
+    return np.stack(tuple(parts), axis=1)
+
+
+def root_mean_squares(sizes: Array, *, infinite: bool = False) -> tuple[float, float]:
+    """Return root mean squares of both columns over the rows that are finite; NaN without any.
+
+    Args:
+        sizes: Shape (N, 2).
+        infinite: Whether infinite rows count: with one, the root mean square is infinite.
+    """
+    known = sizes[~np.isnan(sizes).any(axis=1) if infinite else np.isfinite(sizes).all(axis=1)]
+    if not len(known):
+        return np.nan, np.nan
+    position, orientation = np.sqrt((known**2).mean(axis=0)).tolist()
+    return position, orientation

@@ -1,23 +1,23 @@
-"""Configurations chosen for what measurements there tell of all parameters together.
+"""Configurations chosen for all parameters together.
 
-Rows are those of the best estimator (see ``forecast``), whatever part of the platform is
-measured and wherever the tracker stands. Directions that no candidate tells are left out: the
+Rows are those of the best estimator (see ``information``), whatever part of the platform is
+measured and wherever the tracker stands. Directions that no candidate determines are left out: the
 choice is D-optimal in what can be identified, its efficiency against the bound that no choice
 exceeds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.certificate import continuous_design
 from pincal.design.distinct import distinct
-from pincal.design.exchange import exchange
-from pincal.design.forecast import information_rows
+from pincal.design.information import information_rows
+from pincal.design.search import SelectionOptions, d_optimal
 from pincal.errors import ObservabilityError
 from pincal.estimation.observability import Identifiability, identifiability, scaled_axes
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
@@ -28,7 +28,7 @@ from pincal.model.setup import Setup
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ConfigurationChoice:
     """Chosen configurations, and how good they are."""
 
@@ -41,18 +41,22 @@ class ConfigurationChoice:
     candidates: int
     """Configurations that the mechanism has."""
 
+    def __repr__(self) -> str:
+        count, of = len(self.plan.poses), self.candidates
+        return f"ConfigurationChoice({count} poses of {of}, efficiency {self.efficiency:.3f})"
+
+    def __str__(self) -> str:
+        return f"{self!r}\nmeasured: {', '.join(self.measured)}; {self.rank}"
+
 
 def select_configurations(
     mechanism: Mechanism,
     candidates: Plan | Array,
     count: int,
     *,
-    noise: Noise | None = None,
     measured: Sequence[str] | None = None,
     setup: Setup | None = None,
-    seed: int | np.random.Generator = 0,
-    starts: int = 20,
-    progress: Callable[[str], None] | None = None,
+    **options: Any,
 ) -> ConfigurationChoice:
     """Return configurations chosen from candidates for D-optimality, with a certificate.
 
@@ -61,28 +65,25 @@ def select_configurations(
         candidates: Poses of shape (M, dof), or a plan with readings; one that is there twice
             counts once, whatever its whole turns and its last digits.
         count: Number of configurations.
-        noise: Standard deviations of the measurements to come; only their ratios matter.
         measured: What will be measured of the platform (see ``forecast``).
         setup: What measured numbers will mean.
-        seed: Seed or generator of the random starts.
-        starts: Starts of the exchange; the best is kept.
-        progress: Called with what is being done.
+        **options: ``noise``, ``seed``, ``starts``, ``progress``: see ``SelectionOptions``.
 
     Raises:
         ObservabilityError: too few configurations for what can be identified.
         MeasurementError: unknown freedoms, or measurements without noise or equations, or no
             candidate in reach.
     """
-    tell = progress or (lambda _: None)
+    how = SelectionOptions(**options)
     plan = as_plan(mechanism, candidates)
     own = distinct(mechanism.platform, plan.poses, plan.readings)
     plan = Plan(plan.poses[own], readings=None if plan.readings is None else plan.readings[own])
-    tell("looking at candidates")
+    how.say("looking at candidates")
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
     rows, names, kept = information_rows(
-        mechanism, legs, noise or Noise(), measured, setup or Setup()
+        mechanism, legs, how.noise or Noise(), measured, setup or Setup()
     )
     flat = rows.reshape(-1, rows.shape[2])
     found = identifiability(flat, names)
@@ -91,19 +92,18 @@ def select_configurations(
     if count * blocks.shape[1] < found.rank or len(blocks) < count:
         raise ObservabilityError(
             f"{count} of {len(blocks)} configurations give {count * blocks.shape[1]} equations for "
-            f"{found.rank} unknowns that can be told; choose at least "
+            f"{found.rank} unknowns that can be identified; choose at least "
             f"{-(-found.rank // blocks.shape[1])}, better two or three times as many"
         )
-    tell("choosing configurations")
-    design = continuous_design(blocks)
-    rng = np.random.default_rng(seed)
-    chosen, log_det = exchange(blocks, count, design.weights, rng, starts)
+    how.say("choosing configurations")
+    rng = np.random.default_rng(how.seed)
+    chosen, efficiency = d_optimal(blocks, count, rng, how.starts)
     return ConfigurationChoice(
         Plan(
             legs.poses[chosen],
             readings=None if legs.readings is None else legs.readings[chosen],
         ),
-        design.efficiency(log_det, count, found.rank),
+        efficiency,
         found,
         kept,
         len(blocks),

@@ -35,7 +35,7 @@ def frame_motions(platform: Platform, matrices: Array) -> Array:
     return np.concatenate((base[:, :, frame], body[:, :, rows]), axis=2)[:, rows]
 
 
-def beyond(platform: Platform, twists: Array, motions: Array, size: float) -> Array:
+def unexplained(platform: Platform, twists: Array, motions: Array, size: float) -> Array:
     """Return twists of the platform less what motions explain of them.
 
     Least squares over all poses together, angles counting as lengths at a radius.
@@ -122,11 +122,11 @@ def split_frames(
     if not held.any():
         raise ObservabilityError(
             "the legs do not hold the platform at any of these poses (type-2 singularities), so "
-            "what parameters do to it cannot be told; take other poses"
+            "what parameters do to it is not determined; take other poses"
         )
     matrices, gain = matrices[held], gain[held]
     moved = gain @ directions
-    left = beyond(platform, moved, frame_motions(platform, matrices), size)
+    left = unexplained(platform, moved, frame_motions(platform, matrices), size)
     scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * reach(gain, directions))
     scale[scale == 0.0] = 1.0
     flat = (left / scale).reshape(-1, left.shape[2]) if left.size else np.zeros((1, left.shape[2]))

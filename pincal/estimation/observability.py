@@ -1,7 +1,7 @@
 """How well rows of an identification Jacobian determine the parameters.
 
 Observability indices from singular values, the diagonal of R in C = Q R, and rank, with
-the parameters that cannot be told apart named in words.
+the groups of parameters that are not identifiable one by one.
 """
 
 from __future__ import annotations
@@ -85,29 +85,37 @@ def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Rank of an identification Jacobian and what it cannot tell apart."""
+    """Rank of an identification Jacobian, and the parameters that it does not determine."""
 
     rank: int
     n_params: int
     condition: float
     """Condition number, columns scaled to unit length; of what is determined where rank is lost."""
     groups: tuple[tuple[str, ...], ...]
-    """Parameters that move together, one group for each lost rank."""
+    """Ids of parameters that move together, one group for each lost rank."""
 
     @property
     def complete(self) -> bool:
         """Whether every parameter is determined."""
         return self.rank == self.n_params
 
-    def in_words(self, where: str = "") -> str:
-        """Return what is not determined, in words: ``l and L of leg_2 move together``."""
-        whose = f" of {where}" if where else ""
-        return "; ".join(
-            f"{group[0]}{whose} has no effect"
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is not determined, a sentence for each lost rank."""
+        return tuple(
+            f"{group[0]} has no effect"
             if len(group) == 1
-            else f"{', '.join(group[:-1])} and {group[-1]}{whose} move together"
+            else f"{', '.join(group[:-1])} and {group[-1]} move together"
             for group in self.groups
         )
+
+    def describe(self) -> str:
+        """Return what is not determined: ``leg_2.l and leg_2.L move together``."""
+        return "; ".join(self.sentences)
+
+    def __str__(self) -> str:
+        start = f"rank {self.rank} of {self.n_params}, condition {self.condition:.3g}"
+        return "\n".join((start, *self.sentences))
 
 
 def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
@@ -115,7 +123,7 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
 
     Args:
         C: Shape (m, n).
-        names: Names of the n parameters.
+        names: Ids of the n parameters.
     """
     n = C.shape[1]
     if not n:

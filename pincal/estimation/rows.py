@@ -22,10 +22,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import solve
+from pincal.kinematics.closure import product, solve
 
 Array = NDArray[np.float64]
-_SINGULAR = 1e-12  # of the largest entry of L's diagonal, from which rows count as without noise
+Mask = NDArray[np.bool_]
+_SINGULAR = 1e-12  # of the noise of the rows that a free row is made of: rounding errors
 
 
 class NoNoiseError(ValueError):
@@ -80,26 +81,56 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
         pose: B, derivatives by the pose, shape (N, k, dof); no columns where poses are known.
         noise: S, root of the noise of what was measured, shape (N, k, s).
 
+    Returns:
+        NaN at poses where B or S is not finite: those out of reach.
+
     Raises:
         NoNoiseError: more exact conditions than the pose has freedoms, at some pose.
     """
+    both = np.concatenate((pose, noise), axis=2)
+    whole = np.asarray(np.isfinite(both).all(axis=(1, 2)))
+    if not whole.all():
+        some = white_rows(pose[whole], noise[whole])
+        whitener, basis, triangle = (
+            _spread(part, whole) for part in (some.whitener, some.range, some.triangle)
+        )
+        return WhiteRows(whitener, basis, triangle, noise)
     dof = pose.shape[2]
     Q, R = _complete(pose)
     N = Q[:, :, dof:].transpose(0, 2, 1)
-    free = N @ noise
-    m = free.shape[1]
-    if free.shape[2] < m:
-        raise NoNoiseError
-    L = np.asarray(np.linalg.qr(free.transpose(0, 2, 1), mode="r")).transpose(0, 2, 1)
+    free = product(N, noise)
+    L = _root(free)
     size = np.abs(np.einsum("nmm->nm", L))
-    if m and not (size > _SINGULAR * size.max(axis=1, keepdims=True)).all():
+    most = product(np.abs(N), np.abs(noise)).sum(axis=2)  # of what may have cancelled
+    if not (size > _SINGULAR * most).all():
         raise NoNoiseError
-    return WhiteRows(solve(L, N), Q[:, :, :dof], R[:, :dof], noise)
+    scale = size[:, :, None]
+    return WhiteRows(solve(L / scale, N / scale), Q[:, :, :dof], R[:, :dof], noise)
+
+
+def _root(rows: Array) -> Array:
+    """Return a triangular L with L Lᵀ = A Aᵀ of rows A, shapes (N, m, s) and (N, m, m)."""
+    count, m, s = rows.shape
+    if m == 1:
+        return np.linalg.norm(rows, axis=2, keepdims=True)
+    L = np.zeros((count, m, m))  # fewer kinds of noise than rows: some of these have none
+    if m and s:
+        R = np.asarray(np.linalg.qr(rows.transpose(0, 2, 1), mode="r"))
+        L[:, :, : min(m, s)] = R.transpose(0, 2, 1)
+    return L
+
+
+def _spread(values: Array, places: Mask) -> Array:
+    """Return values at their places along the first axis, NaN elsewhere."""
+    spread = np.full((len(places), *values.shape[1:]), np.nan)
+    spread[places] = values
+    return spread
 
 
 def _complete(pose: Array) -> tuple[Array, Array]:
     """Return B = Q R with Q square, shapes (N, k, k) and (N, k, dof)."""
-    if pose.shape[2]:
+    count, k, dof = pose.shape
+    if count and dof:
         Q, R = np.linalg.qr(pose, mode="complete")
         return np.asarray(Q), np.asarray(R)
-    return np.broadcast_to(np.eye(pose.shape[1]), (len(pose), *2 * pose.shape[1:2])), pose
+    return np.broadcast_to(np.eye(k), (count, k, k)), pose

@@ -1,7 +1,7 @@
-"""Parameters that are told apart, but weakly: pairs whose errors go together, and by how much.
+"""Weakly determined parameters: pairs whose errors go together, and by how much.
 
-What it would help to know one of them is asked of the covariance: conditioned on its value, the
-other one's standard error falls. Where frames are not measured, a value tells something only as
+What it would help to know one of them follows from the covariance: conditioned on its value, the
+other one's standard error falls. Where frames are not measured, a value adds something only as
 far as no motion of the frames can bring it about.
 """
 
@@ -41,10 +41,10 @@ class WeakPair:
         return max(std / known if known > 0.0 else np.inf for std, known in ratios)
 
 
-def weakly_told(
+def weak_pairs(
     names: Sequence[tuple[str, str]], covariance: Array, gauge: Array | None = None
 ) -> tuple[WeakPair, ...]:
-    """Return the pairs that are weakly told apart, the weakest first.
+    """Return the pairs that are weakly determined, the weakest first.
 
     Args:
         names: Leg and name of each parameter.
@@ -53,16 +53,16 @@ def weakly_told(
         gauge: Directions that only move frames, columns of shape (n, n_gauge).
     """
     std = np.sqrt(np.diagonal(covariance))
-    told = np.isfinite(std) & (std > 0.0)
-    covariance = np.where(np.outer(told, told), covariance, 0.0)
-    scale = np.where(told, std, 1.0)
+    finite = np.isfinite(std) & (std > 0.0)
+    covariance = np.where(np.outer(finite, finite), covariance, 0.0)
+    scale = np.where(finite, std, 1.0)
     rho = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
     directions = np.zeros((len(std), 0)) if gauge is None else gauge
 
     def known(place: int, other: int) -> float:
         whole = names[place][0] == names[other][0]
         rows = [i for i, one in enumerate(names) if whole and one[1] == names[other][1]]
-        return _known(covariance, directions, place, [i for i in rows or [other] if told[i]])
+        return _known(covariance, directions, place, [i for i in rows or [other] if finite[i]])
 
     pairs = [
         WeakPair(

@@ -110,7 +110,7 @@ def _untold(mechanism: Mechanism, J: Array, unknowns: Unknowns, lost: Array, cou
                 f"gains ({' '.join(f'--fix {name}' for name in gains)}), or measure a position or "
                 "a distance"
             )
-    groups = identifiability(J, unknowns.free_labels).in_words().split("; ")
+    groups = identifiability(J, unknowns.free_labels).describe().split("; ")
     more = f"; and {len(groups) - _LISTED} more such" if len(groups) > _LISTED else ""
     return (
         f"{'; '.join(groups[:_LISTED])}{more}. Measure more of the platform, or fix one of them, "
@@ -153,7 +153,7 @@ def _words(
 
 def _redundant(gain: Array, names: Sequence[str], n_still: int) -> str:
     """Return in words which parameters do the same to the platform, so that some are not needed."""
-    together = identifiability(gain.reshape(-1, gain.shape[2]), names).in_words()
+    together = identifiability(gain.reshape(-1, gain.shape[2]), names).describe()
     are = "parameter is" if n_still == 1 else "parameters are"
     return f"{n_still} {are} redundant, whatever is measured: {together}"
 

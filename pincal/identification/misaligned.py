@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_law
 
-from pincal.estimation.frames import beyond, frame_motions
+from pincal.estimation.frames import frame_motions, unexplained
 from pincal.identification.result import CalibrationResult
 from pincal.identification.task import Task
 from pincal.identification.undetermined import plausible_changes
@@ -57,7 +57,7 @@ def misaligned(task: Task, result: CalibrationResult) -> tuple[str, ...]:
         chance, amounts = _as_one(gain, own, changes, scale)
         if chance > _CHANCE:
             continue
-        left = beyond(platform, moved[:, :, None], own, size)[:, :, 0]
+        left = unexplained(platform, moved[:, :, None], own, size)[:, :, 0]
         share = 1.0 - ((left * lengths) ** 2).sum() / ((moved * lengths) ** 2).sum()
         if share < _MUCH:
             continue

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
-from pincal.estimation.weak import WeakPair, weakly_told
+from pincal.estimation.weak import WeakPair, weak_pairs
 from pincal.identification.robust import Outlier
 from pincal.identification.trust import RunConsistency, Validation
 from pincal.model.measurements import Noise
@@ -190,7 +190,7 @@ class CalibrationResult:
     def weak(self) -> tuple[WeakPair, ...]:
         """Parameters that are weakly told apart, the weakest first."""
         names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
-        return weakly_told(names, self.covariance, self.gauge_directions)
+        return weak_pairs(names, self.covariance, self.gauge_directions)
 
     @property
     def excess(self) -> float:

@@ -71,7 +71,7 @@ def hold_undetermined(mechanism: Mechanism, problem: LatentPoses, unknowns: Unkn
     plausible = plausible_changes(mechanism)
     directions = np.concatenate(moved)[:, : len(plausible)].T
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
-    words = [identifiability(J, unknowns.free_labels).in_words()] if len(lost) else []
+    words = [identifiability(J, unknowns.free_labels).describe()] if len(lost) else []
     if len(weak):
         words.append(f"{taking_part(held.free_labels, weak)} are hardly told apart")
         held = held.held(weak / scale)

@@ -69,7 +69,7 @@ def _rank(found: Forecast) -> list[str]:
     """Return what is not told: first what is no fault of the plan, then what is."""
     rank, count = found.rank, found.gauge.shape[1]
     start = f"rank {rank.rank} of {rank.n_params}"
-    groups = rank.in_words().split("; ")
+    groups = rank.sentences
     lines = [start if count else f"{start}, condition {rank.condition:.3g}"]
     if count:
         which = f" ({groups[0]})" if len(groups) == 1 else ""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pincal.design.platform_error import slides
 from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
-from pincal.estimation.frames import beyond, frame_motions
+from pincal.estimation.frames import frame_motions, unexplained
 from pincal.identification.result import CalibrationResult
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import as_plan, legs_at
@@ -98,8 +98,8 @@ def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErro
         matrices = platform.transforms(legs.poses).as_matrix()
         motions = frame_motions(platform, matrices) @ result.frames_moved
         own = motions[both[reached]]
-        moved[both] = beyond(platform, moved[both, :, None], own, size)[:, :, 0]
-        gain = beyond(platform, gain, motions, size)
+        moved[both] = unexplained(platform, moved[both, :, None], own, size)[:, :, 0]
+        gain = unexplained(platform, gain, motions, size)
     variance = np.full(moved.shape, np.nan)
     variance[reached] = np.einsum("nip,pq,niq->ni", gain, result.covariance, gain)
     untold, lost = None, result.undetermined_directions

@@ -1,0 +1,149 @@
+"""What configurations say of the parameters: conditions, freed of the pose and whitened.
+
+At each pose all legs demand e(x, ψ; φ) = 0, and something is measured of the platform. The Gram
+matrix of these rows, freed of the pose and whitened, is the information that the best estimator
+draws from the pose. Of a leg alone, with poses as measured, the rows are e, whitened by what the
+noise of pose and readings does to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.estimation.external import ExternalUnknowns
+from pincal.estimation.observation import Observation, Rows
+from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
+from pincal.kinematics.configurations import Legs
+from pincal.kinematics.derivatives import Demand
+from pincal.model.measurements import Measurements, Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Platform
+from pincal.model.setup import Setup
+
+Array = NDArray[np.float64]
+
+
+def parameter_ids(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return the ids of all parameters, leg by leg: ``leg_1.l``."""
+    return tuple(f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names)
+
+
+def leg_whitener(demand: Demand, mechanism: Mechanism, noise: Noise) -> WhiteRows:
+    """Return what whitens the rows of a leg alone, poses as measured; NaN where out of reach.
+
+    Columns of the noise are the platform's freedoms and the leg's readings.
+
+    Args:
+        demand: The leg's rows at N poses.
+        mechanism: The mechanism.
+        noise: Standard deviations of what is measured.
+
+    Raises:
+        MeasurementError: a residual has no noise.
+    """
+    by_pose, by_reading = demand.pose * noise.of_poses(mechanism), demand.reading * noise.reading
+    try:
+        return white_rows(demand.pose[:, :, :0], np.concatenate((by_pose, by_reading), axis=2))
+    except NoNoiseError as error:
+        raise MeasurementError(
+            "a residual has no noise at all; give a standard deviation above zero for position, "
+            "orientation or reading (only their ratios matter to the choice)"
+        ) from error
+
+
+def information_rows(
+    mechanism: Mechanism,
+    legs: Legs,
+    noise: Noise,
+    measured: Sequence[str] | None,
+    setup: Setup,
+) -> tuple[Array, list[str], tuple[str, ...]]:
+    """Return what configurations say of parameters and external unknowns, pose by pose.
+
+    Rows free of the poses and whitened, shape (N, k, n): their Gram matrix is the information.
+
+    Args:
+        mechanism: The mechanism.
+        legs: What all legs demand there.
+        noise: Standard deviations of what is measured.
+        measured: See ``forecast``.
+        setup: What measured numbers will mean.
+
+    Returns:
+        The rows, the ids of the unknowns, and what is measured.
+
+    Raises:
+        MeasurementError: unknown freedoms, or measurements without noise or equations.
+    """
+    platform = mechanism.platform
+    matrices = platform.transforms(legs.poses).as_matrix()
+    seen, sigma, kept = _planned(mechanism, matrices, noise, measured, setup)
+    (count, n_rows, n_legs), n_readings = legs.parameter.shape, legs.reading.shape[2]
+    # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
+    # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
+    parameter = np.zeros((count, n_rows + len(sigma), n_legs + seen.external.shape[2]))
+    parameter[:, :n_rows, :n_legs] = legs.parameter
+    parameter[:, n_rows:, n_legs:] = seen.external
+    root = np.zeros((count, n_rows + len(sigma), n_readings + len(sigma)))
+    root[:, :n_rows, :n_readings] = noise.reading * legs.reading
+    root[:, n_rows:, n_readings:] = np.diag(sigma)
+    try:
+        rows = white_rows(np.concatenate((legs.pose, seen.pose), axis=1), root)(parameter)
+    except NoNoiseError as error:
+        raise MeasurementError(
+            "some measurements carry no noise at all; give standard deviations above zero for what "
+            "is measured, and for readings (--noise-reading) where there are more of them than "
+            "freedoms, or positions are measured in part"
+        ) from error
+    if not rows.size:
+        raise MeasurementError(
+            f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
+            f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
+        )
+    return rows, [*parameter_ids(mechanism), *_external_names(platform, setup, kept)], kept
+
+
+def _external_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the external unknowns of planned measurements."""
+    oriented = any(name in platform.freedoms[platform.units.count("m") :] for name in measured)
+    return ExternalUnknowns(platform, setup, oriented).names
+
+
+def _planned(
+    mechanism: Mechanism,
+    matrices: Array,
+    noise: Noise,
+    measured: Sequence[str] | None,
+    setup: Setup,
+) -> tuple[Rows, Array, tuple[str, ...]]:
+    """Return the rows of planned measurements, their standard deviations, and their names.
+
+    Raises:
+        MeasurementError: unknown freedoms.
+    """
+    platform, count = mechanism.platform, len(matrices)
+    columns = dict.fromkeys(setup.columns(mechanism), np.zeros(count))
+    offered = (*platform.freedoms, *columns)
+    kept = offered if measured is None else tuple(measured)
+    if unknown := [name for name in kept if name not in offered]:
+        raise MeasurementError(
+            f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
+            f"{', '.join(offered)}"
+        )
+    coordinates = platform.from_matrices(matrices)
+    turning = platform.freedoms[platform.units.count("m") :]
+    if not set(kept) & set(turning):
+        coordinates[:, platform.units.count("m") :] = np.nan
+    data = Measurements(
+        poses=coordinates, readings=np.zeros((count, len(mechanism.reading_names))), extra=columns
+    )
+    observation = Observation(mechanism, data, setup)
+    rows = observation.evaluate(matrices, observation.external.start)
+    chosen = [observation.names.index(name) for name in kept]
+    some = Rows(rows.value[:, chosen], rows.pose[:, chosen], rows.external[:, chosen])
+    sigma = observation.sigma(data, noise)[0, chosen] if count else np.zeros(len(chosen))
+    return some, sigma, kept

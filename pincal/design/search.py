@@ -1,0 +1,154 @@
+"""The search among candidates: for one leg, for its orbits, or for all legs together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from pincal.design.certificate import continuous_design
+from pincal.design.distinct import SAME, distinct, places_of
+from pincal.design.exchange import exchange
+from pincal.design.information import leg_whitener, parameter_ids
+from pincal.errors import ObservabilityError
+from pincal.estimation.observability import identifiability
+from pincal.kinematics.configurations import block_diagonal
+from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.inverse import reached
+from pincal.model.measurements import Noise
+from pincal.model.mechanism import Mechanism
+from pincal.symmetry.elements import Element
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class SelectionOptions:
+    """Options of ``select_poses`` and ``select_configurations``."""
+
+    noise: Noise | None = None
+    """Standard deviations of the measurements to come; only their ratios matter."""
+    seed: int | np.random.Generator = 0
+    """Seed or generator of the random starts."""
+    starts: int = 20
+    """Starts of the exchange; the best is kept."""
+    progress: Callable[[str], None] | None = None
+    """Called with what is being done."""
+
+    def say(self, text: str) -> None:
+        """Pass on what is being done."""
+        if self.progress is not None:
+            self.progress(text)
+
+
+class Search:
+    """Candidates of a mechanism, and the best of them."""
+
+    def __init__(self, mechanism: Mechanism, candidates: Array, options: SelectionOptions) -> None:
+        """Hold distinct candidates.
+
+        Args:
+            mechanism: The mechanism.
+            candidates: Coordinates, shape (M, dof), [m] and [rad].
+            options: How to search.
+
+        Raises:
+            MechanismError: poses of a wrong shape, or not finite.
+        """
+        transforms = mechanism.platform.transforms(candidates)
+        kept = distinct(mechanism.platform, transforms)
+        self.mechanism, self.options = mechanism, options
+        self.rng = np.random.default_rng(options.seed)
+        self.candidates = np.asarray(candidates, dtype=np.float64)[kept]
+        transforms = transforms if len(kept) == len(transforms) else transforms[kept]
+        self.reached = np.asarray(reached(mechanism, transforms).all(axis=1))
+        self.usable, self.unreachable = len(self.candidates), 0
+
+    def rows(self, leg: str, poses: Array) -> Array:
+        """Return the whitened rows of a leg at poses, shape (N, k, n)."""
+        demand = leg_demand(self.mechanism, leg, poses)
+        whitener = leg_whitener(demand, self.mechanism, self.options.noise or Noise())
+        return whitener(demand.parameter)
+
+    def own(self, leg: str, count: int) -> tuple[Index, float]:
+        """Return the chosen candidates for one leg, and their efficiency."""
+        self.options.say(f"choosing poses for {leg}")
+        return self._choose(self.rows(leg, self.candidates), count, leg)
+
+    def orbits(self, leg: str, count: int, elements: tuple[Element, ...]) -> tuple[Index, float]:
+        """Return the candidates whose orbits are chosen, and the orbits' efficiency."""
+        self.options.say("choosing orbits")
+        platform = self.mechanism.platform
+        orbits = [g.poses(platform, self.candidates) for g in elements]
+        blocks = np.concatenate([self.rows(leg, poses) for poses in orbits], axis=1)
+        places = places_of(platform, np.concatenate(orbits)).reshape(len(orbits), len(blocks), 12)
+        tree, own = KDTree(places[0]), np.arange(len(blocks))
+        for image in places[1:]:  # of itself or of an earlier one: it would be measured twice
+            distance, other = tree.query(image, p=np.inf)
+            blocks[(distance <= SAME) & (other <= own)] = np.nan
+        return self._choose(blocks, count, leg)
+
+    def common(self, count: int) -> tuple[Index, float]:
+        """Return the candidates chosen for all legs together, and their efficiency."""
+        self.options.say("choosing common poses")
+        legs = self.mechanism.legs
+        blocks = block_diagonal([self.rows(leg.name, self.candidates) for leg in legs])
+        return self._choose(blocks, count, self.mechanism.name)
+
+    def _choose(self, blocks: Array, count: int, where: str) -> tuple[Index, float]:
+        """Return the candidates chosen by their rows, shape (M, r, n), and their efficiency.
+
+        Raises:
+            ObservabilityError: too few poses or candidates, or some parameter undetermined.
+        """
+        n, names = blocks.shape[2], self._ids(where)
+        usable = np.flatnonzero(np.isfinite(blocks).all(axis=(1, 2)) & self.reached)
+        self.usable = min(self.usable, len(usable))
+        self.unreachable = max(self.unreachable, len(self.candidates) - len(usable))
+        if count * blocks.shape[1] < n:
+            raise ObservabilityError(
+                f"{count} poses give {count * blocks.shape[1]} equations for the {n} parameters of "
+                f"{where}; choose at least {-(-n // blocks.shape[1])}, better two or three times "
+                "as many"
+            )
+        if len(usable) < count:
+            raise ObservabilityError(
+                f"{self.mechanism.name} reaches {len(usable)} of {len(self.candidates)} candidate "
+                f"poses; {count} are to be chosen"
+            )
+        blocks = blocks[usable]
+        found = identifiability(blocks.reshape(-1, n), names)
+        if not found.complete:
+            raise ObservabilityError(
+                f"the candidate poses leave parameters undetermined: {found.describe()}. "
+                "Add poses that determine each of them, or make one of them a constant"
+            )
+        chosen, efficiency = d_optimal(blocks, count, self.rng, self.options.starts)
+        return usable[chosen], efficiency
+
+    def _ids(self, where: str) -> Sequence[str]:
+        """Return the ids of the parameters of one leg, or of all legs of the mechanism."""
+        ids = parameter_ids(self.mechanism)
+        if where not in self.mechanism.leg_names:
+            return ids
+        return [f"{where}.{name}" for name in self.mechanism.leg(where).parameter_names]
+
+
+def d_optimal(
+    blocks: Array, count: int, rng: np.random.Generator, starts: int
+) -> tuple[Index, float]:
+    """Return a D-optimal choice, and its efficiency against the bound on any choice.
+
+    Args:
+        blocks: Rows that each candidate contributes, shape (M, r, n); together of rank n.
+        count: Size of the choice, without repetition.
+        rng: Source of the random starts.
+        starts: Number of starts.
+    """
+    design = continuous_design(blocks)
+    chosen, log_det = exchange(blocks, count, design.weights, rng, starts)
+    return chosen, design.efficiency(log_det, count, blocks.shape[2])

@@ -1,0 +1,167 @@
+"""The platform error to expect: one function, its numbers from calibrations and forecasts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pincal
+from pincal.design.platform_error import (
+    PlatformError,
+    Unidentified,
+    closing_twists,
+    platform_error,
+    sizes,
+)
+from pincal.kinematics.configurations import legs_at
+from pincal.show.workspace_errors import errors_at
+
+NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
+
+
+@pytest.fixture(scope="module")
+def hexapod() -> tuple[pincal.Mechanism, np.ndarray, np.ndarray]:
+    """A 6-UPS, poses of its workspace, and a covariance of its parameters."""
+    mechanism = pincal.load_mechanism("6UPS")
+    poses = pincal.sample_workspace(mechanism, 60, seed=0)
+    return mechanism, poses, pincal.forecast(mechanism, poses[:30], NOISE).covariance
+
+
+def test_errors_are_those_of_drawn_parameters(
+    hexapod: tuple[pincal.Mechanism, np.ndarray, np.ndarray],
+) -> None:
+    """10,000 mechanisms drawn: standard errors by pose, root mean squares, and 95 of 100 below."""
+    mechanism, poses, covariance = hexapod
+    found = platform_error(mechanism, covariance, poses)
+    gain = legs_at(mechanism, poses).gain
+    rng = np.random.default_rng(1)
+    drawn = rng.multivariate_normal(np.zeros(len(covariance)), covariance, 10_000, method="eigh")
+    twists = np.einsum("nip,mp->nim", gain, drawn)
+    np.testing.assert_allclose(found.std, twists.std(axis=2), rtol=0.04)
+    square = (twists**2).mean(axis=0)
+    position, orientation = square[:3].sum(axis=0), square[3:].sum(axis=0)
+    assert found.position == pytest.approx(np.sqrt(position.mean()), rel=0.02)
+    assert found.orientation == pytest.approx(np.sqrt(orientation.mean()), rel=0.02)
+    for limit, drawn_squares in zip(found.limit, (position, orientation), strict=True):
+        assert (drawn_squares <= limit**2).mean() == pytest.approx(0.95, abs=0.01)
+    assert (found.position, found.orientation) == pytest.approx(found.where_determined)
+    np.testing.assert_allclose(found.sizes, sizes(mechanism.platform.units, found.std))
+
+
+def test_noise_that_was_estimated_widens_the_limit(
+    hexapod: tuple[pincal.Mechanism, np.ndarray, np.ndarray],
+) -> None:
+    """With five degrees of freedom by the F law, as its quantile for one direction shows."""
+    mechanism, poses, covariance = hexapod
+    line = covariance[:, :1]  # one direction: the mean square follows F(1, 5)
+    known = platform_error(mechanism, line @ line.T, poses)
+    estimated = platform_error(mechanism, line @ line.T, poses, degrees_of_freedom=5)
+    assert known.position == pytest.approx(estimated.position)
+    assert known.limit[0] / known.position == pytest.approx(1.960, rel=0.02)
+    assert estimated.limit[0] / known.position == pytest.approx(2.571, rel=0.03)
+
+
+def test_poses_out_of_reach_do_not_count() -> None:
+    """Their standard errors are NaN, the means those of the others; none reached: NaN."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    covariance = pincal.forecast(mechanism, poses, NOISE).covariance
+    far = poses[:2] + np.array([50.0, 0.0, 0.0])
+    found = platform_error(mechanism, covariance, np.concatenate((far, poses)))
+    alone = platform_error(mechanism, covariance, poses)
+    assert np.isnan(found.std[:2]).all()
+    np.testing.assert_allclose(found.std[2:], alone.std, rtol=1e-9)
+    assert (found.position, found.poses) == (pytest.approx(alone.position), len(poses))
+    assert found.limit == pytest.approx(alone.limit)
+    assert np.isnan(platform_error(mechanism, covariance, far).position)
+
+
+def test_what_is_held_counts_where_it_moves_the_platform(
+    hexapod: tuple[pincal.Mechanism, np.ndarray, np.ndarray],
+) -> None:
+    """A direction not identified is infinite; one held within less than the errors is not."""
+    mechanism, poses, covariance = hexapod
+    lost = np.zeros((len(covariance), 1))
+    lost[0] = 1.0
+    found = platform_error(mechanism, covariance, poses, lost)
+    assert found.position == np.inf
+    assert not found.determined.any()
+    assert np.isnan(found.where_determined[0])
+    assert np.isnan(found.limit[0])
+    for size, infinite in ((1e-9, False), (1.0, True)):
+        held = Unidentified(size * lost, mechanism)
+        found = platform_error(mechanism, covariance, poses, held)
+        assert (found.position == np.inf) is infinite
+
+
+@pytest.mark.parametrize(
+    ("name", "setup"),
+    [("3RRR", None), ("6UPS", None), ("4cable", None), ("6UPS", pincal.Setup(unknown_frame=True))],
+)
+def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | None) -> None:
+    """Expected error, error map and limits of a calibration: from this function alone."""
+    mechanism = pincal.load_mechanism(name)
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    poses = pincal.sample_workspace(mechanism, 90, seed=0)
+    data = pincal.simulate(mechanism, truth, pincal.Plan(poses[:50]), NOISE, seed=2).measurements
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)
+    dof = result.degrees_of_freedom if result.noise_source == "estimated" else None
+    found = platform_error(
+        result.identified,
+        result.covariance,
+        poses,
+        frames=result.frames_moved,
+        degrees_of_freedom=dof,
+    )
+    expected = pincal.expected_error(result, poses)
+    assert found.position == pytest.approx(expected.position, rel=1e-9)
+    assert found.orientation == pytest.approx(expected.orientation, rel=1e-9)
+    errors = errors_at(result, poses)
+    # of angles against lengths, with frames: the radius there is that of the nominal legs
+    same = 1e-9 if setup is None else 1e-4
+    np.testing.assert_allclose(found.sizes, errors.after, rtol=same)
+    assert found.where_determined == pytest.approx(errors.mean_after(), rel=same)
+    assert found.limit == pytest.approx(errors.limit, rel=same, abs=1e-15)
+
+
+def test_held_directions_give_the_numbers_of_all() -> None:
+    """Few poses, the rest held at nominal: the same configurations count, with the same means."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(mechanism, 80, seed=0)
+    data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses[:7]), NOISE).measurements
+    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, hold_undetermined=True)
+    assert result.undetermined_directions is not None
+    held = Unidentified(result.undetermined_directions, result.nominal)
+    found = platform_error(result.identified, result.covariance, poses, held, result.frames_moved)
+    errors = errors_at(result, poses)
+    assert errors.untold is not None
+    np.testing.assert_array_equal(~found.determined, errors.untold)
+    known = found.determined
+    np.testing.assert_allclose(found.sizes[known], errors.after[known], rtol=1e-9)
+    assert found.where_determined == pytest.approx(errors.mean_after(), rel=1e-9, nan_ok=True)
+    assert found.limit == pytest.approx(errors.limit, rel=1e-9, nan_ok=True)
+    assert pincal.expected_error(result, poses).position == found.position
+
+
+def test_closing_twists_are_the_misses_of_the_platform() -> None:
+    """What was added to exact poses, less sign, to second order; NaN where not measured."""
+    mechanism = pincal.load_mechanism("6UPS")
+    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    readings = pincal.inverse(mechanism, poses).readings
+    shift = 1e-6 * np.random.default_rng(0).standard_normal(poses.shape)
+    moved = mechanism.platform.moved(poses, shift)
+    readings[3, 2] = np.nan
+    found = closing_twists(mechanism, pincal.Plan(moved, readings=readings))
+    assert np.isnan(found[3]).all()
+    found[3] = -shift[3]
+    np.testing.assert_allclose(found, -shift, atol=1e-10)
+
+
+def test_what_is_printed(hexapod: tuple[pincal.Mechanism, np.ndarray, np.ndarray]) -> None:
+    """A line, and a page with what 95 of 100 stay below."""
+    mechanism, poses, covariance = hexapod
+    found = platform_error(mechanism, covariance, poses)
+    assert isinstance(found, PlatformError)
+    assert repr(found).startswith("PlatformError(")
+    assert "\n" not in repr(found)
+    assert "95 of 100" in str(found)
