@@ -3,6 +3,13 @@
 Which poses to measure, what the kinematic parameters are, and how sure that is.
 """
 
+from pincal.calibration.calibrate import calibrate
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.options import Options
+from pincal.calibration.result import CalibrationResult, IdentifiedParameter
+from pincal.calibration.result_files import load_result, read_result
+from pincal.calibration.runs import RunComparison, compare_runs
+from pincal.calibration.validation import Validation, validate
 from pincal.design.forecast import Forecast, forecast
 from pincal.design.platform_error import PlatformError
 from pincal.design.select import Selection, select_poses
@@ -28,13 +35,6 @@ from pincal.files.measurement_writing import write_measurements, write_poses, wr
 from pincal.files.measurements import read_measurements, read_poses, read_readings
 from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.files.setups import read_setup
-from pincal.identification.calibrate import calibrate
-from pincal.identification.expected import expected_error
-from pincal.identification.result import CalibrationResult
-from pincal.identification.result_files import read_result
-from pincal.identification.runs import compare_runs
-from pincal.identification.trust import RunConsistency, Validation
-from pincal.identification.validation import validate
 from pincal.kinematics.arm import load_arm
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import ForwardSolution, forward
@@ -76,6 +76,7 @@ __all__ = [
     "Accuracy",
     "ArticularSymmetry",
     "Axis",
+    "Calibration",
     "CalibrationResult",
     "ConfigurationChoice",
     "Distance",
@@ -85,6 +86,7 @@ __all__ = [
     "ForwardSolution",
     "Grid",
     "Identifiability",
+    "IdentifiedParameter",
     "Indices",
     "Inscribed",
     "InverseSolution",
@@ -97,6 +99,7 @@ __all__ = [
     "MechanismError",
     "Noise",
     "ObservabilityError",
+    "Options",
     "Orientations",
     "Parameter",
     "Parameters",
@@ -107,7 +110,7 @@ __all__ = [
     "Platform",
     "PlatformError",
     "Report",
-    "RunConsistency",
+    "RunComparison",
     "Samples",
     "Selection",
     "Sensor",
@@ -133,7 +136,6 @@ __all__ = [
     "default_samples",
     "disturb",
     "equal_sums",
-    "expected_error",
     "forecast",
     "forward",
     "generate",
@@ -145,6 +147,7 @@ __all__ = [
     "largest_inscribed",
     "load_arm",
     "load_mechanism",
+    "load_result",
     "margins",
     "mirror",
     "picture",

@@ -45,9 +45,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     std = dict(zip(mechanism.leg_names, map(np.sqrt, variances), strict=True))
     dof = sum(one.degrees_of_freedom for one in fits)
     quantile = _quantile(calibration, dof)
-    by_name = {
-        leg.name: leg for one in found.fits for leg in _leg_results(calibration, one, std)
-    }
+    by_name = {leg.name: leg for one in found.fits for leg in _leg_results(calibration, one, std)}
     legs = tuple(by_name[name] for name in mechanism.leg_names)
     chi2 = float(sum(one.chi2 for one in fits) / dof) if dof else np.nan
     directions = None if held is None or not held.of_legs.shape[1] else held.of_legs
@@ -73,6 +71,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         undetermined_directions=directions,
         ties=() if without_ties is None else tie_tests(without_ties),
         observed=_observed(found) if found.latent else (),
+        outside=found.external if len(calibration.observation.external) else None,
         estimated_poses=mechanism.platform.from_matrices(fits[0].last.state.matrices)
         if found.latent
         else None,
@@ -114,9 +113,7 @@ def _identified(
     )
 
 
-def _leg_results(
-    calibration: Calibration, one: Robust, std: dict[str, Array]
-) -> list[LegResult]:
+def _leg_results(calibration: Calibration, one: Robust, std: dict[str, Array]) -> list[LegResult]:
     """Return the results of the legs of a fit."""
     found, problem = one.fit, one.fit.problem
     quantile = _quantile(calibration, found.degrees_of_freedom)
@@ -164,9 +161,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt((values**2).mean())) if len(values) else np.nan
 
 
-def _external(
-    found: Fits, outer: Array | None, quantile: float
-) -> tuple[IdentifiedParameter, ...]:
+def _external(found: Fits, outer: Array | None, quantile: float) -> tuple[IdentifiedParameter, ...]:
     """Return frame and targets with their intervals."""
     outside, values = found.calibration.observation.external, found.external
     if values is None or outer is None or not len(outside):
@@ -175,11 +170,16 @@ def _external(
     D = outside.coordinates_by_step(values)
     std = np.sqrt(np.diagonal(D @ outer @ D.T))
     return tuple(
-        _identified(Parameter(*id_.split("."), unit, float(first)), value, error, quantile)
+        _identified(_outside(id_, unit, first), value, error, quantile)
         for id_, unit, first, value, error in zip(
             outside.names, outside.units, start, there, std, strict=True
         )
     )
+
+
+def _outside(id_: str, unit: str, nominal: float) -> Parameter:
+    owner, _, name = id_.partition(".")
+    return Parameter(owner, name, unit, float(nominal))
 
 
 def _observed(found: Fits) -> tuple[Observed, ...]:

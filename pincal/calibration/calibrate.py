@@ -20,8 +20,7 @@ from pincal.calibration.plausibility import (
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.external import External
-from pincal.files.mechanism_folders import as_mechanism
-from pincal.files.measurements import as_measurements
+from pincal.files.given import as_measurements, as_mechanism
 from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -97,6 +96,4 @@ def _explained(result: CalibrationResult, found: Fits) -> CalibrationResult:
 def _causes(calibration: Calibration, frame: External | None) -> tuple[Finding, ...]:
     """Return what would explain that measurements do not fit."""
     options = calibration.options
-    return explain_misfit(
-        calibration.mechanism, calibration.measurements, options.setup, frame
-    )
+    return explain_misfit(calibration.mechanism, calibration.measurements, options.setup, frame)

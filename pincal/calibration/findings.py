@@ -52,7 +52,9 @@ def _far(result: CalibrationResult) -> list[Finding]:
     options = result.options
     found = [p for leg in result.legs for p in leg.parameters]
     plausible = plausible_changes(result.nominal)
-    std, half = (np.array(v) for v in zip(*((p.std, (p.high - p.low) / 2) for p in found), strict=True))
+    std, half = (
+        np.array(v) for v in zip(*((p.std, (p.high - p.low) / 2) for p in found), strict=True)
+    )
     if (weak := np.flatnonzero(std > plausible)).size:
         worst = found[int(np.argmax(std / plausible))]
         return [
@@ -116,7 +118,7 @@ def _legs(result: CalibrationResult) -> list[Finding]:
         if not one.holds
     ]
     return found + [
-        finding("few-poses", legs=(leg.name,), poses=leg.n_poses, parameters=len(leg.parameters))
+        finding("few-poses", legs=(leg.name,), poses=leg.n_poses, unknowns=len(leg.parameters))
         for leg in result.legs
         if leg.n_residuals < _FEW * len(leg.parameters)
     ]

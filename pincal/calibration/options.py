@@ -15,6 +15,7 @@ from pincal.model.setup import Setup
 
 Method = Literal["all-legs", "per-leg"]
 Poses = Literal["own", "all"]
+Progress = Callable[[str], None] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +51,7 @@ class Options:
     hold_undetermined: bool = False
     """Whether directions of parameters that the measurements cannot observe are held as near to
     nominal as can be, and named; else they are refused."""
-    progress: Callable[[str], None] | None = field(default=None, compare=False, repr=False)
+    progress: Progress = field(default=None, compare=False, repr=False)
     """Called with what is being done."""
 
     def __post_init__(self) -> None:

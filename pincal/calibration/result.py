@@ -14,9 +14,9 @@ from scipy.stats import chi2 as chi2_law
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.design.platform_error import PlatformError, Unidentified, platform_error
-from pincal.errors import MeasurementError
+from pincal.estimation.external import External
 from pincal.estimation.robust import Outlier
-from pincal.estimation.weak import WeakPair, weakly_told
+from pincal.estimation.weak import WeakPair, weak_pairs
 from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -188,6 +188,8 @@ class CalibrationResult:
     ties: tuple[TieTest, ...] = ()
     observed: tuple[Observed, ...] = ()
     """How the measured quantities of the platform fit, where poses were unknowns."""
+    outside: External | None = None
+    """Frame and targets behind ``external``, if they were unknown."""
     estimated_poses: Array | None = None
     """The poses of all rows in the base frame, shape (N, dof), where they were unknowns."""
     validation: Validation | None = None
@@ -254,7 +256,7 @@ class CalibrationResult:
     def weak(self) -> tuple[WeakPair, ...]:
         """Pairs of parameters that are weakly determined, the weakest first."""
         names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
-        return weakly_told(names, self.covariance, self.gauge_directions)
+        return weak_pairs(names, self.covariance, self.gauge_directions)
 
     @property
     def excess(self) -> float:
@@ -300,11 +302,10 @@ class CalibrationResult:
 
         Args:
             poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan;
-                those that were measured or estimated if not given.
+                those of the measurements if not given.
 
         Raises:
             MechanismError: poses of a wrong shape, or not finite.
-            MeasurementError: no poses are given, and none were measured whole.
         """
         lost = self.undetermined_directions
         return platform_error(
@@ -318,18 +319,10 @@ class CalibrationResult:
 
     @property
     def poses(self) -> Array:
-        """Poses that were measured, or estimated, in the base frame, shape (N, dof).
-
-        Raises:
-            MeasurementError: neither.
-        """
+        """Poses of all rows in the base frame, measured or estimated, shape (N, dof)."""
         if self.estimated_poses is not None:
             return self.estimated_poses
-        poses, _ = self.calibration.given_poses(None)
-        whole = poses[np.isfinite(poses).all(axis=1)]
-        if not len(whole):
-            raise MeasurementError("no whole pose was measured; give poses")
-        return whole
+        return self.calibration.given_poses(self.outside)[0]
 
     def with_only(self, findings: tuple[Finding, ...]) -> CalibrationResult:
         """Return the result with these findings."""
@@ -357,11 +350,10 @@ class CalibrationResult:
             "",
             f"{'parameter':16s} {'nominal':>12s} {'identified':>14s} {'± 95 %':>10s}",
         ]
-        for p in self.parameters:
+        every: tuple[Any, ...] = self.parameters
+        for p in every:
             half = p.given if p.given == "fixed" else f"{(p.high - p.low) / 2:.2g}"
-            lines.append(
-                f"{p.id:16s} {p.nominal:12.6f} {p.identified:14.7f} {half:>10s} {p.unit}"
-            )
+            lines.append(f"{p.id:16s} {p.nominal:12.6f} {p.identified:14.7f} {half:>10s} {p.unit}")
         lines.append("")
         lines += [
             f"{leg.name}: rms residual {leg.rms_before:.3g} to {leg.rms_after:.3g} {leg.unit}, "

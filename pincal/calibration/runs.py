@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import f as f_law
 
-from pincal.errors import MeasurementError
 from pincal.calibration.calibrate import identify, prepared
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.calibration.validation import UNLIKELY
+from pincal.errors import MeasurementError
 from pincal.model.finding import Finding
-from pincal.words.sentences import finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
+from pincal.words.sentences import finding
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ fit's own χ² says that the model follows its rows more closely than the machin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -217,7 +217,7 @@ def _misfit(calibration: Calibration, found: Fits) -> Array:
     if setup.distances or len(setup.targets) > 1:
         return np.full(data.poses.shape, np.nan)
     machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
-    whole = np.isfinite(data.poses).all(axis=1)
+    whole: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
     twists = np.full(data.poses.shape, np.nan)
     poses, _ = calibration.rows(whole).given_poses(None if setup.plain else found.external)
     twists[whole] = closing_twists(machine, Plan(poses, readings=data.readings[whole]))

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 
+from pincal.calibration.calibrate import identify
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.options import Options
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_files import as_json
+from pincal.calibration.runs import runs_compared
+from pincal.calibration.validation import FOLDS, held_out
 from pincal.cli.app import (
     Force,
     Mech,
     answer,
     command,
     output_option,
+    remark,
     stdout,
     typed,
     warn,
@@ -28,11 +36,6 @@ from pincal.errors import MeasurementError, PincalError
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import load_mechanism, mechanism_files
 from pincal.files.output import refuse_existing
-from pincal.identification.calibrate import calibrate as identify
-from pincal.identification.result import CalibrationResult
-from pincal.identification.result_files import as_json
-from pincal.identification.runs import compare_runs
-from pincal.identification.validation import FOLDS, validate
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
@@ -41,7 +44,7 @@ from pincal.show.report import report
 
 
 class Method(StrEnum):
-    """Which unknowns are identified at once."""
+    """Which unknowns were identified at once in version 0.1."""
 
     per_leg = "per-leg"
     together = "together"
@@ -79,16 +82,18 @@ def calibrate(
         Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
     ],
     output: Annotated[Path, output_option("RESULT", "Folder for result and calibrated mechanism.")],
-    method: Annotated[
-        Method,
-        typer.Option(help="Each leg alone, all legs at once, or these with all poses unknown."),
-    ] = Method.per_leg,
+    per_leg: Annotated[
+        bool,
+        typer.Option("--per-leg", help="Each leg alone, poses as measured: the papers' way."),
+    ] = False,
+    method: Annotated[Method | None, typer.Option(hidden=True)] = None,
     residual: Annotated[
         Residual, typer.Option(help="Whitened loop closure, or readings as in the papers.")
     ] = Residual.closure,
     poses: Annotated[
-        Poses, typer.Option(help="For each leg the poses of its set, or every pose.")
-    ] = Poses.own,
+        Poses | None,
+        typer.Option(help="With --per-leg: for each leg the poses of its set (own), or all."),
+    ] = None,
     noise_position: Annotated[
         float | None, typer.Option(help="Standard deviation of measured positions [m].")
     ] = None,
@@ -134,9 +139,9 @@ def calibrate(
 ) -> None:
     """Identify the parameters from measurements.
 
-    --method latent takes rows in which part of the pose, or all of it, was not measured (empty
-    cells or no columns). Without noise options, repeated rows tell the noise; else equal noise is
-    assumed and its scale estimated from the residuals. RESULT holds report.html to read,
+    All legs are identified at once, each pose an unknown of which any part, or none, was measured
+    (empty cells or no columns). Without noise options, repeated rows give the noise; else it is
+    estimated by group from the residuals. RESULT holds report.html to read,
     result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
     exit code is 1, and no mechanism is written, if the fit does not converge.
     """
@@ -145,23 +150,24 @@ def calibrate(
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force, folder=True)
     how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)
-    data = read_measurements(measurements, mechanism, how, partial=method is Method.latent)
-    options: dict[str, Any] = {
-        "method": method.value,
-        "residual": residual.value,
-        "poses": poses.value,
-        "noise": _noise(mechanism, data, noise_position, noise_orientation, noise_reading),
-        "setup": how,
-        "loss": robust.value,
-        "fixed": fix or (),
-        "tied": tie or (),
-        "priors": _priors(prior or ()),
-        "rough": rough,
-        "hold_undetermined": hold_undetermined,
-    }
+    alone = _alone(per_leg, method, poses)
+    data = read_measurements(measurements, mechanism, how, partial=not alone)
+    options = Options(
+        method="per-leg" if alone else "all-legs",
+        residual=residual.value,
+        poses="all" if poses is Poses.all else "own",
+        noise=_noise(mechanism, data, noise_position, noise_orientation, noise_reading),
+        setup=how,
+        loss=robust.value,
+        fixed=tuple(fix or ()),
+        tied=tuple(tie or ()),
+        priors=_priors(prior or ()),
+        rough=rough,
+        hold_undetermined=hold_undetermined,
+    )
     with working("identifying parameters") as tell:
-        result = identify(mechanism, data, progress=tell, **options)
-        result, said = _trusted(mechanism, data, result, folds, options, tell)
+        calibration = Calibration(mechanism, data, replace(options, progress=tell))
+        result, said = _checked(identify(calibration), folds)
         tell("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([] if setup is None else [setup])]
         page = report(result, data, setup=how, command=typed(), files=files, notes=said)
@@ -179,33 +185,36 @@ def calibrate(
         raise typer.Exit(1)
 
 
-def _trusted(
-    mechanism: Mechanism,
-    data: Measurements,
-    result: CalibrationResult,
-    folds: int,
-    options: dict[str, Any],
-    tell: Callable[[str], None],
-) -> tuple[CalibrationResult, list[str]]:
+def _alone(per_leg: bool, method: Method | None, poses: Poses | None) -> bool:
+    """Return whether each leg is identified alone, and say what replaces old options."""
+    if method is Method.per_leg:
+        remark("--method per-leg is now --per-leg")
+    elif method is not None:
+        remark(f"--method {method.value} is now the default: leave it out")
+    alone = per_leg or method is Method.per_leg
+    if poses is not None and not alone:
+        remark("--poses is for --per-leg; all legs at once use every pose")
+    return alone
+
+
+def _checked(result: CalibrationResult, folds: int) -> tuple[CalibrationResult, list[str]]:
     """Return the result with validation and runs where the rows allow, and why not elsewhere."""
     if not result.converged:
         return result, []
     said = [] if folds else ["no rows were held out (--folds 0)"]
     try:
         if folds:
-            result = replace(
-                result, validation=validate(mechanism, data, folds=folds, progress=tell, **options)
-            )
+            result = replace(result, validation=held_out(result.calibration, folds))
     except PincalError as error:
         said.append(f"no held-out validation: {error}")
     try:
-        if data.runs is not None:
-            tell("comparing the runs")
-            result = replace(result, runs=compare_runs(mechanism, data, **options))
+        if result.measurements.runs is not None:
+            result.options.report("comparing the runs")
+            result = replace(result, runs=runs_compared(result.calibration))
     except PincalError as error:
         said.append(f"runs not compared: {error}")
-    found = [one.warnings for one in (result.validation, result.runs) if one is not None]
-    return replace(result, warnings=(*result.warnings, *(w for own in found for w in own))), said
+    more = [one.findings for one in (result.validation, result.runs) if one is not None]
+    return result.with_only((*result.findings, *(f for own in more for f in own))), said
 
 
 def _priors(said: Sequence[str]) -> dict[str, float]:

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from pincal.calibration.result_files import read_result
 from pincal.cli.app import Force, Mech, command, output_option, remark, stdout, warn, wrote
 from pincal.cli.trees import TREES, export_tree, import_tree
 from pincal.errors import MeasurementError, MechanismError
@@ -21,7 +22,6 @@ from pincal.formats.delta import DeltaPrinter, delta_printer
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.klipper import read_klipper, write_klipper
 from pincal.formats.reprap import read_reprap, write_reprap
-from pincal.identification.result_files import read_result
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism

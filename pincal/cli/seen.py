@@ -10,12 +10,12 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from pincal.calibration.result_files import read_result
 from pincal.cli.app import remark, stderr, warn
 from pincal.errors import FileError, MeasurementError
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder, load_mechanism
 from pincal.files.tables import read_table
-from pincal.identification.result_files import read_result
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism

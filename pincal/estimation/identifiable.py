@@ -57,11 +57,11 @@ def check_rank(
     if ended and not all_.complete:
         raise ObservabilityError(
             "the search ran away: the measurements determine the parameters at their nominal "
-            f"values, but not where it ended ({all_.in_words()}). {NOT_THIS_MACHINE}"
+            f"values, but not where it ended ({all_.describe()}). {NOT_THIS_MACHINE}"
         )
     if not all_.complete:
         raise ObservabilityError(
-            f"the measured poses leave parameters undetermined: {all_.in_words()} "
+            f"the measured poses leave parameters undetermined: {all_.describe()} "
             f"(rank {all_.rank} of {all_.n_params}). Measure poses that tell them apart, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
             "can be (--hold-undetermined)"

@@ -5,13 +5,14 @@ from __future__ import annotations
 from rich.console import Group, RenderableType
 from rich.markup import escape
 
-from pincal.identification.result import CalibrationResult
-from pincal.identification.trust import Validation
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.validation import Validation
 from pincal.model.measurements import Measurements
 from pincal.show.parameters import HEADS, given_cells, parameter_cells
 from pincal.show.series import observed_cells, observed_heads, readings_exact
 from pincal.show.tables import SHOWN, plain_table, titled, weak_in_words
 from pincal.show.workspace_errors import WorkspaceErrors
+from pincal.words.sentences import sentence as said
 
 _NO_FREEDOM = (
     "as many unknowns as measured values: residuals vanish whatever the machine is, and tell "
@@ -51,7 +52,7 @@ def result_table(result: CalibrationResult) -> Group:
                 end_section=i == len(leg.parameters) - 1,
             )
     return titled(
-        f"{result.nominal.name} calibrated: {result.method}, {result.residual} residual",
+        f"{result.nominal.name} calibrated: {result.method}, {result.options.residual} residual",
         table,
         "change [σ]: by how many standard errors the parameter moved",
     )
@@ -115,7 +116,13 @@ def outliers_table(result: CalibrationResult) -> Group:
     for one in result.outliers[:_ROWS]:
         of = "all legs" if set(one.legs) == every else ", ".join(one.legs)
         weight = "rejected" if one.weight == 0.0 else f"{one.weight:.2f}"
-        table.add_row(str(one.row + 1), f"{one.sigma:.1f}", weight, of, one.why)
+        table.add_row(
+            str(one.row + 1),
+            f"{one.sigma:.1f}",
+            weight,
+            of,
+            f"{one.quantity} off by {one.off:.1f} σ",
+        )
     more = len(result.outliers) - _ROWS
     return titled(
         f"rows that do not fit ({result.loss})",
@@ -138,7 +145,7 @@ def calibration_summary(
     if result.gauge:
         lines.append(
             "fixed by choice, of equal parameters those nearest to nominal: "
-            + "; ".join(map(shortened, result.gauge))
+            + "; ".join(map(shortened, map(said, result.gauge)))
         )
     lines += [
         f"tie of {one.name}: {'holds' if one.holds else 'contradicted'} "
@@ -158,7 +165,7 @@ def calibration_summary(
             "errors"
         )
     unused = len(data) - min(leg.n_poses for leg in result.legs)
-    if unused and result.poses == "own" and data.sets is not None:
+    if unused and not result.options.every_pose and data.sets is not None:
         lines.append(
             f"{unused} of {len(data)} measured poses serve other legs only; --poses all lets every "
             "leg use every pose"

@@ -8,15 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
 from pincal.estimation.observability import r_diagonal
-from pincal.estimation.observation import Observation
-from pincal.identification.calibrate import calibration_task
-from pincal.identification.measured import given_poses
-from pincal.identification.result import CalibrationResult
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Measurements, Plan
-from pincal.model.setup import Setup
 from pincal.show.workspace_errors import WorkspaceErrors, errors_at, workspace_errors
 from pincal.workspace.criteria import in_workspace
 
@@ -105,16 +101,15 @@ class Findings:
         return ErrorMaps(x, y, heights, before, after)
 
 
-def findings(result: CalibrationResult, data: Measurements, setup: Setup | None) -> Findings:
+def findings(result: CalibrationResult, data: Measurements) -> Findings:
     """Return what follows from a calibration.
 
     Args:
         result: The calibration.
         data: What it was made from.
-        setup: What the measured numbers mean, as it was given to ``calibrate``.
 
     Raises:
-        MeasurementError: measurements or a setup that are not those of the calibration.
+        MeasurementError: measurements that are not those of the calibration.
     """
     mechanism = result.nominal
     expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names)))
@@ -125,39 +120,7 @@ def findings(result: CalibrationResult, data: Measurements, setup: Setup | None)
             f"not what {mechanism.name!r} was calibrated with; give the measurements that "
             "'calibrate' was given"
         )
-    poses = _base_poses(result, data, setup or Setup())
+    poses = result.poses
     measured = Plan(poses, readings=data.readings if mechanism.by_readings else None)
     errors = workspace_errors(result, measured) if result.converged else None
     return Findings(result, data, poses, errors)
-
-
-def _base_poses(result: CalibrationResult, data: Measurements, setup: Setup) -> Array:
-    """Return the poses of all rows in the base frame, shape (N, dof).
-
-    Raises:
-        MeasurementError: a setup that is not that of the calibration.
-    """
-    if result.estimated_poses is not None:
-        if len(result.estimated_poses) != len(data):
-            raise MeasurementError(
-                f"{len(data)} rows, but the calibration estimated {len(result.estimated_poses)} "
-                "poses; give the measurements that 'calibrate' was given"
-            )
-        return result.estimated_poses
-    observation, external = None, None
-    if not setup.plain:
-        observation = Observation(result.nominal, data, setup)
-    outside = () if observation is None else observation.external.names
-    if tuple(outside) != tuple(p.name for p in result.external):
-        raise MeasurementError(
-            f"the calibration has the external unknowns "
-            f"{', '.join(p.name for p in result.external) or 'none'}, the setup "
-            f"{', '.join(outside) or 'none'}; give the setup that 'calibrate' was given"
-        )
-    if observation is not None:
-        unknowns = observation.external
-        values = np.array([p.identified for p in result.external])
-        start = unknowns.start
-        external = unknowns.moved(start, values - unknowns.coordinates(start))
-    task = calibration_task(result.nominal, data, setup=setup)
-    return given_poses(task, observation, external)[0]

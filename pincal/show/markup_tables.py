@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pincal.identification.result import CalibrationResult
+from pincal.calibration.result import CalibrationResult
 from pincal.model.mechanism import Mechanism
 from pincal.show.markup import Element, table
 from pincal.show.parameters import HEADS, PLAIN, READ, given_cells, parameter_cells
@@ -81,7 +81,7 @@ def outliers_table(result: CalibrationResult, most: int = LISTED) -> Element:
             f"{one.sigma:.1f}",
             "rejected" if one.weight == 0.0 else f"{one.weight:.2f}",
             "all legs" if set(one.legs) == every else ", ".join(one.legs),
-            one.why,
+            f"{one.quantity} off by {one.off:.1f} σ",
         )
         for one in result.outliers[:most]
     ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pincal.identification.result import CalibrationResult
+from pincal.calibration.result import CalibrationResult
 from pincal.model.mechanism import Mechanism
 
 if TYPE_CHECKING:  # lxml and matplotlib are imported where they are needed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import floor, log10
 
-from pincal.identification.result import CalibrationResult, IdentifiedParameter
+from pincal.calibration.result import CalibrationResult, IdentifiedParameter
 
 #: Units of a parameter's row, and how many of it: values as in mechanism.yaml, lengths in mm.
 READ = {"m": ("mm", 1e3), "rad": ("rad", 1.0), "1": ("", 1.0)}

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
+from pincal.calibration.result import CalibrationResult
 from pincal.design.select import Selection
-from pincal.identification.result import CalibrationResult
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan

@@ -13,9 +13,9 @@ from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 
+from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
 from pincal.files.output import writing
-from pincal.identification.result import CalibrationResult
 from pincal.model.measurements import Measurements
 from pincal.model.setup import Setup
 from pincal.show.findings import Findings, findings
@@ -125,7 +125,7 @@ def report(
     kept = [path for path in map(Path, files) if not path.is_fifo()]  # a pipe is read once
     hashes = tuple((path.name, _sha256(path)) for path in kept)
     origin = Origin(command, hashes, tuple(notes), now if date is None else date)
-    return Report(findings(result, measurements, setup), origin)
+    return Report(findings(result, measurements), origin)
 
 
 def _sha256(path: Path) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2 as chi2_law
 
-from pincal.identification.result import CalibrationResult
+from pincal.calibration.result import CalibrationResult
 from pincal.show.calibration import (
     held_out_in_words,
     noise_in_words,
@@ -78,8 +78,8 @@ def doubtful(result: CalibrationResult) -> bool:
     """Return whether noise, held-out rows, runs or ties contradict the model."""
     return (
         result.excess > 1.0
-        or (result.validation is not None and bool(result.validation.warnings))
-        or (result.runs is not None and not result.runs.consistent)
+        or (result.validation is not None and bool(result.validation.findings))
+        or (result.runs is not None and not result.runs.agree)
         or not all(tie.holds for tie in result.ties)
     )
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from pincal.identification.result import CalibrationResult
+from pincal.calibration.result import CalibrationResult
 from pincal.model.measurements import EVERY_LEG, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.calibration import sentence, shortened, trust_in_words
@@ -31,18 +31,16 @@ from pincal.show.report_maps import maps_figure
 from pincal.show.report_residuals import histogram_figure, residuals_figure
 from pincal.show.series import readings_exact
 from pincal.show.tables import SHOWN, weak_in_words
+from pincal.words.sentences import sentence as said
 
 _METHODS = {
-    "per-leg": "each leg alone",
-    "together": "all legs at once",
-    "latent": "all legs at once, with the poses of the platform as unknowns",
+    "per-leg": "each leg alone, poses as measured",
+    "all-legs": "all legs at once, with the poses of the platform as unknowns",
 }
 _RESIDUALS = {
     "closure": "closure residuals: by how much a leg misses the platform point, weighted by the "
     "noise",
     "joint": "joint residuals: predicted less measured readings, not weighted",
-    "reading": "predicted less measured readings and quantities of the platform, weighted by the "
-    "noise",
 }
 _SOURCES = {
     "given": "as given",
@@ -73,21 +71,21 @@ def measured(found: Findings) -> Element:
         ("of the platform", _columns(found)),
         ("readings", ", ".join(_readings(result.nominal))),
         ("noise", f"{_SOURCES.get(result.noise_source, result.noise_source)}: {_noise(found)}"),
-        ("identified", f"{_METHODS[result.method]}; {_RESIDUALS[result.residual]}"),
+        ("identified", f"{_METHODS[result.method]}; {_RESIDUALS[result.options.residual]}"),
     ]
-    if result.poses == "own" and data.sets is not None:
+    if not result.options.every_pose and data.sets is not None:
         facts.append(("poses", "each leg uses the poses that were chosen for it"))
     if result.loss != "none":
         facts.append(("robust loss", result.loss))
     if result.external:
-        names = ", ".join(p.name for p in result.external)
+        names = ", ".join(p.id for p in result.external)
         facts.append(("unknown outside", f"{names}: see below"))
     if result.gauge:
         facts.append(
             (
                 "fixed by choice",
                 "no such measurement can tell it, so of equal parameters those nearest to nominal "
-                f"were taken: {'; '.join(map(shortened, result.gauge))}",
+                f"were taken: {'; '.join(map(shortened, map(said, result.gauge)))}",
             )
         )
     listed = tag("dl")

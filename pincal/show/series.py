@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.identification.result import CalibrationResult, LegResult, Observed
+from pincal.calibration.result import CalibrationResult, LegResult, Observed
 from pincal.show.tables import SHOWN
 
 Array = NDArray[np.float64]

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.calibration.result import CalibrationResult
 from pincal.design.platform_error import slides
 from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.estimation.frames import frame_motions, unexplained
-from pincal.identification.result import CalibrationResult
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import as_plan, legs_at
 from pincal.model.measurements import Plan

@@ -1,0 +1,109 @@
+"""All that a result is made of as plain data, bit for bit, and back again."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any, get_origin, get_type_hints
+
+import numpy as np
+from cattrs import BaseConverter, Converter
+from cattrs.errors import BaseValidationError
+from numpy.typing import NDArray
+
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.options import Options, Progress
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.runs import RunComparison
+from pincal.calibration.validation import Validation
+from pincal.errors import MeasurementError
+from pincal.estimation.losses import Loss, LossName
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+
+_APART = ("calibration", "identified")
+_REPORTS = {"Validation": Validation, "RunComparison": RunComparison}
+
+
+def _is_array(kind: Any) -> bool:
+    return get_origin(kind) is np.ndarray or kind is np.ndarray
+
+
+def _plain(array: NDArray[Any]) -> Any:
+    """Return an array as its type, shape and numbers; those that are none as strings."""
+    flat = array.ravel().tolist()
+    numbers = [one if one == one and abs(one) < np.inf else str(one) for one in flat]
+    return {"type": array.dtype.str, "shape": list(array.shape), "values": numbers}
+
+
+def _array(data: Any, _: Any) -> NDArray[Any]:
+    values = [float(one) if isinstance(one, str) else one for one in data["values"]]
+    return np.array(values, dtype=np.dtype(data["type"])).reshape(data["shape"])
+
+
+def _number(data: Any, _: Any) -> float:
+    return float(data)
+
+
+def _converter() -> BaseConverter:
+    found = Converter(forbid_extra_keys=True)
+    found.register_unstructure_hook_func(_is_array, _plain)
+    found.register_unstructure_hook(np.ndarray, _plain)
+    found.register_structure_hook_func(_is_array, _array)
+    found.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
+    found.register_structure_hook(float, _number)
+    found.register_structure_hook_func(lambda kind: kind == LossName | Loss, lambda name, _: name)
+    found.register_structure_hook_func(lambda kind: kind == Progress, lambda *_: None)
+    found.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))
+    return found
+
+
+def _frozen(data: Any) -> Any:
+    """Return data of which lists are tuples, as findings hold them."""
+    if isinstance(data, list):
+        return tuple(_frozen(one) for one in data)
+    if isinstance(data, dict):
+        return {name: _frozen(value) for name, value in data.items()}
+    return data
+
+
+_CONVERTER = _converter()
+_HINTS = get_type_hints(CalibrationResult, localns=dict(_REPORTS))
+
+
+def stored(result: CalibrationResult) -> dict[str, Any]:
+    """Return all that a result is made of, as plain data; the nominal mechanism apart."""
+    options = replace(result.options, progress=None, loss="none")
+    return {
+        "measurements": _CONVERTER.unstructure(result.measurements),
+        "options": _CONVERTER.unstructure(options) | {"loss": result.loss},
+        **{
+            one.name: _CONVERTER.unstructure(getattr(result, one.name))
+            for one in fields(CalibrationResult)
+            if one.name not in _APART
+        },
+    }
+
+
+def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
+    """Return the result of plain data.
+
+    Raises:
+        MeasurementError: data of another shape than ``stored`` gives.
+    """
+    try:
+        calibration = Calibration(
+            nominal,
+            _CONVERTER.structure(data["measurements"], Measurements),
+            _CONVERTER.structure(data["options"], Options),
+        )
+        found = {
+            name: _CONVERTER.structure(data[name], kind)
+            for name, kind in _HINTS.items()
+            if name not in _APART
+        }
+    except (BaseValidationError, KeyError, TypeError, ValueError) as error:
+        raise MeasurementError(
+            f"the data of this result are not as pincal saves them: {error}"
+        ) from error
+    values = {leg.name: leg.identified for leg in found["legs"]}
+    return CalibrationResult(calibration, nominal.with_parameters(values), **found)

@@ -1,0 +1,216 @@
+"""A result folder: ``result.json``, ``residuals.csv``, the nominal and the calibrated mechanism.
+
+``result.json`` says what was found in words and numbers for programs, and holds under ``data`` all
+that the result is made of, bit for bit, so that ``load_result`` gives it back.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pincal.files.output as output
+from pincal.calibration.result import CalibrationResult, IdentifiedParameter, LegResult, Page
+from pincal.calibration.result_data import restored, stored
+from pincal.calibration.runs import RunComparison
+from pincal.errors import MeasurementError
+from pincal.files.input import read_text
+from pincal.files.measurement_writing import write_poses
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.tables import write_table
+from pincal.model.measurements import Plan
+from pincal.words.sentences import sentence
+
+FORMAT = 2
+MECHANISM, NOMINAL = "mechanism", "nominal"
+_LARGEST = 256 * 1024 * 1024  # bytes
+
+
+def save_result(
+    result: CalibrationResult,
+    folder: str | Path,
+    *,
+    force: bool = False,
+    report: Page | None = None,
+) -> Path:
+    """Write a result folder, whole or not at all, and return it.
+
+    A fit that did not converge has no calibrated mechanism, so none is written. Arguments are
+    those of ``CalibrationResult.save``.
+
+    Raises:
+        FileError: the folder exists and ``force`` is not set, or cannot be written.
+    """
+    with output.writing(folder, force=force, folder=True) as scratch:
+        text = json.dumps(as_json(result), indent=2, ensure_ascii=False, allow_nan=False)
+        (scratch / "result.json").write_text(text + "\n", encoding="utf-8")
+        result.nominal.save(scratch / NOMINAL)
+        if result.converged:
+            result.identified.save(scratch / MECHANISM)
+        units = {leg.unit for leg in result.legs}
+        unit = units.pop() if len(units) == 1 else "m or rad"
+        write_table(
+            scratch / "residuals.csv",
+            {
+                "leg": [leg.name for leg in result.legs for _ in leg.rows],
+                "row": [str(row + 1) for leg in result.legs for row in leg.rows],
+                f"residual [{unit}]": [r for leg in result.legs for r in leg.residuals],
+                f"sigma [{unit}]": [s for leg in result.legs for s in leg.sigma],
+            },
+        )
+        if result.estimated_poses is not None:
+            plan = Plan(result.estimated_poses)
+            write_poses(scratch / "poses.csv", result.identified, plan)
+        if report is not None:
+            (scratch / "report.html").write_text(report.html(), encoding="utf-8")
+    return Path(folder)
+
+
+def as_json(result: CalibrationResult) -> dict[str, Any]:
+    """Return a result as plain data for JSON; numbers that do not exist are null."""
+    from importlib.metadata import version
+
+    return {
+        "pincal_result": FORMAT,
+        "pincal": version("pincal"),
+        "mechanism": result.nominal.name,
+        "calibrated_mechanism": MECHANISM if result.converged else None,
+        "method": result.method,
+        "residual": result.options.residual,
+        "poses": "all" if result.options.every_pose else "own",
+        "converged": result.converged,
+        "message": result.message,
+        "evaluations": result.evaluations,
+        "reduced_chi2": _number(result.reduced_chi2),
+        "degrees_of_freedom": result.degrees_of_freedom,
+        "noise": {
+            "source": result.noise_source,
+            **({} if result.noise is None else asdict(result.noise)),
+        },
+        "warnings": list(result.warnings),
+        "findings": [
+            asdict(one) | {"rows": [row + 1 for row in one.rows], "sentence": sentence(one)}
+            for one in result.findings
+        ],
+        "loss": result.loss,
+        "outliers": [asdict(one) | {"row": one.row + 1} for one in result.outliers],
+        "shift_without_loss": result.shift,
+        "external": [_parameter(p) for p in result.external],
+        "gauge": [sentence(one) for one in result.gauge],
+        "ties": [asdict(one) | {"holds": one.holds} for one in result.ties],
+        "observed": [
+            {"name": one.name, "unit": one.unit, "count": one.count}
+            | {"rms": one.rms, "sigma": one.sigma}
+            for one in result.observed
+        ],
+        "weakly_determined": [asdict(one) for one in result.weak],
+        "validation": None if result.validation is None else asdict(result.validation),
+        "runs": None if result.runs is None else _runs(result.runs),
+        "legs": [_leg(leg) for leg in result.legs],
+        "covariance": result.covariance.tolist(),
+        "data": stored(result),
+    }
+
+
+def _leg(leg: LegResult) -> dict[str, Any]:
+    return {
+        "name": leg.name,
+        "parameters": [_parameter(p) for p in leg.parameters],
+        "rank": leg.rank,
+        "condition": _number(leg.condition),
+        "residual_unit": leg.unit,
+        "rms_before": _number(leg.rms_before),
+        "rms_after": _number(leg.rms_after),
+        "n_residuals": leg.n_residuals,
+    }
+
+
+def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
+    return {
+        "id": p.id,
+        "name": p.name,
+        "unit": p.unit,
+        "nominal": p.nominal,
+        "identified": p.identified,
+        "std": _number(p.std),
+        "interval_95": [_number(p.low), _number(p.high)],
+        "given": p.given or None,
+    }
+
+
+def _runs(runs: RunComparison) -> dict[str, Any]:
+    return {
+        "runs": list(runs.runs),
+        "ratio": runs.ratio,
+        "p_value": runs.p_value,
+        "parameters": [
+            {"name": name, "spread": spread, "predicted": predicted, "values": values}
+            for name, spread, predicted, values in zip(
+                runs.names,
+                runs.spread.tolist(),
+                runs.predicted.tolist(),
+                runs.values.T.tolist(),
+                strict=True,
+            )
+        ],
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:40]} is not a finite number")
+    return value
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ValueError(f"{name[:40]!r} appears twice")
+        found[name] = value
+    return found
+
+
+def read_result(folder: str | Path) -> dict[str, Any]:
+    """Return the contents of a result folder's ``result.json``.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: not a result of pincal, or of an unknown version.
+    """
+    path = Path(folder) / "result.json"
+    text = read_text(path, _LARGEST, MeasurementError)
+    try:
+        data = json.loads(
+            text, parse_float=_finite, parse_constant=_finite, object_pairs_hook=_once
+        )
+    except (ValueError, RecursionError) as error:
+        raise MeasurementError(f"{path}: not JSON as pincal writes it: {error}") from error
+    if not isinstance(data, dict) or data.get("pincal_result") not in range(1, FORMAT + 1):
+        raise MeasurementError(f"{path}: not a result of pincal in format {FORMAT} or before")
+    return data
+
+
+def load_result(folder: str | Path) -> CalibrationResult:
+    """Return the result that a folder holds: what was saved, bit for bit.
+
+    Raises:
+        FileError: a file is missing or cannot be read.
+        MeasurementError: not a result of pincal, or one of version 0.1, which did not hold all.
+        MechanismError: a nominal mechanism that cannot be loaded.
+    """
+    found = read_result(folder)
+    if "data" not in found:
+        raise MeasurementError(
+            f"{folder}: a result of version 0.1, which does not hold all that it was made from; "
+            "calibrate again, or read it with pincal.read_result"
+        )
+    return restored(found["data"], load_mechanism(Path(folder) / NOMINAL))
