@@ -11,7 +11,8 @@ from closed_forms import poses_near_home
 from numpy.typing import NDArray
 
 import pincal
-from pincal.kinematics.closure import LegClosure, left_null, product, solve
+from pincal.kinematics.batches import left_null, product, solve
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import demand
 from pincal.kinematics.forest import Elementary, forest
 from pincal.kinematics.inverse import close, sensor_law
@@ -101,7 +102,8 @@ def test_forest_equals_one_chain_at_a_time(count: int) -> None:
     end = pin.SE3.Random()
     tree = forest(tuple(chain), tuple(end.homogeneous.ravel().tolist()), spatial=True)
     q = rng.uniform(-2, 2, (count, 7))
-    tips, columns = tree.columns(q)
+    motion = tree.motion(q, tree.wanted(np.eye(7)))
+    tips, columns = motion.tips.T, motion.twists().transpose(0, 2, 1)
 
     model, parent = pin.Model(), 0
     for element in chain:

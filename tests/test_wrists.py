@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.kinematics.closure import left_null
+from pincal.kinematics.batches import left_null
 
 
 def wristed(leg: pincal.Leg) -> pincal.Leg:

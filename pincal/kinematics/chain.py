@@ -8,13 +8,13 @@ what follows, is a row of S with several entries.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.forest import Elementary, Forest, forest
+from pincal.kinematics.forest import Elementary, Forest, Motion, forest
 from pincal.model.leg import Joint, Leg
 
 Array = NDArray[np.float64]
@@ -30,8 +30,8 @@ class Chain:
     from_joints: Array
     """J, shape (n, n_joints): one entry ±1 a column."""
 
-    def configurations(self, parameters: Array, joints: Array) -> Array:
-        """Return configurations of the chain, shape (N, n).
+    def motion(self, parameters: Array, joints: Array) -> Motion:
+        """Return where the tip is, and how each leg joint and then each parameter moves it.
 
         Args:
             parameters: Parameter values, shape (n_params,).
@@ -39,14 +39,18 @@ class Chain:
         """
         q = np.empty((len(joints), len(self.from_parameters)))
         q[:] = self.from_parameters @ parameters
-        for column, row in enumerate(self.joint_entries):
-            q[:, row] = self.from_joints[row, column] * joints[:, column]
-        return q
+        for column, row in enumerate(self._rows):
+            q[:, row] += self.from_joints[row, column] * joints[:, column]
+        return self.forest.motion(q, self._wanted)
 
     @cached_property
-    def joint_entries(self) -> tuple[int, ...]:
+    def _rows(self) -> list[int]:
         """Elementary joint of each leg joint."""
-        return tuple(int(np.flatnonzero(entries)[0]) for entries in self.from_joints.T)
+        return [int(np.flatnonzero(entries)[0]) for entries in self.from_joints.T]
+
+    @cached_property
+    def _wanted(self) -> Array:
+        return self.forest.wanted(np.concatenate((self.from_joints, self.from_parameters), axis=1).T)
 
 
 @lru_cache(maxsize=256)
@@ -70,8 +74,11 @@ def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None 
 
     def add(element: Elementary, parameter: Array, joint: Array) -> None:
         nonlocal pending
-        elements.append(element)
-        rows.append((parameter, joint))
+        if elements and not element.placement and element == replace(elements[-1], placement=()):
+            rows[-1] = (rows[-1][0] + parameter, rows[-1][1] + joint)  # same axis: one joint
+        else:
+            elements.append(element)
+            rows.append((parameter, joint))
         pending = np.eye(4)
 
     for joint in joints:

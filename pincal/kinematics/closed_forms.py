@@ -90,7 +90,7 @@ def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
     length = np.linalg.norm(arm, axis=1)
     angles = form.pointing.angles(form.forth * arm)
     turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[:-1], strict=True)]
-    return np.stack((*turns, form.forth * length), axis=1), length > 0.0
+    return np.stack((*turns, form.forth * length)).T, length > 0.0
 
 
 @dataclass(frozen=True)
@@ -109,11 +109,11 @@ class SlideGeometry:
 @lru_cache(maxsize=256)
 def slide_geometry(closure: LegClosure) -> SlideGeometry:
     """Return the geometry of a slide on a pointing joint."""
-    tips, columns = closure.joint_columns(np.zeros((1, len(closure.leg.moving))))
-    start = _arm(columns[:, 0, :-1])
-    shift = float(start @ columns[:3, 0, -1])
+    tips, (columns, _) = closure.at_zero_and_home
+    start = _arm(columns[:, :-1])
+    shift = float(start @ columns[:3, -1])
     forth = float(np.sign(closure.leg.home[-1] + shift)) or 1.0
-    pointing = _pointing(closure, columns[:, 0, :-1], columns[:3, 0, -1], first=0)
+    pointing = _pointing(closure, columns[:, :-1], columns[:3, -1], first=0)
     return SlideGeometry(tips[0] - start, pointing, shift, forth)
 
 
@@ -127,27 +127,27 @@ def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
     """
     leg, rod = closure.leg, rod_geometry(closure)
     arm = _in_space(closure, targets - rod.centre)
+    out, on, up = rod.frame.T @ arm.T
     with np.errstate(all="ignore"):
         if leg.moving[0].kind == "prismatic":
-            along = arm @ rod.frame[:, 1]
-            square = along**2 - np.einsum("ni,ni->n", arm, arm) + rod.length**2
+            square = on**2 - np.einsum("ni,ni->n", arm, arm) + rod.length**2
             possible = square >= 0.0
-            drive = along - rod.mode * np.sqrt(np.clip(square, 0.0, None))
+            drive = on - rod.mode * np.sqrt(np.clip(square, 0.0, None))
             to_tip = arm - drive[:, None] * rod.frame[:, 1]
         else:
-            out, on, up = (arm @ rod.frame).T
             square = out**2 + on**2 + up**2 + rod.radius**2 - rod.length**2
-            cos = np.nan_to_num(square / (2 * rod.radius * np.hypot(out, on)))  # at O, any angle
+            cos = square / (2 * rod.radius * np.hypot(out, on))
+            cos = np.where(np.isnan(cos), 0.0, cos)  # at O, any angle
             possible = np.abs(cos) <= 1.0
             cos = np.clip(cos, -1.0, 1.0)
             drive = np.arctan2(on, out) - rod.mode * np.arctan2(np.sqrt((1 - cos) * (1 + cos)), cos)
             drive = leg.home[0] + wrapped(drive - leg.home[0])
             c, s = np.cos(drive), np.sin(drive)  # turned back to where the drive is at zero
-            back = np.stack((c * out + s * on - rod.radius, c * on - s * out, up), axis=1)
-            to_tip = back @ rod.frame.T
+            back = np.stack((c * out + s * on - rod.radius, c * on - s * out, up))
+            to_tip = (rod.frame @ back).T
     angles = rod.pointing.angles(to_tip)
     turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[1:], strict=True)]
-    return np.stack((drive, *turns), axis=1), possible
+    return np.stack((drive, *turns)).T, possible
 
 
 @dataclass(frozen=True)
@@ -179,19 +179,19 @@ class RodGeometry:
 def rod_geometry(closure: LegClosure) -> RodGeometry:
     """Return the geometry of a driven rod."""
     leg = closure.leg
-    tips, columns = closure.joint_columns(np.stack((np.zeros(len(leg.moving)), leg.home)))
-    pointing = _pointing(closure, columns[:, 0, 1:], _arm(columns[:, 0]), first=1)
-    point, speed = tips[0] - pointing.arm, columns[:3, 0, 0]
+    tips, (columns, home) = closure.at_zero_and_home
+    pointing = _pointing(closure, columns[:, 1:], _arm(columns), first=1)
+    point, speed = tips[0] - pointing.arm, columns[:3, 0]
     radius, axis = 0.0, np.zeros(3)
     if leg.moving[0].kind == "revolute":
-        axis = columns[3:, 0, 0]
+        axis = columns[3:, 0]
         speed = speed - np.cross(axis, pointing.arm)
         radius = float(np.linalg.norm(speed))
         speed = speed / radius
     out = np.cross(speed, axis)
     frame = np.stack((out, speed, axis), axis=1)
-    at_home = _arm(columns[:, 1])  # drive and rod as they are there
-    grip = at_home @ (columns[:3, 1, 0] - np.cross(columns[3:, 1, 0], at_home))
+    at_home = _arm(home)  # drive and rod as they are there
+    grip = at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))
     mode = float(np.sign(grip)) or 1.0
     return RodGeometry(point - radius * out, radius, frame, pointing, mode)
 
@@ -216,7 +216,7 @@ def _arm(columns: Array) -> Array:
 
 def _points(closure: LegClosure, rod: bool) -> bool:
     """Return whether revolute axes cross at right angles, and the arm starts where they do."""
-    columns = closure.joint_columns(np.zeros((1, len(closure.leg.moving))))[1][:, 0]
+    columns = closure.at_zero_and_home[1][0]
     axes, arm = (columns[:, 1:], _arm(columns)) if rod else (columns[:, :-1], columns[:3, -1])
     start = arm if rod else _arm(axes)  # from the crossing to the tip
     missed = np.abs(axes[:3].T - np.cross(axes[3:].T, start)).max()
@@ -229,8 +229,10 @@ def _points(closure: LegClosure, rod: bool) -> bool:
 
 
 def _in_space(closure: LegClosure, vectors: Array) -> Array:
-    """Return vectors, shape (N, 3), in the plane without their heights."""
-    return vectors if closure.platform.space == 3 else vectors * (1.0, 1.0, 0.0)
+    """Return vectors, shape (N, 3), changed in place: in the plane without their heights."""
+    if closure.platform.space == 2:
+        vectors[:, 2] = 0.0
+    return vectors
 
 
 def wrapped(angles: Array) -> Array:

@@ -11,18 +11,23 @@ one equation; one with fewer passive joints more, a serial arm six.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pincal.kinematics.batches import cross, inverse_left_jacobian, left_null, turn_between
+from pincal.kinematics.batches import least_squares as least_squares
+from pincal.kinematics.batches import point_velocity as point_velocity
+from pincal.kinematics.batches import product as product
+from pincal.kinematics.batches import solve as solve
 from pincal.kinematics.chain import leg_chain, point_chain
-from pincal.kinematics.forest import cross
-from pincal.kinematics.rotations import inverse_left_jacobian, turn_between
+from pincal.kinematics.forest import Motion
 from pincal.model.leg import Leg
+from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
@@ -40,10 +45,15 @@ class Closure:
     """∂c/∂p, shape (N, m, n_passive)."""
     parameter: Array
     """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
-    pose: Array
-    """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
-    twists: tuple[Array, Array | None]
-    """Tip twists (6, N) of the first active joint and of the next revolute joint, if any."""
+    make_pose: Callable[[], Array]
+    """Returns ``pose``, which not everyone asks for."""
+    drive_twists: Callable[[], tuple[Array, Array | None]]
+    """Returns the tip twists (6, N) of the first active joint and of the next revolute joint."""
+
+    @cached_property
+    def pose(self) -> Array:
+        """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
+        return self.make_pose()
 
     @cached_property
     def normal(self) -> Array:
@@ -52,6 +62,8 @@ class Closure:
 
     def project(self, matrix: Array) -> Array:
         """Return Nᵀ A for A of shape (N, m, k), shape (N, m - n_passive, k)."""
+        if not self.passive.shape[2]:
+            return matrix
         return product(self.normal.transpose(0, 2, 1), matrix)
 
     @cached_property
@@ -70,7 +82,7 @@ class Closure:
 
         At a planar dyad the length l; the tip's own speed where there is no such axis.
         """
-        active, following = self.twists
+        active, following = self.drive_twists()
         own = np.linalg.norm(self.active[:, :, 0], axis=1)
         if following is None:
             return own
@@ -99,19 +111,30 @@ class Closure:
 
 
 class LegClosure:
-    """Evaluates the closure of one leg at given parameter values."""
+    """Evaluates the closure of one leg at given parameter values.
+
+    A value: equal legs at equal parameters are equal, so that what is read off them is found again.
+    """
 
     def __init__(self, leg: Leg, platform: Platform, parameters: Array | None = None) -> None:
         self.leg = leg
         self.platform = platform
         self.parameters = leg.nominal if parameters is None else np.asarray(parameters, float)
-        self._rows = list(platform.closing(leg.closes))
+        self._rows = platform.closing(leg.closes)
         self._turns = leg.closes == "frame"
         self._chain = leg_chain(leg, platform.space == 3 or self._turns)
+        self._key = (leg, platform, self.parameters.tobytes())
+        self._hash = hash(self._key)
         point = point_chain(leg)
-        b, db, turn = point.forest.frames(point.configurations(self.parameters, np.zeros((1, 0))))
-        self._b, self._turn = b[0], turn[0]
-        self._db = db[:, 0] @ point.from_parameters
+        own = point.from_parameters.any(axis=0)
+        self._b, self._turn, self._db = _point(leg, (self.parameters * own).tobytes())
+        self._by_point = np.flatnonzero(own)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, LegClosure) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return self._hash
 
     @property
     def size(self) -> float:
@@ -134,69 +157,85 @@ class LegClosure:
         Args:
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
         """
-        return matrices[:, :3, 3] + matrices[:, :3, :3] @ self._b
+        return self._placed(matrices).T
+
+    def _placed(self, matrices: Array) -> Array:
+        """Return the platform point in the base frame, shape (3, N), [m]."""
+        return _applied(matrices, np.append(self._b, 1.0)[:, None])[:, 0]
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
-        return self.joint_columns(joints)[0]
+        return _padded(self._chain.motion(self.parameters, joints).tips)
 
-    def joint_columns(self, joints: Array) -> tuple[Array, Array]:
-        """Return tips, shape (N, 3), and their twists by each joint, shape (6, N, n_joints)."""
-        chain = self._chain
-        tips, columns = chain.forest.columns(chain.configurations(self.parameters, joints))
-        return tips, columns @ chain.from_joints
+    @cached_property
+    def at_zero_and_home(self) -> tuple[Array, Array]:
+        """Tips with joints at zero and at home, (2, 3), and their twists by joints, (2, 6, n)."""
+        joints = np.stack((np.zeros(len(self.leg.moving)), self.leg.home))
+        motion = self._chain.motion(self.parameters, joints)
+        twists = motion.twists(slice(joints.shape[1]))
+        return _padded(motion.tips), np.ascontiguousarray(twists.transpose(2, 0, 1))
 
     def evaluate(self, joints: Array, matrices: Array) -> Closure:
         """Return closure and derivatives at joint positions (N, n_joints) and poses (N, 4, 4)."""
-        chain, rows = self._chain, self._rows
-        configurations = chain.configurations(self.parameters, joints)
-        R = matrices[:, :3, :3]
-        arm = R @ self._b
+        motion = self._chain.motion(self.parameters, joints)
+        m = self.platform.space
+        gap = motion.tips[:m] - self._placed(matrices)[:m]
+        columns = motion.linear[:m]
+        moved, parameter = np.split(columns, [joints.shape[1]], axis=1)
+        if len(self._by_point):
+            speeds = np.concatenate((self._db[:3], np.zeros((1, len(self._by_point)))))
+            parameter[:, self._by_point] -= _applied(matrices, speeds)[:m]
+        rows = [
+            part.transpose(2, 0, 1)
+            for part in (moved[:, self.leg.active], moved[:, self.leg.passive], parameter)
+        ]
+        gap = gap.T
+        error = None
         if self._turns:
-            tips, columns, turns = chain.forest.frames(configurations)
-        else:
-            tips, columns = chain.forest.columns(configurations)
-        gap = tips - matrices[:, :3, 3] - arm
-        pose = -point_velocity(arm, self.platform.twist_rows)
-        own = [row for row in rows if row < 3]
-        speed = np.stack([columns[row] for row in own], axis=1)  # (N, m, n)
-        point = (R @ self._db[:3])[:, own] if self._db.any() or self._turns else None
-        gap, pose = gap[:, own], pose[:, own]
-        if self._turns:
-            linear = (gap, pose, speed, point)
-            gap, pose, speed, point = (
-                np.concatenate(both, axis=1)
-                for both in zip(linear, self._turning(turns, R, columns), strict=True)
+            error = turn_between(motion.turns, matrices[:, :3, :3] @ self._turn)
+            turned, by_joints = self._turning(error, matrices, motion)
+            gap = np.concatenate((gap, turned), axis=1)
+            n = joints.shape[1]
+            parts = (
+                by_joints[:, :, self.leg.active],
+                by_joints[:, :, self.leg.passive],
+                by_joints[:, :, n:],
             )
-        moved = speed @ chain.from_joints
-        parameter = speed @ chain.from_parameters
-        if point is not None:
-            parameter -= point
+            rows = [np.concatenate(both, axis=1) for both in zip(rows, parts, strict=True)]
         return Closure(
-            gap=gap,
-            active=moved[:, :, self.leg.active],
-            passive=moved[:, :, self.leg.passive],
-            parameter=parameter,
-            pose=pose,
-            twists=self._drive_twists(columns),
+            gap,
+            *rows,
+            make_pose=lambda: self._by_pose(matrices, error),
+            drive_twists=lambda: self._drive_twists(motion),
         )
 
-    def _turning(self, turns: Array, R: Array, columns: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the rows of the turn: gap, and its derivatives by pose, chain and platform point.
+    def _turning(self, error: Array, matrices: Array, motion: Motion) -> tuple[Array, Array]:
+        """Return the rows of the turn, and their derivatives by joints and parameters.
 
         Rotation vectors times the leg's size, so that all rows are lengths.
         """
-        error = turn_between(turns, R @ self._turn)
         axes = [row - 3 for row in self._rows if row >= 3]
-        spread = self.size * inverse_left_jacobian(error)
-        back = spread.transpose(0, 2, 1)[:, axes]
-        turned = np.equal.outer((3, 4, 5), self.platform.twist_rows).astype(float)
-        return (
-            self.size * error[:, axes],
-            -(back @ turned),
-            (spread @ columns[3:].transpose(1, 0, 2))[:, axes],
-            back @ R @ self._db[3:],
-        )
+        spread = self.size * inverse_left_jacobian(error)[:, axes]
+        columns = spread @ np.ascontiguousarray(motion.angular.transpose(2, 0, 1))
+        if len(self._by_point):
+            own = len(self.leg.moving) + self._by_point
+            columns[:, :, own] -= self._back(error) @ matrices[:, :3, :3] @ self._db[3:]
+        return self.size * error[:, axes], columns
+
+    def _back(self, error: Array) -> Array:
+        """Return the derivative of the turn's rows by a turn of the platform, (N, 1 or 3, 3)."""
+        axes = [row - 3 for row in self._rows if row >= 3]
+        return self.size * inverse_left_jacobian(error).transpose(0, 2, 1)[:, axes]
+
+    def _by_pose(self, matrices: Array, error: Array | None) -> Array:
+        """Return ∂c/∂x, shape (N, m, dof), given the turn's error if there is one, (N, 3)."""
+        arm = _applied(matrices, np.append(self._b, 0.0)[:, None])[:, 0].T
+        twist_rows = self.platform.twist_rows
+        pose = -point_velocity(arm, twist_rows)[:, : self.platform.space]
+        if error is None:
+            return pose
+        turned = np.equal.outer((3, 4, 5), twist_rows).astype(float)
+        return np.concatenate((pose, -(self._back(error) @ turned)), axis=1)
 
     def frame(self, joints: Array, gap: Array | None = None) -> Array:
         """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
@@ -205,8 +244,8 @@ class LegClosure:
             joints: Shape (N, n_joints).
             gap: What the closure is to be there, shape (N, 6); nothing if not given.
         """
-        chain = self._chain
-        tips, _, turns = chain.forest.frames(chain.configurations(self.parameters, joints))
+        motion = self._chain.motion(self.parameters, joints)
+        tips, turns = motion.tips.T, motion.turns
         if gap is not None:
             tips = tips - gap[:, :3]
             turns = Rotation.from_rotvec(-gap[:, 3:] / self.size).as_matrix() @ turns
@@ -215,88 +254,61 @@ class LegClosure:
         matrices[:, :3, 3] = tips - matrices[:, :3, :3] @ self._b
         return matrices
 
-    def _drive_twists(self, columns: Array) -> tuple[Array, Array | None]:
+    def _drive_twists(self, motion: Motion) -> tuple[Array, Array | None]:
         """Return the tip twists of the first active joint and of the next revolute joint."""
         moving, active = self.leg.moving, self.leg.active[0]
-        entries = self._chain.joint_entries
         following = [i for i in range(active + 1, len(moving)) if moving[i].kind == "revolute"]
-        turn = columns[:, :, entries[following[0]]] if following else None
-        return columns[:, :, entries[active]], turn
+        turn = motion.twists(following[0]) if following else None
+        return motion.twists(active), turn
+
+
+@lru_cache(maxsize=1024)
+def _point(leg: Leg, parameters: bytes) -> tuple[Array, Array, Array]:
+    """Return a platform point (3,), its frame's turn (3, 3), and its twists by its parameters.
+
+    Args:
+        leg: The leg.
+        parameters: Values of all its parameters, zero where the point has no part in them.
+    """
+    chain = point_chain(leg)
+    motion = chain.motion(np.frombuffer(parameters), np.zeros((1, 0)))
+    own = np.flatnonzero(chain.from_parameters.any(axis=0))
+    return motion.tips[:, 0], motion.turns[0], motion.twists()[:, own, 0]
+
+
+def _padded(rows: Array) -> Array:
+    """Return points (2 or 3, N) as points in space, shape (N, 3)."""
+    return np.concatenate((rows, np.zeros((3 - len(rows), rows.shape[1])))).T
+
+
+def _applied(matrices: Array, vectors: Array) -> Array:
+    """Return T v of poses T, shape (N, 4, 4), and vectors (4, k), shape (3, k, N).
+
+    One product of matrices: the poses' entries, in a row, times what each vector takes of them.
+    """
+    k = vectors.shape[1]
+    takes = np.zeros((3, k, 3, 4))
+    for row in range(3):
+        takes[row, :, row] = vectors.T
+    entries = matrices.reshape(-1, 16)[:, :12]
+    return (takes.reshape(3 * k, 12) @ entries.T).reshape(3, k, -1)
 
 
 def largest_size(legs: Iterable[Leg], platform: Platform) -> float:
     """Return the length of the longest stretched leg, [m]: the scale of a mechanism."""
-    return max(LegClosure(leg, platform).size for leg in legs)
+    return max(leg.size for leg in legs)
 
 
-def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
-    """Return the velocity of a platform point for unit platform twists, shape (N, 3, dof)."""
-    columns = np.zeros((len(arm), 3, len(twist_rows)))
-    for index, row in enumerate(twist_rows):
-        if row < 3:
-            columns[:, row, index] = 1.0
-        else:  # e_i × arm
-            i = row - 3
-            j, k = (i + 1) % 3, (i + 2) % 3
-            columns[:, j, index], columns[:, k, index] = -arm[:, k], arm[:, j]
-    return columns
+def joint_range(leg: Leg) -> Array:
+    """Return the ends of each moving joint's range, shape (2, n_joints): limits, or a full turn."""
+    ends = [
+        (joint.lower, joint.upper) if joint.limited else (joint.home - np.pi, joint.home + np.pi)
+        for joint in leg.moving
+    ]
+    return np.array(ends).T
 
 
-def product(a: Array, b: Array) -> Array:
-    """Return the batched product of (N, i, j) and (N, j, k), quick where the sizes are tiny."""
-    if a.shape[2] == 0:
-        return np.zeros((len(a), a.shape[1], b.shape[2]))
-    if a.shape[2] <= 3:
-        total = a[:, :, 0, None] * b[:, None, 0, :]
-        for j in range(1, a.shape[2]):
-            total += a[:, :, j, None] * b[:, None, j, :]
-        return total
-    return a @ b
-
-
-def solve(a: Array, b: Array) -> Array:
-    """Return X of A X = B, shapes (N, k, k) and (N, k, j); NaN or infinite where A is singular."""
-    if a.shape[1] == 0:
-        return np.zeros_like(b)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        if a.shape[1] == 1:
-            return b / a
-        if a.shape[1] == 2:
-            (p, q), (r, s) = a[:, 0].T, a[:, 1].T
-            adjugate = np.stack((s, -q, -r, p), axis=1).reshape(-1, 2, 2)
-            return product(adjugate, b) / (p * s - q * r)[:, None, None]
-    singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
-    safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
-    return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, b))
-
-
-def least_squares(a: Array, b: Array) -> Array:
-    """Return the shortest X of least |A X - B|, shapes (N, m, k) and (N, m, j) to (N, k, j)."""
-    if a.shape[1] == a.shape[2]:
-        return solve(a, b)
-    transposed = a.transpose(0, 2, 1)
-    if a.shape[1] > a.shape[2]:
-        return solve(product(transposed, a), product(transposed, b))
-    return product(transposed, solve(product(a, transposed), b))
-
-
-def left_null(matrix: Array) -> Array:
-    """Return orthonormal columns N with Nᵀ A = 0, shape (N, m, p) to (N, m, m - p).
-
-    They follow A without a jump: det [A N] is positive.
-    """
-    count, m, p = matrix.shape
-    if p == 0:
-        return np.broadcast_to(np.eye(m), (count, m, m))
-    if (m, p) in ((2, 1), (3, 2)):  # the vector across: no factorisation needed
-        if m == 2:
-            normal = np.stack((-matrix[:, 1, 0], matrix[:, 0, 0]), axis=1)
-        else:
-            normal = cross(matrix[:, :, 0], matrix[:, :, 1])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return (normal / np.linalg.norm(normal, axis=1)[:, None])[:, :, None]
-    q, _ = np.linalg.qr(matrix, mode="complete")
-    both = np.concatenate((matrix, q[:, :, p:]), axis=2)
-    with np.errstate(invalid="ignore"):
-        q[np.linalg.det(both) < 0.0, :, -1] *= -1.0
-    return q[:, :, p:]
+@lru_cache(maxsize=64)
+def nominal_legs(mechanism: Mechanism) -> tuple[LegClosure, ...]:
+    """Return the closures of all legs at their nominal parameters."""
+    return tuple(LegClosure(leg, mechanism.platform) for leg in mechanism.legs)

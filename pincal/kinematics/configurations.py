@@ -1,4 +1,4 @@
-"""All legs at planned configurations: by poses, or by readings where poses do not tell them.
+"""All legs at planned configurations: by poses, or by readings where these do not follow from poses.
 
 Most mechanisms are planned by poses, and inverse kinematics gives the readings. The readings of a
 serial arm do not follow from its pose, and legs with fewer joints than their closure has rows reach
@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.kinematics.closure import LegClosure, least_squares
+from pincal.kinematics.batches import least_squares
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.forward import forward
-from pincal.kinematics.held import held
 from pincal.kinematics.inverse import InverseSolution, inverse, sensor_law
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
@@ -35,7 +36,7 @@ class Legs:
     poses: Array
     """Coordinates, shape (N, dof), [m] and [rad]."""
     readings: Array | None
-    """Shape (N, n_readings), if poses do not tell them."""
+    """Shape (N, n_readings), where they do not follow from poses."""
     reached: Mask
     """Which of the planned configurations these are, shape (M,)."""
     parameter: Array
@@ -52,7 +53,7 @@ class Legs:
 
 
 def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
-    """Return a plan, with readings only where poses do not tell them; or one of bare poses."""
+    """Return a plan, with readings only where they do not follow from poses; or one of bare poses."""
     if not isinstance(planned, Plan):
         return Plan(np.asarray(planned, dtype=np.float64))
     return Plan(planned.poses, planned.sets, planned.readings if mechanism.by_readings else None)
@@ -64,8 +65,8 @@ def home_of(mechanism: Mechanism) -> Plan:
     if not mechanism.by_readings:
         return Plan(home)
     readings = [
-        sensor_law(LegClosure(leg, mechanism.platform)).reading(leg.home[None, leg.active])
-        for leg in mechanism.legs
+        sensor_law(leg).reading(leg.leg.home[None, leg.leg.active])
+        for leg in nominal_legs(mechanism)
     ]
     return Plan(home, readings=np.concatenate(readings, axis=1))
 
@@ -84,11 +85,10 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
         return inverse(mechanism, plan.poses)
     matrices = mechanism.platform.transforms(plan.poses).as_matrix()
     joints, reached = {}, []
-    for leg, own in zip(mechanism.legs, mechanism.reading_columns, strict=True):
-        closure = LegClosure(leg, mechanism.platform)
-        closed, found = held(closure, matrices, plan.readings[:, own])
-        near = np.abs(closed.gap).max(axis=1) <= _CLOSES * closure.size
-        joints[leg.name] = np.where(near[:, None], found, np.nan)
+    for leg, own in zip(nominal_legs(mechanism), mechanism.reading_columns, strict=True):
+        closed, found = nearest_closure(leg, matrices, plan.readings[:, own])
+        near = np.abs(closed.gap).max(axis=1) <= _CLOSES * leg.size
+        joints[leg.leg.name] = np.where(near[:, None], found, np.nan)
         reached.append(near)
     every = np.stack(reached, axis=1)
     return InverseSolution(joints, plan.readings, every, mechanism.leg_names)

@@ -8,14 +8,16 @@ residual (predicted less measured reading), whose rows are those of e over −�
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
-from pincal.kinematics.closure import Closure, LegClosure, least_squares, product
-from pincal.kinematics.held import held
-from pincal.kinematics.inverse import CHUNK, close, sensor_law
+from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.inverse import close, matrix_chunks, sensor_law
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -57,23 +59,42 @@ class Demand:
 
 def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
     """Return what a leg demands, from its closure and the readings, shape (N, n_active)."""
-    law = sensor_law(leg)
     return Demand(
         closure.constraint,
-        closure.project(closure.parameter) + product(closure.drive, law.by_parameter(readings)),
+        _by_parameter(leg, closure, readings),
         closure.project(closure.pose),
-        closure.drive * law.slope,
+        closure.drive * sensor_law(leg).slope,
     )
 
 
-def demand_chunks(
+def _by_parameter(leg: LegClosure, closure: Closure, readings: Array) -> Array:
+    """Return ∂e/∂φ, shape (N, k, n_params): of the geometry, and of the sensors."""
+    rows = closure.project(closure.parameter)
+    return rows + product(closure.drive, sensor_law(leg).by_parameter(readings))
+
+
+def _closed_chunks(
+    leg: LegClosure, transforms: RigidTransform, readings: Array | None = None
+) -> Iterator[tuple[slice, Closure, Array, NDArray[np.bool_]]]:
+    """Yield rows, closure, readings and which rows are reached, in chunks of bounded memory."""
+    for rows, matrices in matrix_chunks(transforms):
+        if readings is not None:
+            closure, _ = nearest_closure(leg, matrices, readings[rows])
+            yield rows, closure, readings[rows], np.ones(len(matrices), dtype=bool)
+            continue
+        closed = close(leg, matrices)
+        psi = sensor_law(leg).reading(closed.joints[:, leg.leg.active])
+        yield rows, closed.closure, psi, closed.reached
+
+
+def leg_demand(
     mechanism: Mechanism,
     leg: str,
     poses: Poses,
     parameters: Array | None = None,
     readings: Array | None = None,
-) -> Iterator[tuple[slice, Demand]]:
-    """Yield what a leg demands at poses, in chunks of bounded memory; NaN where out of reach.
+) -> Demand:
+    """Return what a leg demands at poses that it reaches: value zero, NaN where out of reach.
 
     Args:
         mechanism: The mechanism.
@@ -86,43 +107,18 @@ def demand_chunks(
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
-    transforms = mechanism.platform.transforms(poses)
-    closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
-    for begin in range(0, len(transforms), CHUNK):
-        rows = slice(begin, min(begin + CHUNK, len(transforms)))
-        matrices = transforms[rows].as_matrix()
-        if readings is not None:
-            told, _ = held(closure, matrices, readings[rows])
-            yield rows, demand(closure, told, readings[rows])
-            continue
-        closed = close(closure, matrices)
-        psi = sensor_law(closure).reading(closed.joints[:, closure.leg.active])
-        part = demand(closure, closed.closure, psi)
-        for array in (part.value, part.parameter, part.pose, part.reading):
-            array[~closed.reached] = np.nan
-        yield rows, part
-
-
-def leg_demand(
-    mechanism: Mechanism,
-    leg: str,
-    poses: Poses,
-    parameters: Array | None = None,
-    readings: Array | None = None,
-) -> Demand:
-    """Return what a leg demands at poses that it reaches: value zero, NaN where out of reach.
-
-    Arguments and errors are those of ``demand_chunks``.
-    """
-    parts = [part for _, part in demand_chunks(mechanism, leg, poses, parameters, readings)]
-    if not parts:
-        one, dof = mechanism.leg(leg), mechanism.platform.dof
-        k = len(mechanism.platform.closing(one.closes)) - len(one.passive)
-        sizes = (len(one.parameters), dof, len(one.sensors))
-        return Demand(np.empty((0, k)), *(np.empty((0, k, size)) for size in sizes))
-    return Demand(
-        *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Demand))
-    )
+    platform, one = mechanism.platform, mechanism.leg(leg)
+    transforms = platform.transforms(poses)
+    closure = LegClosure(one, platform, parameters)
+    count, k = len(transforms), len(platform.closing(one.closes)) - len(one.passive)
+    sizes = (len(one.parameters), platform.dof, len(one.sensors))
+    whole = Demand(np.empty((count, k)), *(np.empty((count, k, size)) for size in sizes))
+    for rows, closed, psi, reached in _closed_chunks(closure, transforms, readings):
+        part = demand(closure, closed, psi)
+        for target, values in zip(vars(whole).values(), vars(part).values(), strict=True):
+            target[rows] = values
+            target[rows][~reached] = np.nan
+    return whole
 
 
 def identification_jacobian(
@@ -147,8 +143,10 @@ def identification_jacobian(
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
     transforms = mechanism.platform.transforms(poses)
-    one = mechanism.leg(leg)
-    C = np.empty((len(transforms), len(one.sensors), len(one.parameters)))
-    for rows, part in demand_chunks(mechanism, leg, transforms, parameters):
-        C[rows] = -least_squares(part.reading, part.parameter)
-    return C.reshape(-1, len(one.parameters))
+    closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
+    slope = sensor_law(closure).slope
+    C = np.empty((len(transforms), len(slope), len(closure.parameters)))
+    for rows, closed, psi, reached in _closed_chunks(closure, transforms):
+        C[rows] = least_squares(-closed.drive * slope, _by_parameter(closure, closed, psi))
+        C[rows][~reached] = np.nan
+    return C.reshape(-1, C.shape[2])

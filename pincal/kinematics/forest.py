@@ -14,6 +14,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pincal.kinematics.batches import cross
+
 Array = NDArray[np.float64]
 
 _JOINTS = {
@@ -76,74 +78,92 @@ class Forest:
                 )
         self._data = self._model.createData()
 
-    def columns(self, configurations: Array) -> tuple[Array, Array]:
-        """Return the tips and the velocities of the tip for each joint's unit rate.
+    def wanted(self, rates: Array) -> Array:
+        """Return what ``motion`` takes: the dummies, then k motions, shape (k + 1 or 2, width).
+
+        Args:
+            rates: Rates of the chain's n joints in each motion, shape (k, n).
+        """
+        count, n = rates.shape
+        dummies = self.width - n
+        result = np.zeros((dummies + count, self.width))
+        result[:dummies, n:], result[dummies:, :n] = np.eye(dummies), rates
+        return result
+
+    def motion(self, configurations: Array, wanted: Array) -> Motion:
+        """Return where the tip is and how it moves.
 
         Args:
             configurations: N configurations of the chain, shape (N, n), without dummies.
-
-        Returns:
-            Tips in the base frame, shape (N, 3), [m]; columns, shape (6, N, n), the
-            velocity of the tip in the base frame (linear first) for each joint.
+            wanted: Motions of the chain, from ``wanted``.
         """
-        tips, columns, _ = self._evaluated(configurations)
-        return tips, columns
+        joints = self._columns(configurations)
+        rows = (0, 1, 2, 3, 4, 5) if self.spatial else (0, 1, 5)  # others are zero in the plane
+        twists = np.empty((len(rows), len(wanted), len(configurations)))
+        for own, row in zip(twists, rows, strict=True):
+            np.matmul(wanted, joints[row].T, out=own)
+        return (_in_space if self.spatial else _in_plane)(twists)
 
-    def frames(self, configurations: Array) -> tuple[Array, Array, Array]:
-        """Return tips, columns (see ``columns``) and the tips' orientations, shape (N, 3, 3).
-
-        Chains made with ``spatial`` only: their dummies turn about the tip's z and x.
-        """
-        tips, columns, dummies = self._evaluated(configurations)
-        z, x = dummies[3:, :, 0].T, dummies[3:, :, 1].T
-        return tips, columns, np.stack((x, cross(z, x), z), axis=2)
-
-    def _evaluated(self, configurations: Array) -> tuple[Array, Array, Array]:
-        """Return tips, columns, and the twists of the dummy joints, shape (6, N, 1 or 2)."""
+    def _columns(self, configurations: Array) -> Array:
+        """Return Pinocchio's joint columns at the base's origin, shape (6, N, width)."""
         count, n = configurations.shape
         blocks = -(-count // self.copies)
-        padded = np.zeros((blocks, self.copies, self.width))
-        flat = padded.reshape(blocks * self.copies, self.width)
-        flat[:count, :n] = configurations
-        flat[count:, :n] = configurations[-1] if count else 0.0
-        out = np.empty((blocks, 6, self.copies * self.width))
+        padded = np.zeros((blocks * self.copies, self.width))
+        padded[:count, :n] = configurations
+        out = np.empty((6, blocks, self.copies * self.width))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        for target, q in zip(out, padded.reshape(blocks, self.copies * self.width), strict=True):
+        for target, q in zip(out.swapaxes(0, 1), padded.reshape(blocks, -1), strict=True):
             target[:] = evaluate(model, data, q)
-        rows = out.reshape(blocks, 6, self.copies, self.width).transpose(1, 0, 2, 3)
-        twists = rows.reshape(6, blocks * self.copies, self.width)[:, :count]
-        tips = self._tips(twists[:, :, n:])
-        return tips, _shifted(twists[:, :, :n], tips), twists[:, :, n:]
-
-    def _tips(self, dummies: Array) -> Array:
-        """Return the tips from the twists of the dummy joints, shapes (6, N, 1 or 2) to (N, 3)."""
-        moment, axis = dummies[:3, :, 0].T, dummies[3:, :, 0].T
-        tips = cross(axis, moment)
-        if self.spatial:  # the part along the first axis, from the second
-            second, third = dummies[:3, :, 1].T, cross(axis, dummies[3:, :, 1].T)
-            tips += axis * np.einsum("ni,ni->n", second, third)[:, None]  # (p × b)·(a × b) = p·a
-        return tips
+        return out.reshape(6, blocks * self.copies, self.width)[:, :count]
 
 
-def _shifted(twists: Array, tips: Array) -> Array:
-    """Return twists (6, N, n) at the base origin as velocities of the tips (N, 3)."""
-    x, y, z = (tips[:, i, None] for i in range(3))
-    wx, wy, wz = twists[3:]
-    shifted = twists.copy()
-    shifted[0] += wy * z - wz * y
-    shifted[1] += wz * x - wx * z
-    shifted[2] += wx * y - wy * x
-    return shifted
+@dataclass(frozen=True)
+class Motion:
+    """Tips of a chain at N configurations, and their velocities in k motions; base frame.
+
+    In the plane across z positions and velocities have two rows, and turning one.
+    """
+
+    tips: Array
+    """Shape (2 or 3, N), [m]."""
+    linear: Array
+    """Of the tip, shape (2 or 3, k, N), [m] a unit."""
+    angular: Array
+    """Shape (1 or 3, k, N), [rad] a unit."""
+    turns: Array
+    """Orientations of the tip in space, shape (N, 3, 3); none in the plane, shape (0, 3, 3)."""
+
+    def twists(self, which: int | slice = slice(None)) -> Array:
+        """Return twists at the tip, linear first: of all motions, shape (6, k, N), or of some."""
+        linear, angular = self.linear[:, which], self.angular[:, which]
+        full = np.zeros((6, *linear.shape[1:]))
+        full[: len(linear)], full[6 - len(angular) :] = linear, angular
+        return full
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Return a × b for shapes (N, 3); NumPy's own is several times slower."""
-    (x, y, z), (u, v, w) = a.T, b.T
-    product = np.empty((len(a), 3))
-    product[:, 0] = y * w - z * v
-    product[:, 1] = z * u - x * w
-    product[:, 2] = x * v - y * u
-    return product
+def _in_plane(twists: Array) -> Motion:
+    """Return the motion of twists (vx, vy, ωz) at the base's origin, of the dummy first."""
+    tips = twists[1::-1, 0] * twists[2, 0]  # (y, −x, 0) = ωz p × z, and ωz = ±1
+    tips[0] *= -1.0
+    linear, angular = twists[:2, 1:], twists[2:, 1:]
+    linear[0] -= angular[0] * tips[1]
+    linear[1] += angular[0] * tips[0]
+    return Motion(tips, linear, angular, np.empty((0, 3, 3)))
+
+
+def _in_space(twists: Array) -> Motion:
+    """Return the motion of twists at the base's origin, shape (6, 2 + k, N), of dummies first."""
+    (moment, second), (a, b) = twists[:3, :2].swapaxes(0, 1), twists[3:, :2].swapaxes(0, 1)
+    across = cross(a.T, b.T).T
+    tips = cross(a.T, moment.T).T + a * (second * across).sum(axis=0)  # (p × b)·(a × b) = p·a
+    x, y, z = tips
+    wx, wy, wz = angular = twists[3:, 2:]
+    linear = twists[:3, 2:]
+    linear[0] += wy * z - wz * y
+    linear[1] += wz * x - wx * z
+    linear[2] += wx * y - wy * x
+    turns = np.stack((b, across, a)).transpose(2, 1, 0)  # the dummies turn about the tip's z and x
+    return Motion(tips, linear, angular, turns)
 
 
 @lru_cache(maxsize=64)

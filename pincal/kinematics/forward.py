@@ -7,6 +7,8 @@ freedoms it is a least-squares system, and the pose is that of the least gaps [m
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +16,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
+from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
-from pincal.kinematics.closure import Closure, LegClosure, least_squares, product
-from pincal.kinematics.held import carried
+from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
+from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.kinematics.singularity import platform_margin
-from pincal.kinematics.starts import home_mode, mode_sign, start
+from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -31,7 +34,7 @@ _CLOSED = 1e-8  # of the leg's size
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ForwardSolution:
     """Forward kinematics of N rows of readings."""
 
@@ -46,6 +49,16 @@ class ForwardSolution:
     iterations: int
     reasons: tuple[str, ...]
     """Why a row has no pose; empty strings where it has one."""
+
+    def __repr__(self) -> str:
+        """Return the solution in a line."""
+        found = int(np.count_nonzero(self.converged))
+        return f"ForwardSolution: {found} of {len(self.poses)} poses, {self.iterations} iterations"
+
+    def __str__(self) -> str:
+        """Return a page: why poses were not found, and how many of them."""
+        counts = Counter(reason for reason in self.reasons if reason)
+        return "\n".join([repr(self), *(f"  {n}: {why}" for why, n in counts.most_common())])
 
 
 def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -> ForwardSolution:
@@ -80,7 +93,7 @@ def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -
     transforms = platform.transforms(guess)
     if len(transforms) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
-    legs = [LegClosure(leg, platform) for leg in mechanism.legs]
+    legs = nominal_legs(mechanism)
     poses = np.full((len(readings), platform.dof), np.nan)
     gap = np.full((len(readings), len(legs)), np.nan)
     reasons: list[str] = []
@@ -98,7 +111,7 @@ def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -
 
 
 def _solve(
-    mechanism: Mechanism, legs: list[LegClosure], readings: Array, guess: RigidTransform
+    mechanism: Mechanism, legs: Sequence[LegClosure], readings: Array, guess: RigidTransform
 ) -> tuple[Array, list[str], Array, int]:
     """Return matrices, reasons, gaps and the number of steps for one chunk."""
     matrices = placed_by_arm(mechanism, legs, readings)
@@ -133,14 +146,14 @@ def _solve(
     return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
 
 
-def placed_by_arm(mechanism: Mechanism, legs: list[LegClosure], readings: Array) -> Array | None:
-    """Return the poses that a leg tells whose every joint is read, shape (N, 4, 4).
+def placed_by_arm(mechanism: Mechanism, legs: Sequence[LegClosure], readings: Array) -> Array | None:
+    """Return the poses that follow from a leg whose every joint is read, shape (N, 4, 4).
 
     None if there is no such leg, or it ends in a point.
     """
     for leg, columns in zip(legs, mechanism.reading_columns, strict=True):
         if leg.leg.is_arm:
-            return carried(leg, readings[:, columns])
+            return arm_poses(leg, readings[:, columns])
     return None
 
 
@@ -149,18 +162,18 @@ def _joints_near(leg: LegClosure, matrices: Array) -> Array:
     if not leg.leg.passive:  # all are read
         return np.empty((len(matrices), len(leg.leg.moving)))
     closed = close(leg, matrices)
-    near, _ = start(leg, matrices)
+    near, _ = start_joints(leg, matrices)
     return np.where(closed.reached[:, None], closed.joints, near)
 
 
 def _in_mode(leg: LegClosure, joints: Array, matrices: Array, rows: NDArray[np.intp]) -> Closure:
-    """Return a leg's closure at rows; a line that a step turned over is called as at home again."""
+    """Return a leg's closure at rows; a line that a step turned over gets the joints of its mode again."""
     closure = leg.evaluate(joints[rows], matrices[rows])
-    left = rows[mode_sign(closure) != home_mode(leg.leg, leg.platform)]
+    left = rows[~in_home_mode(leg, closure)]
     if not (len(left) and is_line(leg)):
         return closure
     passive = leg.leg.passive
-    joints[left[:, None], passive] = start(leg, matrices[left])[0][:, passive]
+    joints[left[:, None], passive] = start_joints(leg, matrices[left])[0][:, passive]
     return leg.evaluate(joints[rows], matrices[rows])
 
 
@@ -180,7 +193,7 @@ def _split(mechanism: Mechanism, twist: Array) -> tuple[Array, Array]:
 
 def _reasons(
     mechanism: Mechanism,
-    legs: list[LegClosure],
+    legs: Sequence[LegClosure],
     joints: list[Array],
     matrices: Array,
     open_: Mask,
@@ -199,7 +212,7 @@ def _reasons(
         )
         closable = closure.gap - left[:, :, 0]  # by motions of platform and passive joints
         closes &= (np.abs(closable) <= _CLOSED * leg.size).all(axis=1)
-        in_mode &= mode_sign(closure) == home_mode(leg.leg, leg.platform)
+        in_mode &= in_home_mode(leg, closure)
     in_mode &= platform_margin(mechanism, closures) > 0.0
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
     gaps = np.stack([np.linalg.norm(closure.gap, axis=1) for closure in closures], axis=1)

@@ -1,4 +1,4 @@
-"""Which of a leg's parameters its own closure can tell, whatever poses are measured.
+"""Which of a leg's parameters are identifiable from its own closure, whatever is measured.
 
 A passive joint's zero, or a shift along a joint's axis that the next placement has too, changes
 nothing. Over random configurations the closure's derivatives by such parameters depend on
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
@@ -30,9 +30,7 @@ def independent(leg: Leg, platform: Platform, order: tuple[str, ...]) -> tuple[s
     """
     closure = LegClosure(leg, platform)
     rng = np.random.default_rng(0)
-    low = [joint.lower if joint.limited else joint.home - np.pi for joint in leg.moving]
-    high = [joint.upper if joint.limited else joint.home + np.pi for joint in leg.moving]
-    joints = rng.uniform(low, high, (_CONFIGURATIONS, len(leg.moving)))
+    joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))
     part = closure.evaluate(joints, _poses(closure, joints, rng))
     rows = part.project(part.parameter)
     rows = rows.reshape(-1, rows.shape[2])

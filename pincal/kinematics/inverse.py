@@ -13,22 +13,25 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MechanismError
 from pincal.kinematics.closed_forms import closed_form, wrapped
-from pincal.kinematics.closure import Closure, LegClosure, least_squares, product
-from pincal.kinematics.starts import home_mode, mode_sign, start
+from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
+from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.model.sensor import SensorLaw, sensor_laws
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-CHUNK = 8192
+CHUNK = 4096
 _NEWTON_STEPS = 15
 _ATTEMPTS = 6
 _LARGEST_LAST_STEP = 1e-4  # [rad] and [m], where the gap is already small
 _EDGE = 1e-12  # [rad], at limits
+_LISTED = 10  # poses on a printed page
 _SMALL = 1e-11  # of the leg's size: the step after that reaches rounding error
 
 
@@ -46,7 +49,7 @@ class ClosedLeg:
 
 def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
     """Return one leg closed at poses ``T_base_platform``, shape (N, 4, 4)."""
-    joints, possible = start(leg, matrices)
+    joints, possible = start_joints(leg, matrices)
     closure = leg.evaluate(joints, matrices)
     closed = possible & _small(leg, closure)
     step = _newton_step(leg, closure)
@@ -56,7 +59,7 @@ def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
         joints, closed = _search(leg, matrices, joints, closed, possible)
         closure = leg.evaluate(np.where(closed[:, None], joints, leg.leg.home), matrices)
     joints = _within_limits(leg, joints)
-    reached = closed & (mode_sign(closure) == home_mode(leg.leg, leg.platform))
+    reached = closed & in_home_mode(leg, closure)
     return ClosedLeg(np.where(reached[:, None], joints, np.nan), reached, closure)
 
 
@@ -81,7 +84,7 @@ def _search(
     for attempt in range(_ATTEMPTS):
         rows = np.flatnonzero(possible & ~closed)
         if attempt:
-            again, may = start(leg, matrices[rows], attempt)
+            again, may = start_joints(leg, matrices[rows], attempt)
             joints[rows] = again
             rows = rows[may]
         found = rows
@@ -94,8 +97,7 @@ def _search(
                 break
         found = found[np.isfinite(joints[found]).all(axis=1)]
         part = leg.evaluate(joints[found], matrices[found])
-        in_mode = mode_sign(part) == home_mode(leg.leg, leg.platform)
-        closed[found] = _small(leg, part) & in_mode
+        closed[found] = _small(leg, part) & in_home_mode(leg, part)
         if (closed | ~possible).all():
             break
     turning = [i for i, joint in enumerate(leg.leg.moving) if joint.kind == "revolute"]
@@ -154,18 +156,22 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
 
 
 def close_chunks(
-    mechanism: Mechanism, poses: Poses, chunk: int = CHUNK
+    mechanism: Mechanism, poses: Poses
 ) -> Iterator[tuple[slice, Array, list[ClosedLeg]]]:
     """Yield the closed legs of poses in chunks of bounded memory: rows, matrices, one per leg."""
-    transforms = mechanism.platform.transforms(poses)
-    legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
-    for begin in range(0, len(transforms), chunk):
-        rows = slice(begin, min(begin + chunk, len(transforms)))
-        matrices = transforms[rows].as_matrix()
+    legs = nominal_legs(mechanism)
+    for rows, matrices in matrix_chunks(mechanism.platform.transforms(poses)):
         yield rows, matrices, [close(leg, matrices) for leg in legs]
 
 
-@dataclass(frozen=True)
+def matrix_chunks(transforms: RigidTransform) -> Iterator[tuple[slice, Array]]:
+    """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
+    for begin in range(0, len(transforms), CHUNK):
+        rows = slice(begin, min(begin + CHUNK, len(transforms)))
+        yield rows, transforms[rows].as_matrix()
+
+
+@dataclass(frozen=True, repr=False)
 class InverseSolution:
     """Inverse kinematics of N poses."""
 
@@ -179,10 +185,23 @@ class InverseSolution:
 
     def reason(self, row: int) -> str:
         """Return why a pose has no solution, or an empty string if it has one."""
-        beyond = [
+        missing = [
             name for name, ok in zip(self.leg_names, self.reached[row], strict=True) if not ok
         ]
-        return f"out of reach of {', '.join(beyond)} in its working mode" if beyond else ""
+        return f"out of reach of {', '.join(missing)} in its working mode" if missing else ""
+
+    def __repr__(self) -> str:
+        """Return the solution in a line."""
+        count, legs = self.reached.shape
+        found = int(np.count_nonzero(self.reached.all(axis=1)))
+        return f"InverseSolution: {found} of {count} poses reached by all {legs} legs"
+
+    def __str__(self) -> str:
+        """Return a page: the poses that are out of reach, the first ones at least."""
+        missed = np.flatnonzero(~self.reached.all(axis=1))
+        lines = [f"  pose {row + 1}: {self.reason(row)}" for row in missed[:_LISTED]]
+        more = len(missed) - len(lines)
+        return "\n".join([repr(self), *lines, *([f"  and {more} more"] if more > 0 else [])])
 
 
 def inverse(mechanism: Mechanism, poses: Poses) -> InverseSolution:
@@ -197,7 +216,7 @@ def inverse(mechanism: Mechanism, poses: Poses) -> InverseSolution:
             out of its leg's reach.
     """
     transforms = mechanism.platform.transforms(poses)
-    laws = [sensor_law(LegClosure(leg, mechanism.platform)) for leg in mechanism.legs]
+    laws = [sensor_law(leg) for leg in nominal_legs(mechanism)]
     count = len(transforms)
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
     readings = np.empty((count, len(mechanism.reading_names)))
@@ -224,12 +243,10 @@ def reached(mechanism: Mechanism, poses: Poses) -> Mask:
         MechanismError: poses of a wrong shape, or not finite.
     """
     transforms = mechanism.platform.transforms(poses)
-    legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    legs = nominal_legs(mechanism)
     found = np.empty((len(transforms), len(legs)), dtype=bool)
-    for begin in range(0, len(transforms), CHUNK):
-        rows = slice(begin, begin + CHUNK)
-        matrices = transforms[rows].as_matrix()
+    for rows, matrices in matrix_chunks(transforms):
         for index, leg in enumerate(legs):
             solved = closed_form(leg) is not None
-            found[rows, index] = start(leg, matrices)[1] if solved else close(leg, matrices).reached
+            found[rows, index] = start_joints(leg, matrices)[1] if solved else close(leg, matrices).reached
     return found

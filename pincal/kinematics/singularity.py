@@ -16,9 +16,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.held import held
+from pincal.kinematics.closure import Closure, nominal_legs
 from pincal.kinematics.inverse import close, close_chunks, sensor_law
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -97,15 +97,15 @@ def _radius(mechanism: Mechanism) -> float:
 def home_determinant(mechanism: Mechanism) -> float:
     """Return the determinant at home, with its sign; NaN if a leg misses the home pose.
 
-    Where poses do not tell readings, with those of home: it need not quite be such a pose.
+    Where readings do not follow from poses, with those of home: it need not quite be such a pose.
     """
     matrices = mechanism.platform.home_pose.as_matrix()
     closures = []
-    for leg in mechanism.legs:
-        closure = LegClosure(leg, mechanism.platform)
+    for closure in nominal_legs(mechanism):
         if mechanism.by_readings:
+            leg = closure.leg
             readings = sensor_law(closure).reading(leg.home[None, leg.active])
-            closures.append(held(closure, matrices, readings, leg.home[None])[0])
+            closures.append(nearest_closure(closure, matrices, readings, leg.home[None])[0])
             continue
         closed = close(closure, matrices)
         if not closed.reached[0]:

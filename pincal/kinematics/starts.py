@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.closure import Closure, LegClosure, joint_range
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
@@ -23,7 +23,7 @@ _SAMPLES = 20_000
 _BEYOND = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
 
 
-def start(
+def start_joints(
     closure: LegClosure, matrices: Array, attempt: int = 0
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return joint positions near those that close the leg, and where that may be possible.
@@ -51,13 +51,9 @@ def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
     """Return sampled tips of the leg in its mode, their joints, and how far it reaches beyond."""
     closure = LegClosure(leg, platform)
     rng = np.random.default_rng(0)
-    low, high = [], []
-    for joint in leg.moving:
-        low.append(joint.lower if joint.limited else joint.home - np.pi)
-        high.append(joint.upper if joint.limited else joint.home + np.pi)
-    joints = rng.uniform(low, high, (_SAMPLES, len(leg.moving)))
+    joints = rng.uniform(*joint_range(leg), (_SAMPLES, len(leg.moving)))
     poses = np.broadcast_to(platform.home_pose.as_matrix(), (_SAMPLES, 4, 4))
-    keep = mode_sign(closure.evaluate(joints, poses)) == home_mode(leg, platform)
+    keep = in_home_mode(closure, closure.evaluate(joints, poses))
     joints = joints[keep]
     if leg.closes == "frame":
         tree = KDTree(_places(closure, closure.frame(joints)))
@@ -91,6 +87,16 @@ def mode_sign(closure: Closure) -> Array:
     if both.shape[1] == 2:
         return np.sign(both[:, 0, 0] * both[:, 1, 1] - both[:, 0, 1] * both[:, 1, 0])
     return np.sign(np.linalg.det(both))
+
+
+def in_home_mode(leg: LegClosure, closure: Closure) -> NDArray[np.bool_]:
+    """Return where a closure of a leg is in the leg's working mode, shape (N,)."""
+    return np.asarray(mode_sign(closure) == _home_mode(leg))
+
+
+@lru_cache(maxsize=256)
+def _home_mode(leg: LegClosure) -> float:
+    return home_mode(leg.leg, leg.platform)
 
 
 @lru_cache(maxsize=256)

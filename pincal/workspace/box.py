@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.kinematics.closure import LegClosure
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.axes import Axis
@@ -116,8 +115,7 @@ def _reach(mechanism: Mechanism) -> tuple[Array, Array]:
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     for leg in mechanism.legs:
         base = np.array(leg.joints[0].placement.xyz)
-        reach = LegClosure(leg, mechanism.platform).reach
-        low, high = np.maximum(low, base - reach), np.minimum(high, base + reach)
+        low, high = np.maximum(low, base - leg.reach), np.minimum(high, base + leg.reach)
     if (low >= high)[: mechanism.platform.units.count("m")].any():
         raise WorkspaceError(f"no pose of {mechanism.name!r} is within reach of all its legs")
     return low, high
@@ -126,5 +124,5 @@ def _reach(mechanism: Mechanism) -> tuple[Array, Array]:
 def _radius(mechanism: Mechanism) -> float:
     """Return the largest distance from the axis that every leg can reach, [m]."""
     bases = np.array([leg.joints[0].placement.xyz for leg in mechanism.legs])
-    reaches = [LegClosure(leg, mechanism.platform).reach for leg in mechanism.legs]
+    reaches = [leg.reach for leg in mechanism.legs]
     return float((np.hypot(bases[:, 0], bases[:, 1]) + reaches).min())

@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 
 class HomeComponent:
-    """Tells which poses are connected to home, from poses that count and a test for more."""
+    """Decides which poses are connected to home, from poses that count and a test for more."""
 
     def __init__(self, platform: Platform, poses: Array, counts: Callable[[Array], Mask]) -> None:
         """Join sampled poses.

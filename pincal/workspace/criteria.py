@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.inverse import CHUNK, close
+from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.inverse import CHUNK, close, matrix_chunks
 from pincal.kinematics.reach import SLACK, Reach, reach_of
 from pincal.kinematics.singularity import drive_margins, home_determinant, platform_margin
 from pincal.model.mechanism import Mechanism
@@ -56,7 +56,7 @@ class Margins:
 
 
 class Criteria:
-    """Tells which poses of a mechanism count."""
+    """Decides which poses of a mechanism count."""
 
     def __init__(self, mechanism: Mechanism, least: Margins | None = None) -> None:
         self.mechanism = mechanism
@@ -67,11 +67,11 @@ class Criteria:
                 f"the home pose of {mechanism.name!r} is at a type-2 singularity, so it does not "
                 "say which side is meant; move home, or count poses on both sides (--no-margins)"
             )
-        self._legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+        self._legs = nominal_legs(mechanism)
         found = [reach_of(leg, self.least.type1) for leg in self._legs]
         self.reaches: tuple[Reach, ...] = tuple(reach for reach in found if reach)
         self.in_closed_form = self._type2 == -np.inf and all(r and r.exact for r in found)
-        """Whether the reaches say it all."""
+        """Whether the reaches decide alone."""
 
     def __call__(self, matrices: Array) -> Mask:
         """Return which poses ``T_base_platform``, shape (N, 4, 4), count."""
@@ -111,7 +111,7 @@ def criteria_of(mechanism: Mechanism, least: Margins) -> Criteria:
 
 
 def refuse_readings(mechanism: Mechanism) -> None:
-    """Raise if poses do not tell readings, so that positions cannot be asked one by one.
+    """Raise if readings do not follow from poses, so that positions cannot be asked one by one.
 
     Raises:
         WorkspaceError: naming what to do instead.
@@ -133,7 +133,6 @@ def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = Non
     transforms = mechanism.platform.transforms(poses)
     criteria = criteria_of(mechanism, least or Margins())
     inside = np.empty(len(transforms), dtype=bool)
-    for begin in range(0, len(transforms), CHUNK):
-        rows = slice(begin, begin + CHUNK)
-        inside[rows] = criteria(transforms[rows].as_matrix())
+    for rows, matrices in matrix_chunks(transforms):
+        inside[rows] = criteria(matrices)
     return inside

@@ -1,4 +1,4 @@
-"""Tells of a position whether it is reached in any, or in every, orientation of a set.
+"""Decides of a position whether it is reached in any, or in every, orientation of a set.
 
 A position is done with at the first orientation that decides it.
 """
@@ -24,7 +24,7 @@ _FIRST = 16  # orientations after which closed loops ask who is decided, then 8 
 
 @dataclass(frozen=True)
 class PositionTest:
-    """Tells which positions are reached in any, or in every, orientation of a set."""
+    """Decides which positions are reached in any, or in every, orientation of a set."""
 
     mechanism: Mechanism
     orientations: Orientations
@@ -41,7 +41,7 @@ class PositionTest:
 
     @property
     def in_closed_form(self) -> bool:
-        """Whether no loop needs to be closed to tell."""
+        """Whether no loop needs to be closed to decide."""
         return self._criteria.in_closed_form
 
     def __call__(self, positions: Array) -> Mask:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.files.tables import write_table
-from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.singularity import margins
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
@@ -68,7 +67,7 @@ class Workspace:
     kind: str
     test: PositionTest
     asked: Positions
-    """The positions asked, of which ``inside`` tells."""
+    """The positions asked, that ``inside`` is about."""
     inside: Mask
     """Which positions count, by number, shape (n_asked,); not writable."""
     elements: tuple[Element, ...]
@@ -169,6 +168,16 @@ class Workspace:
         for begin, end in _chunks(len(self.inside), _POSITIONS):
             index = begin + np.flatnonzero(self.inside[begin:end])
             yield from self.asked.at(index)[:, place].tolist()
+
+    def __str__(self) -> str:
+        """Return a short page: the workspace, and what it was asked of."""
+        lines = [repr(self), f"  orientations asked: {len(self.test.orientations)}"]
+        lines.append(f"  positions computed: {self.computed:,}, the others by symmetry")
+        if self.cut:
+            lines.append("  it reaches the edge of the grid: there may be more outside")
+        if self.apart:
+            lines.append(f"  not connected with home on this grid: {self.apart:,} positions")
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         """Return the workspace in a line."""
@@ -303,8 +312,7 @@ def _check_positions(mechanism: Mechanism, positions: Positions) -> None:
     if mechanism.platform.units.count("m") < 3 and ends[:, 2].any():
         raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
     if isinstance(positions, Grid):
-        legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
-        across = 2 * max(leg.reach for leg in legs)
+        across = 2 * max(leg.reach for leg in mechanism.legs)
         for axis in positions.axes:
             if axis.name != "bearing" and axis.step > across:
                 raise WorkspaceError(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import joint_range, nominal_legs
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.singularity import margins
@@ -39,7 +39,7 @@ def sample_configurations(
     least: Margins | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Plan:
-    """Return configurations of a mechanism: poses, and readings where poses do not tell them.
+    """Return configurations of a mechanism: poses, and readings where these do not follow from them.
 
     Readings are spread evenly between the limits of the active joints, and poses are those of
     forward kinematics; other mechanisms have the poses of ``sample_workspace``.
@@ -83,12 +83,8 @@ def sample_configurations(
 def _reading_limits(mechanism: Mechanism) -> tuple[Array, Array]:
     """Return least and largest readings within the limits of the active joints."""
     ends = []
-    for leg in mechanism.legs:
-        law = sensor_law(LegClosure(leg, mechanism.platform))
-        joints = [leg.moving[index] for index in leg.active]
-        low = [joint.lower if joint.limited else joint.home - np.pi for joint in joints]
-        high = [joint.upper if joint.limited else joint.home + np.pi for joint in joints]
-        ends.append(law.reading(np.array([low, high])))
+    for leg in nominal_legs(mechanism):
+        ends.append(sensor_law(leg).reading(joint_range(leg.leg)[:, leg.leg.active]))
     both = np.concatenate(ends, axis=1)
     return both.min(axis=0), both.max(axis=0)
 
@@ -180,14 +176,14 @@ def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
     """Return why the home pose does not count."""
     name, platform = mechanism.name, mechanism.platform
     start = f"the home pose of {name!r} is not in the workspace: "
-    for leg in mechanism.legs:
-        closed = close(LegClosure(leg, platform), platform.home_pose.as_matrix())
+    for closure in nominal_legs(mechanism):
+        leg, closed = closure.leg, close(closure, platform.home_pose.as_matrix())
         if not closed.reached[0]:
             return start + f"{leg.name} does not reach it on the side where it bends at home"
         for joint, value in zip(leg.moving, closed.joints[0], strict=True):
             if joint.limited and not joint.lower <= value <= joint.upper:
                 return start + (
-                    f"joint {joint.name!r} of {leg.name} is at {value:.4g} there, beyond its "
+                    f"joint {joint.name!r} of {leg.name} is at {value:.4g} there, outside its "
                     f"limits {joint.lower:.4g} to {joint.upper:.4g}"
                 )
     found = margins(mechanism, platform.home_pose)

@@ -1,0 +1,125 @@
+"""Small matrices and turns, one for each of N poses, all at once.
+
+Arrays have shape (N, …). They are quickest where memory runs along the poses (``.T`` of arrays of
+shape (…, N)): NumPy then does one long loop instead of N short ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+_SERIES = float(np.finfo(float).eps) ** 0.25  # angle whose fourth power is rounding error, [rad]
+
+
+def product(a: Array, b: Array) -> Array:
+    """Return the product of (N, i, j) and (N, j, k), quick where the sizes are tiny."""
+    inner = a.shape[2]
+    if inner == 0:
+        return np.zeros((len(a), a.shape[1], b.shape[2]))
+    along_poses = b.strides[0] == b.itemsize
+    if inner > 3 and not along_poses:
+        return a @ b
+    total = a[:, :, 0, None] * b[:, None, 0, :]
+    for j in range(1, inner):
+        total += a[:, :, j, None] * b[:, None, j, :]
+    return total
+
+
+def solve(a: Array, b: Array) -> Array:
+    """Return X of A X = B, shapes (N, k, k) and (N, k, j); NaN or infinite where A is singular."""
+    if a.shape[1] == 0:
+        return np.zeros_like(b)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if a.shape[1] == 1:
+            return b / a
+        if a.shape[1] == 2:
+            (p, q), (r, s) = a.transpose(1, 2, 0)
+            adjugate = np.stack((s, -q, -r, p)).reshape(2, 2, -1).transpose(2, 0, 1)
+            return product(adjugate, b) / (p * s - q * r)[:, None, None]
+    singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
+    safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
+    return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, b))
+
+
+def least_squares(a: Array, b: Array) -> Array:
+    """Return the shortest X of least |A X - B|, shapes (N, m, k) and (N, m, j) to (N, k, j)."""
+    if a.shape[1] == a.shape[2]:
+        return solve(a, b)
+    transposed = a.transpose(0, 2, 1)
+    if a.shape[1] > a.shape[2]:
+        return solve(product(transposed, a), product(transposed, b))
+    return product(transposed, solve(product(a, transposed), b))
+
+
+def left_null(matrix: Array) -> Array:
+    """Return orthonormal columns N with Nᵀ A = 0, shape (N, m, p) to (N, m, m - p).
+
+    They follow A without a jump: det [A N] is positive.
+    """
+    count, m, p = matrix.shape
+    if p == 0:
+        return np.broadcast_to(np.eye(m), (count, m, m))
+    if (m, p) in ((2, 1), (3, 2)):  # the vector across: no factorisation needed
+        if m == 2:
+            normal = np.stack((-matrix[:, 1, 0], matrix[:, 0, 0])).T
+        else:
+            normal = cross(matrix[:, :, 0], matrix[:, :, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return (normal / np.linalg.norm(normal, axis=1)[:, None])[:, :, None]
+    q, _ = np.linalg.qr(matrix, mode="complete")
+    both = np.concatenate((matrix, q[:, :, p:]), axis=2)
+    with np.errstate(invalid="ignore"):
+        q[np.linalg.det(both) < 0.0, :, -1] *= -1.0
+    return q[:, :, p:]
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return a × b for shapes (N, 3); NumPy's own is several times slower."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack((y * w - z * v, z * u - x * w, x * v - y * u)).T
+
+
+def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
+    """Return the velocity of a platform point for unit platform twists, shape (N, 3, dof).
+
+    Args:
+        arm: From the platform's origin to the point, base axes, shape (N, 3), [m].
+        twist_rows: Rows of a twist (linear first) that the platform can move in.
+    """
+    columns = np.zeros((3, len(twist_rows), len(arm)))
+    for index, row in enumerate(twist_rows):
+        if row < 3:
+            columns[row, index] = 1.0
+        else:  # e_i × arm
+            i = row - 3
+            j, k = (i + 1) % 3, (i + 2) % 3
+            columns[j, index], columns[k, index] = -arm[:, k], arm[:, j]
+    return columns.transpose(2, 0, 1)
+
+
+def turn_between(first: Array, second: Array) -> Array:
+    """Return the rotation vectors, base axes, that take second to first, shape (N, 3), [rad].
+
+    e = log(R₁ R₂ᵀ): a turn ω of R₁ changes it by J⁻¹(e) ω, one of R₂ by −J⁻¹(e)ᵀ ω, with the
+    inverse left Jacobian J⁻¹.
+
+    Args:
+        first: Rotation matrices, shape (N, 3, 3).
+        second: Rotation matrices, shape (N, 3, 3).
+    """
+    return Rotation.from_matrix(first @ second.transpose(0, 2, 1)).as_rotvec()
+
+
+def inverse_left_jacobian(vectors: Array) -> Array:
+    """Return the derivative of a rotation vector by a turn on the left, shape (N, 3, 3)."""
+    angles = np.linalg.norm(vectors, axis=1)
+    small = angles < _SERIES
+    safe = np.where(small, 1.0, angles)
+    factor = np.where(
+        small, 1 / 12, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe))
+    )
+    S = np.cross(vectors[:, None], np.eye(3)).transpose(0, 2, 1)
+    return np.eye(3) - 0.5 * S + factor[:, None, None] * (S @ S)
