@@ -31,8 +31,7 @@ data = pincal.simulate(printer, truth, pincal.Plan(disc(41)), noise, seed=1).mea
 data.poses[:, :2] = np.nan  # a probe tells the height alone
 
 weak = pincal.forecast(printer, disc(41), noise, measured=["z"]).weak[0]
-names = " and ".join(" of ".join(one[::-1]) for one in (weak.first, weak.second))
-print(f"{names} are weakly told apart: correlation {weak.correlation:.3f}")
+print(f"{weak.first}, {weak.second}: weakly determined, correlation {weak.correlation:.3f}")
 alone, known = (1e3 * pair[0] for pair in (weak.std, weak.known))
 print(f"the radius within {alone:.2f} mm, {known:.2f} mm if rods were known")
 

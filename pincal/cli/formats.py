@@ -286,7 +286,8 @@ def _weak(folder: Path) -> list[str]:
     if not (folder / "result.json").is_file():
         return []
     pairs = read_result(folder).get("weakly_told_apart", [])
-    names = sorted({one[end][1] for one in pairs for end in ("first", "second")})
+    ends = [one[end] for one in pairs for end in ("first", "second")]  # [leg, name] until 0.1
+    names = sorted({one.partition(".")[2] if isinstance(one, str) else one[1] for one in ends})
     if not names:
         return []
     return [

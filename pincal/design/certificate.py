@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
+from pincal.estimation.observability import ROUNDING
 
 Array = NDArray[np.float64]
 _TOLERANCE = 1e-3  # of the bound on det^(1/n)
@@ -58,7 +59,7 @@ def continuous_design(blocks: Array) -> ContinuousDesign:
     count, r, n = blocks.shape
     factor = np.asarray(np.linalg.qr(blocks.reshape(-1, n), mode="r"))
     scale = np.abs(np.diagonal(factor))
-    if len(factor) < n or scale.min() <= 1e-12 * np.linalg.norm(factor, axis=0).max():
+    if len(factor) < n or scale.min() <= ROUNDING * np.linalg.norm(factor, axis=0).max():
         raise ObservabilityError("the candidate poses leave a parameter undetermined")
     shift = 2.0 * float(np.log(scale).sum())
     rows = np.linalg.solve(factor.T, blocks.reshape(-1, n).T).T.reshape(count, r, n)

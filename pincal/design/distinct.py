@@ -10,8 +10,8 @@ from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
 SAME = 1e-6
-"""Of the candidates' extent, within which two of them are one."""
-_ROUNDING = 1e-6  # of the size of coordinates: the least extent
+"""Of the candidates' extent, within which two of them are one; and the least extent, of the size
+of coordinates."""
 _LINES = 3  # along which places are looked at before they are looked at in full
 
 
@@ -33,7 +33,7 @@ def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -
     parts += [] if readings is None else list(readings.T[:, :, None])
     sizes = [np.abs(part).max(initial=0.0) for part in parts]
     extents = [
-        max(np.ptp(part, axis=0).max(), _ROUNDING * size) if size > 0.0 else 1.0
+        max(np.ptp(part, axis=0).max(), SAME * size) if size > 0.0 else 1.0
         for part, size in zip(parts, sizes, strict=True)
     ]
     return np.concatenate([p / e for p, e in zip(parts, extents, strict=True)], axis=1)

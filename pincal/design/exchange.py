@@ -1,4 +1,4 @@
-"""The active robot calibration algorithm: add the best pose, drop the worst, until it stands.
+"""The active robot calibration algorithm: add the best pose, drop the worst, while that gains.
 
 Sun and Hollerbach (2008), for candidates that contribute one row or several. Adding Aⱼ
 multiplies det Σ Aᵀ A by det(I + Aⱼ M⁻¹ Aⱼᵀ), dropping it by det(I − Aⱼ M⁻¹ Aⱼᵀ); M⁻¹
@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.estimation.observability import ROUNDING
+
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 _EXCHANGES = 1000
 _POOL = 500  # candidates by which the pool grows
-_RIDGE = 1e-12  # of unit columns
 
 
 def exchange(
@@ -24,7 +25,7 @@ def exchange(
 
     The first start rounds the continuous design, the others are drawn at random. Exchange
     runs in a pool that grows by the candidates that would improve the set, so that the
-    result stands against all candidates.
+    result is exchanged against all candidates.
 
     Args:
         blocks: Rows that each candidate contributes, shape (M, r, n); together of rank n.
@@ -94,7 +95,7 @@ def _improve(blocks: Array, chosen: Index) -> tuple[Index, float]:
 def _inverse(blocks: Array) -> Array:
     """Return (Σ Aᵀ A)⁻¹, shape (n, n), with a ridge: a random start may lack rank."""
     rows = blocks.reshape(-1, blocks.shape[2])
-    return np.asarray(np.linalg.inv(rows.T @ rows + _RIDGE * np.eye(rows.shape[1])), np.float64)
+    return np.asarray(np.linalg.inv(rows.T @ rows + ROUNDING * np.eye(rows.shape[1])), np.float64)
 
 
 def _inner(left: Array, blocks: Array) -> Array:

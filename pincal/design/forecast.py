@@ -19,7 +19,12 @@ from pincal.design.information import information_rows, leg_whitener, parameter_
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
 from pincal.estimation.frames import frames_moved, split_frames
-from pincal.estimation.observability import Identifiability, identifiability, scaled_axes
+from pincal.estimation.observability import (
+    NEGLIGIBLE,
+    Identifiability,
+    identifiability,
+    scaled_axes,
+)
 from pincal.estimation.weak import WeakPair, weak_pairs
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at, nearby
@@ -34,7 +39,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Method = Literal["all-legs", "per-leg"]
 _GENERIC = 100  # poses at which motions of frames are found among the parameters, at least
-_TAKES_PART = 1e-6  # of a direction that is not identified
 _LINES = 30  # of parameters on a page
 
 
@@ -78,16 +82,17 @@ class Forecast(Estimable):
     @cached_property
     def std(self) -> Array:
         """Standard error of each parameter, shape (n,); infinite where it is not determined."""
-        blurred = np.abs(self.lost).max(axis=1, initial=0.0) > _TAKES_PART
+        blurred = np.abs(self.lost).max(axis=1, initial=0.0) > NEGLIGIBLE
         return np.where(blurred, np.inf, np.sqrt(np.diagonal(self.covariance)))
 
     @cached_property
     def weak(self) -> tuple[WeakPair, ...]:
         """Pairs of parameters that are weakly determined, the weakest first."""
-        names = [(leg.name, name) for leg in self.mechanism.legs for name in leg.parameter_names]
         determined = np.isfinite(self.std)
         clear = np.outer(determined, determined)
-        return weak_pairs(names, np.where(clear, self.covariance, 0.0), self.gauge)
+        return weak_pairs(
+            parameter_ids(self.mechanism), np.where(clear, self.covariance, 0.0), self.gauge
+        )
 
     def platform_error(self, poses: Plan | Array) -> PlatformError:
         """Return the error to expect of the calibrated platform over poses, shape (N, dof).

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.frames import frame_motions, unexplained
+from pincal.estimation.observability import NEGLIGIBLE
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.derivatives import leg_demand
@@ -21,7 +22,6 @@ from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_MOVES = 1e-6  # of the largest motion, from which a direction is said to move the platform
 _CONFIDENCE = 0.95
 _DRAWS = 10_000
 
@@ -184,7 +184,7 @@ def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
     """Return where directions move the platform by more than a least motion, shape (N, dof)."""
     most = np.abs(gain).max(axis=(0, 2), initial=0.0) * np.abs(lost).max(initial=0.0)
     moved = np.abs(gain @ lost).max(axis=2, initial=0.0)
-    return np.asarray(moved > np.maximum(_MOVES * most, least))
+    return np.asarray(moved > np.maximum(NEGLIGIBLE * most, least))
 
 
 def without_frames(

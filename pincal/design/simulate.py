@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import command
 from pincal.kinematics.forward import forward
@@ -22,6 +23,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
+_LISTED = 30  # poses on a page
 
 
 def disturb(mechanism: Mechanism, sigma: float, seed: int | np.random.Generator = 0) -> Mechanism:
@@ -46,7 +48,7 @@ def disturb(mechanism: Mechanism, sigma: float, seed: int | np.random.Generator 
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Simulation:
     """Simulated measurements, and the poses of the plan that could not be measured."""
 
@@ -55,6 +57,14 @@ class Simulation:
     """Row of the plan that each measurement belongs to, shape (N,)."""
     unreachable: tuple[tuple[int, str], ...]
     """Rows of the plan without a measurement, and why."""
+
+    def __repr__(self) -> str:
+        return f"Simulation({len(self.rows)} measurements, {len(self.unreachable)} not reached)"
+
+    def __str__(self) -> str:
+        lost = [f"  pose {row + 1}: {why}" for row, why in self.unreachable]
+        more = [f"  and {len(lost) - _LISTED} more"] if len(lost) > _LISTED else []
+        return "\n".join([repr(self), *lost[:_LISTED], *more])
 
 
 def simulate(
@@ -66,7 +76,7 @@ def simulate(
 ) -> Simulation:
     """Return what a measurement of the true mechanism at planned poses would give.
 
-    With more legs than freedoms, nominal readings contradict each other on the true mechanism;
+    With more legs than freedoms, no true mechanism can obey all nominal readings;
     it is then moved to the planned poses themselves, and its own readings are taken there.
 
     Args:
@@ -120,7 +130,7 @@ def _taken(_: Mechanism, truth: Mechanism, planned: Plan) -> tuple[Array, Array,
     return planned.poses, there.readings, reasons
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Accuracy:
     """How far the platform goes from where it is sent."""
 
@@ -133,6 +143,11 @@ class Accuracy:
     poses: int
     unreachable: int
     """Poses that the model cannot command or the true mechanism cannot reach."""
+
+    def __repr__(self) -> str:
+        turns = f", {1e3 * self.orientation:.3g} mrad" if self.orientation else ""
+        size = f"{1e3 * self.position:.3g} mm{turns} RMS"
+        return f"Accuracy({size}, {self.poses} poses, {self.unreachable} not reached)"
 
 
 def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Array:
@@ -166,15 +181,13 @@ def accuracy(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Accurac
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    every = platform_errors(model, truth, poses)
-    errors = every[np.isfinite(every).all(axis=1)]
-    turns = np.array([unit == "rad" for unit in model.platform.units])
-    distances = np.linalg.norm(errors[:, ~turns], axis=1)
-    angles = np.linalg.norm(errors[:, turns], axis=1)
+    errors = sizes(model.platform.units, platform_errors(model, truth, poses))
+    reached = np.isfinite(errors).all(axis=1)
+    position, orientation = root_mean_squares(errors)
     return Accuracy(
-        position=float(np.sqrt((distances**2).mean())) if len(errors) else np.nan,
-        orientation=float(np.sqrt((angles**2).mean())) if len(errors) else np.nan,
-        worst_position=float(distances.max(initial=0.0)),
-        poses=len(every),
-        unreachable=len(every) - len(errors),
+        position=position,
+        orientation=orientation,
+        worst_position=float(errors[reached, 0].max(initial=0.0)),
+        poses=len(errors),
+        unreachable=int((~reached).sum()),
     )

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
+from pincal.estimation.observability import NEGLIGIBLE, RANK_TOLERANCE
 from pincal.kinematics.closure import point_velocity
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
-_RIGID = 1e-6  # relative misfit of a motion of the platform by frames alone
 _STILL = 1e-7  # motion of the platform below which it is none, of what each parameter would do
 
 
@@ -54,7 +54,7 @@ def unexplained(platform: Platform, twists: Array, motions: Array, size: float) 
         return twists
     lengths = np.linalg.norm(flat, axis=0)
     U, s, _ = np.linalg.svd(flat / np.where(lengths > 0.0, lengths, 1.0), full_matrices=False)
-    U = U[:, s > 1e-9 * s[0]]
+    U = U[:, s > RANK_TOLERANCE * s[0]]
     return (wanted - U @ (U.T @ wanted)).reshape(twists.shape) / scale
 
 
@@ -133,6 +133,6 @@ def split_frames(
     flat = np.linalg.qr(flat, mode="r")  # the same singular values and axes, quicker
     _, s, axes = np.linalg.svd(flat, full_matrices=True)
     only = np.ones(directions.shape[1], dtype=bool)
-    only[: len(s)] = s <= _RIGID
+    only[: len(s)] = s <= NEGLIGIBLE
     turned = directions / scale @ axes.T
     return turned[:, only], turned[:, ~only]

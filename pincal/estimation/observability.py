@@ -14,8 +14,12 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 Array = NDArray[np.float64]
-_NOTHING = 1e-12  # of the longest column: rounding errors of one that is zero
-_RANK_TOLERANCE = 1e-9  # of the largest singular value, columns of unit length
+ROUNDING = 1e-12
+"""Of the sizes that a number is made of, below which it is zero."""
+RANK_TOLERANCE = 1e-9
+"""Of the largest singular value, columns of unit length, below which a direction is lost."""
+NEGLIGIBLE = 1e-6
+"""Of a direction, below which a parameter, or a motion, takes no part in it."""
 
 
 @dataclass(frozen=True)
@@ -129,12 +133,12 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     if not n:
         return Identifiability(0, 0, 1.0, ())
     lengths = np.linalg.norm(C, axis=0)
-    seen = lengths > _NOTHING * lengths.max(initial=0.0)
+    seen = lengths > ROUNDING * lengths.max(initial=0.0)
     scaled = np.where(seen, C / np.where(seen, lengths, 1.0), 0.0)
     if not len(C):
         return Identifiability(0, n, np.inf, tuple((name,) for name in names))
     s = np.linalg.svd(scaled, compute_uv=False)
-    rank = int((s > _RANK_TOLERANCE * s[0]).sum()) if s[0] > 0.0 else 0
+    rank = int((s > RANK_TOLERANCE * s[0]).sum()) if s[0] > 0.0 else 0
     if rank == n:
         return Identifiability(rank, n, float(s[0] / s[-1]), ())
     _, R, order = qr(scaled, mode="economic", pivoting=True)
@@ -143,7 +147,7 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     groups = []
     for column, index in zip(weights.T, lost, strict=True):
         members = {int(index)} | {
-            int(i) for i, w in zip(kept, column, strict=True) if abs(w) > 1e-6
+            int(i) for i, w in zip(kept, column, strict=True) if abs(w) > NEGLIGIBLE
         }
         groups.append(tuple(names[i] for i in sorted(members)))
     return Identifiability(rank, n, float(s[0] / s[rank - 1]) if rank else np.inf, tuple(groups))

@@ -22,11 +22,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.estimation.observability import ROUNDING
 from pincal.kinematics.closure import product, solve
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_SINGULAR = 1e-12  # of the noise of the rows that a free row is made of: rounding errors
 
 
 class NoNoiseError(ValueError):
@@ -102,7 +102,7 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     L = _root(free)
     size = np.abs(np.einsum("nmm->nm", L))
     most = product(np.abs(N), np.abs(noise)).sum(axis=2)  # of what may have cancelled
-    if not (size > _SINGULAR * most).all():
+    if not (size > ROUNDING * most).all():
         raise NoNoiseError
     scale = size[:, :, None]
     return WhiteRows(solve(L / scale, N / scale), Q[:, :, :dof], R[:, :dof], noise)

@@ -14,19 +14,19 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.estimation.observability import NEGLIGIBLE, RANK_TOLERANCE
+
 Array = NDArray[np.float64]
 _WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
-_TIED = 1e6  # times better, as is none but a parameter tied to the other one
-_MOVED = 1e-9  # by a unit motion of the frames: not moved
 
 
 @dataclass(frozen=True)
 class WeakPair:
     """Two parameters whose errors mostly compensate each other."""
 
-    first: tuple[str, str]
-    """Leg and name."""
-    second: tuple[str, str]
+    first: str
+    """Its id, such as ``"leg_1.l"``."""
+    second: str
     correlation: float
     std: tuple[float, float]
     """Standard errors of the two."""
@@ -42,12 +42,12 @@ class WeakPair:
 
 
 def weak_pairs(
-    names: Sequence[tuple[str, str]], covariance: Array, gauge: Array | None = None
+    ids: Sequence[str], covariance: Array, gauge: Array | None = None
 ) -> tuple[WeakPair, ...]:
     """Return the pairs that are weakly determined, the weakest first.
 
     Args:
-        names: Leg and name of each parameter.
+        ids: Id of each parameter, its owner's name first: ``leg_1.l``.
         covariance: Shape (n, n). Parameters whose variance is zero, or not finite, and pairs that
             are tied, are left out.
         gauge: Directions that only move frames, columns of shape (n, n_gauge).
@@ -59,22 +59,24 @@ def weak_pairs(
     rho = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
     directions = np.zeros((len(std), 0)) if gauge is None else gauge
 
+    names = [one.partition(".") for one in ids]
+
     def known(place: int, other: int) -> float:
         whole = names[place][0] == names[other][0]
-        rows = [i for i, one in enumerate(names) if whole and one[1] == names[other][1]]
+        rows = [i for i, one in enumerate(names) if whole and one[2] == names[other][2]]
         return _known(covariance, directions, place, [i for i in rows or [other] if finite[i]])
 
     pairs = [
         WeakPair(
-            names[i],
-            names[j],
+            ids[i],
+            ids[j],
             float(rho[i, j]),
             (float(std[i]), float(std[j])),
             (known(i, j), known(j, i)),
         )
         for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist()
     ]
-    weak = [pair for pair in pairs if _WEAKLY <= pair.gain < _TIED]
+    weak = [pair for pair in pairs if _WEAKLY <= pair.gain < 1.0 / NEGLIGIBLE]  # else tied
     return tuple(sorted(weak, key=lambda pair: -pair.gain))
 
 
@@ -82,7 +84,7 @@ def _known(covariance: Array, gauge: Array, place: int, others: Sequence[int]) -
     """Return the standard error of one parameter if others were known, frames still unknown."""
     moved = gauge[list(others)] / np.linalg.norm(gauge, axis=0)
     axes, size, _ = np.linalg.svd(moved)
-    fixed = axes[:, int((size > _MOVED).sum()) :].T  # combinations that no frame can move
+    fixed = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations that no frame can move
     across = fixed @ covariance[list(others)]
     inner = across[:, list(others)] @ fixed.T
     gained = across[:, place] @ np.linalg.pinv(inner, hermitian=True) @ across[:, place]

@@ -188,9 +188,9 @@ class CalibrationResult:
 
     @cached_property
     def weak(self) -> tuple[WeakPair, ...]:
-        """Parameters that are weakly told apart, the weakest first."""
-        names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
-        return weak_pairs(names, self.covariance, self.gauge_directions)
+        """Parameters that are weakly determined, the weakest first."""
+        ids = [f"{leg.name}.{p.name}" for leg in self.legs for p in leg.parameters]
+        return weak_pairs(ids, self.covariance, self.gauge_directions)
 
     @property
     def excess(self) -> float:

@@ -113,8 +113,10 @@ def weak_in_words(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     """Return which parameters are weakly told apart, and by how much; legs alike in one line."""
     alike: dict[tuple[str, ...], list[WeakPair]] = {}
     for pair in pairs:
-        (leg, name), (other_leg, other) = pair.first, pair.second
-        names = (name, other) if leg == other_leg else (f"{leg}.{name}", f"{other_leg}.{other}")
+        (leg, _, name), (other_leg, _, other) = (
+            one.partition(".") for one in (pair.first, pair.second)
+        )
+        names = (name, other) if leg == other_leg else (pair.first, pair.second)
         alike.setdefault((*names, "" if leg == other_leg else leg), []).append(pair)
     lines = [_weak_line(key[:2], own, mechanism) for key, own in alike.items()]
     if len(lines) > _WEAK_LINES:
@@ -125,14 +127,15 @@ def weak_in_words(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
 def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
     """Return a line on a pair of parameters, of one leg or of several; the weakest counts."""
     worst = pairs[0]
-    legs = list(dict.fromkeys(pair.first[0] for pair in pairs))
+    legs = list(dict.fromkeys(pair.first.partition(".")[0] for pair in pairs))
     every = "every leg" if len(legs) == len(mechanism.legs) > 1 else ", ".join(legs)
-    own = worst.first[0] == worst.second[0]
+    own = worst.second.startswith(f"{worst.first.partition('.')[0]}.")
     if own and len(legs) == 1:
         names = tuple(f"{legs[0]}.{name}" for name in names)
     whose = f" of {every}" if own and len(legs) > 1 else ""
     parts = []
-    for place, (leg, name) in enumerate((worst.first, worst.second)):
+    for place, one in enumerate((worst.first, worst.second)):
+        leg, _, name = one.partition(".")
         unit, factor = SHOWN[mechanism.leg(leg).units[name]]
         parts.append(
             f"{' '.join([f'{factor * worst.known[place]:.3g}', unit]).strip()} instead of "
