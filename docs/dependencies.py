@@ -35,6 +35,7 @@ WHY = {
     "are installed with it but not used",
     "u-msgpack-python": "packs meshcat's commands as its viewer reads them; meshcat needs it too",
     "distributed": "extra `cluster`: the same chunks on a Dask cluster (`--scheduler`)",
+    "pandas": "extra `pandas`: tables in and out as DataFrames",
     "example-robot-data": "tests and examples: twenty and more arms as URDFs with their meshes",
     "hypothesis": "properties and fuzzed files",
     "playwright": "drives Debian's Chromium, which `.ci/run` installs; without one the tests of "

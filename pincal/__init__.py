@@ -46,6 +46,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter, Parameters
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical
 from pincal.model.platform import Platform
+from pincal.model.platform_kind import PlatformKind
 from pincal.model.sensor import Sensor
 from pincal.model.setup import Distance, Setup, Target
 from pincal.show.notebook import register
@@ -109,6 +110,7 @@ __all__ = [
     "Plan",
     "Platform",
     "PlatformError",
+    "PlatformKind",
     "Report",
     "RunComparison",
     "Samples",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 import pincal
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.given import as_measurements, as_mechanism, as_plan, as_setup
 
 THREE = pincal.load_mechanism("3RRR")
 POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))
@@ -195,3 +197,154 @@ def test_replace_checks_too() -> None:
     assert replace(data, poses=POSES + 1.0).poses[0, 0] == 1.0
     with pytest.raises(MeasurementError, match="poses"):
         replace(data, poses=3.0)
+
+
+FREEDOMS = [
+    ("x",),
+    ("x", "y"),
+    ("x", "y", "rx"),
+    ("x", "y", "z", "rz"),
+    ("x", "y", "z", "ry"),
+    ("rx", "ry", "rz"),
+    ("x", "rx", "ry", "rz"),
+    ("x", "y", "z", "rx", "ry", "rz"),
+]
+
+
+@pytest.mark.parametrize("freedoms", FREEDOMS, ids="".join)
+def test_coordinates_of_any_kind_are_its_poses(freedoms: tuple[str, ...]) -> None:
+    """To transforms and back; a small twist moves a pose along its own freedoms and no others."""
+    kind = pincal.PlatformKind("own", freedoms)
+    platform, rng = pincal.Platform(kind, (0.0,) * len(freedoms)), np.random.default_rng(0)
+    poses = rng.uniform(0.1, 1.0, (50, platform.dof))
+    np.testing.assert_allclose(platform.coordinates_of(platform.transforms(poses)), poses)
+    twists = 1e-6 * rng.standard_normal(poses.shape)
+    moved = platform.moved(poses, twists)
+    np.testing.assert_allclose(platform.twists_between(poses, moved), twists, atol=1e-11)
+    a, b = (platform.transforms(p).as_matrix() for p in (poses, moved))
+    full = np.zeros((50, 6))
+    full[:, list(platform.twist_rows)] = twists
+    turn = ((b - a)[:, :3, :3] @ a[:, :3, :3].transpose(0, 2, 1))[:, [2, 0, 1], [1, 2, 0]]
+    np.testing.assert_allclose((b - a)[:, :3, 3], full[:, :3], atol=1e-15)
+    np.testing.assert_allclose(turn, full[:, 3:], atol=1e-11)
+    assert len(platform.units) == len(platform.bounds) == len(platform.freedoms) == platform.dof
+
+
+@pytest.mark.parametrize(
+    ("freedoms", "said"),
+    [
+        (("x", "rx", "ry"), "turns about two axes are turns about a third as well"),
+        (("x", "z"), "moves along x, along x and y, or along x, y and z"),
+        (("rz", "x"), "expected some of x, y, z, rx, ry, rz, in this order"),
+        ((), "none; expected some of x, y, z"),
+        (("x", "x"), "expected some of"),
+        ("xyz", "expected 3 names, one a row; got 'xyz'"),
+        ((1, 2), "expected names; got 1"),
+        (3, "freedoms of a 'own' platform: expected a Sequence; got 3"),
+    ],
+)
+def test_kinds_that_cannot_be_are_refused(freedoms: object, said: str) -> None:
+    """The message says which freedoms go together."""
+    with pytest.raises(MechanismError, match=said):
+        pincal.PlatformKind("own", freedoms)
+    with pytest.raises(MechanismError, match="unknown platform kind 'own'; expected one of point"):
+        pincal.Platform("own", (0.0,))
+    with pytest.raises(MechanismError, match="the kind 'planar' has other freedoms"):
+        pincal.Platform(pincal.PlatformKind("planar", ("x",)), (0.0,))
+    with pytest.raises(MechanismError, match="a platform's kind: expected a str or a Platform"):
+        pincal.Platform(3, (0.0,))
+
+
+def four_cranks() -> pincal.Mechanism:
+    """Return the mechanism of the example, whose platform kind pincal does not have."""
+    path = Path(__file__).parents[1] / "examples" / "12_platform_kind.py"
+    space: dict[str, pincal.Mechanism] = {}
+    exec(path.read_text().partition("print(robot)")[0], space)
+    return space["robot"]
+
+
+def test_a_kind_of_ones_own_is_identified_and_kept(tmp_path: Path) -> None:
+    """Saved and loaded alike, and found to 1e-9 without noise."""
+    robot = four_cranks()
+    assert pincal.load_mechanism(robot.save(tmp_path / "own")) == robot
+    low, high = np.array([[-0.1, -0.1, -0.52, -0.3], [0.1, 0.1, -0.4, 0.3]])
+    plan = pincal.Plan(np.random.default_rng(0).uniform(low, high, (40, 4)))
+    truth = pincal.disturb(robot, 1e-3, seed=1)
+    data = pincal.simulate(robot, truth, plan, pincal.Noise(0.0, 0.0, 0.0)).measurements
+    data.to_csv(tmp_path / "m.csv", robot)
+    again = pincal.Measurements.from_csv(tmp_path / "m.csv", robot)
+    result = pincal.calibrate(robot, again, noise=pincal.Noise(1e-5, 1e-5, 0.0))
+    found = result.identified.parameters.values
+    np.testing.assert_allclose(found, truth.parameters.values, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: pincal.load_mechanism(3),
+        lambda: pincal.load_mechanism(None),
+        lambda: pincal.read_measurements(None, THREE),
+        lambda: pincal.read_measurements("m.csv", "3RRR"),
+        lambda: pincal.read_measurements("m.csv", THREE, "setup.yaml"),
+        lambda: pincal.read_poses([1.0], THREE),
+        lambda: pincal.read_poses("p.csv", None),
+        lambda: pincal.read_readings(3, THREE),
+        lambda: pincal.read_setup(None),
+        lambda: pincal.write_measurements("m.csv", THREE, POSES),
+        lambda: pincal.write_measurements("m.csv", None, pincal.Plan(POSES)),
+        lambda: pincal.write_poses("p.csv", THREE, POSES),
+        lambda: pincal.write_poses(None, THREE, pincal.Plan(POSES)),
+        lambda: pincal.write_readings("r.csv", THREE, None),
+        lambda: pincal.write_readings("r.csv", "3RRR", READINGS),
+        lambda: THREE.save(None),
+        lambda: as_mechanism(3.0),
+        lambda: as_plan("3RRR".split, THREE),
+        lambda: as_measurements(None, THREE),
+        lambda: as_measurements(POSES, THREE),
+        lambda: as_setup({"frame": "unknown"}),
+    ],
+)
+def test_wrong_types_at_the_door_are_named(call: Callable[[], object]) -> None:
+    """A PincalError says what was expected and what was got."""
+    with pytest.raises(pincal.PincalError, match=r"expected .*; got |expected .* got "):
+        call()
+
+
+def test_what_is_handed_over_is_taken_in_every_form(tmp_path: Path) -> None:
+    """A mechanism by name or folder, a plan as poses or transforms, measurements as a table."""
+    assert as_mechanism("3RRR") == as_mechanism(pincal.bundled()["3RRR"]) == as_mechanism(THREE)
+    mechanism, data = measured("3RRR")
+    data.to_csv(tmp_path / "m.csv", mechanism)
+    for given in (data, str(tmp_path / "m.csv"), tmp_path / "m.csv", data.to_dataframe(mechanism)):
+        read = as_measurements(given, mechanism)
+        np.testing.assert_array_equal(read.readings, data.readings)
+        np.testing.assert_array_equal(as_plan(given, mechanism).poses, data.poses)
+    transforms = mechanism.platform.transforms(data.poses)
+    np.testing.assert_allclose(as_plan(transforms, mechanism).poses, data.poses)
+    np.testing.assert_array_equal(as_plan(data.poses.tolist(), mechanism).poses, data.poses)
+    assert as_setup(None) == as_setup(pincal.Setup()) == pincal.Setup()
+    with pytest.raises(MeasurementError, match=r"poses of '5R': expected shape \(N, 2\); got"):
+        as_measurements(data, pincal.load_mechanism("5R"))
+
+
+@pytest.mark.parametrize("kind", [*pincal.bundled()])
+def test_what_people_hold_shows_itself_on_a_line(kind: str) -> None:
+    """Reprs are one line under 120 characters, a mechanism printed is a page."""
+    mechanism = pincal.load_mechanism(kind)
+    legs = mechanism.legs
+    joints = [joint for leg in legs for joint in (*leg.joints, leg.point)]
+    held = [mechanism, mechanism.platform, mechanism.parameters, *legs, *joints]
+    held += [joint.placement for joint in joints] + [one for leg in legs for one in leg.sensors]
+    poses, readings = np.full((9, mechanism.platform.dof), np.nan), np.zeros((9, len(legs)))
+    wires = {f"w{i}": range(9) for i in range(99)}
+    data = pincal.Measurements(poses, readings=readings, extra=wires)
+    targets = {f"target_{i}": pincal.Target((0.1, 0.0, 0.0), True) for i in range(30)}
+    held += [data, pincal.Plan(poses), pincal.Noise(), pincal.Setup(True, targets)]
+    for one in held:
+        assert len(repr(one)) < 120, repr(one)
+        assert "\n" not in repr(one)
+    lines = str(mechanism).splitlines()
+    assert len(lines) <= 60
+    assert max(map(len, lines)) <= 120
+    for name in legs[0].parameter_names:
+        assert any(f"{name} [" in line for line in lines)

@@ -69,11 +69,11 @@ def aligned(problem: Problem, data: Measurements, state: State, good: Mask) -> E
 def _positions(platform: Platform, data: Measurements, target: str) -> Array:
     """Return measured positions of a target, shape (N, 3); NaN where not measured."""
     measured = np.zeros((len(data), 3))
+    if target == ORIGIN:
+        measured[:, : platform.lengths] = data.poses[:, : platform.lengths]
+        return measured
     for axis, letter in enumerate("xyz"[: platform.space]):
-        name = f"{target}_{letter}"
-        measured[:, axis] = (
-            data.poses[:, axis] if target == ORIGIN else data.extra.get(name, np.nan)
-        )
+        measured[:, axis] = data.extra.get(f"{target}_{letter}", np.nan)
     return measured
 
 

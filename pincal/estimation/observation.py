@@ -68,9 +68,9 @@ class Observation:
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
         whole = _whole(self.orientations)
         single = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
-        if platform.kind == "spatial":
-            part = np.where(whole[:, None], np.nan, data.poses[:, 3:])
-            single |= dict(zip(platform.coordinates[3:], part.T, strict=True))
+        if platform.turns == 3:
+            part = np.where(whole[:, None], np.nan, data.poses[:, lengths:])
+            single |= dict(zip(platform.coordinates[lengths:], part.T, strict=True))
         self._angle_names = tuple(single)
         values |= single
         turn_names = platform.freedoms[lengths:]

@@ -72,7 +72,7 @@ def align_start(
         state = replace(state, external=aligned(problem, data, state, good))
     guess = placed(problem, data, parameters, state.external)
     matrices = np.where(good[:, None, None], state.matrices, guess.matrices)
-    known = np.isfinite(data.poses[:, : platform.space]).all(axis=1)
+    known = np.isfinite(data.poses[:, : platform.lengths]).all(axis=1)
     arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
     matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
     return poses_at_rest(
@@ -117,7 +117,7 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
     F = external.frame[:3, :3]
     matrices[known, :3, :3] = F.T @ turns[known] @ external.turn.T
     measured = np.full((len(data), 3), np.nan)
-    measured[:, : platform.space] = data.poses[:, : platform.space]
+    measured[:, : platform.lengths] = data.poses[:, : platform.lengths]
     if platform.space == 2:
         measured[:, 2] = 0.0
     there = (measured - external.frame[:3, 3]) @ F - matrices[:, :3, :3] @ external.offsets[0]

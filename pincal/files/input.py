@@ -8,7 +8,7 @@ from math import nan
 from pathlib import Path
 
 from pincal.errors import FileError, PincalError
-from pincal.model.limits import LARGEST
+from pincal.model.checks import LARGEST
 
 _CHUNK = 64 * 1024  # bytes
 _UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, MechanismError
 from pincal.files.tables import write_table
-from pincal.model.checks import array_of
+from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
@@ -39,6 +39,7 @@ def write_poses(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
+    must_be(plan, Plan, "poses to write", MeasurementError)
     planned = Plan(plan.poses, plan.sets, plan.readings)
     write_table(path, columns_of(mechanism, planned, orientation), force=force)
 
@@ -63,6 +64,7 @@ def write_measurements(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
+    must_be(data, Measurements, "measurements to write", MeasurementError)
     write_table(path, columns_of(mechanism, data), force=force)
 
 
@@ -103,7 +105,7 @@ def columns_of(mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsio
 
 
 def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> Columns:
-    platform = mechanism.platform
+    platform = must_be(mechanism, Mechanism, "the mechanism", MechanismError).platform
     columns: Columns = {}
     if orientation not in WAYS:
         raise MeasurementError(f"orientation {orientation!r}; expected one of {', '.join(WAYS)}")
@@ -112,17 +114,18 @@ def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> Columns
         columns["set"] = plan.sets
     poses = plan.poses
     names = list(zip(platform.coordinates, platform.units, strict=True))
-    if platform.kind == "spatial" and orientation != "tilt-torsion":
+    if platform.turns == 3 and orientation != "tilt-torsion":
         turns = angles_of(orientation, platform.transforms(poses).rotation)
-        poses = np.concatenate((poses[:, :3], turns), axis=1)
+        poses = np.concatenate((poses[:, : platform.lengths], turns), axis=1)
         written, unit = WAYS[orientation]
-        names = names[:3] + [(name, unit) for name in written]
+        names = names[: platform.lengths] + [(name, unit) for name in written]
     for (name, unit), values in zip(names, poses.T, strict=True):
         columns[f"{name} [{unit}]"] = values
     return columns
 
 
 def _reading_columns(mechanism: Mechanism, readings: Array) -> Columns:
+    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     names, units = mechanism.reading_names, mechanism.reading_units
     values = array_of(readings, ("N", len(names)), "readings", MeasurementError)
     triples = zip(names, units, values.T, strict=True)

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, MechanismError
 from pincal.files.tables import UNITS, Table, read_table
+from pincal.model.checks import must_be
 from pincal.model.measurements import EVERY_LEG, Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
@@ -70,7 +71,8 @@ def read_measurements(
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
-    setup = setup or Setup()
+    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
+    setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
     table = _read(path, mechanism, more)
     if missing := [name for name in setup.distances if name not in table]:
@@ -79,7 +81,7 @@ def read_measurements(
             f"'{missing[0]} [m]'"
         )
     platform = mechanism.platform
-    if platform.kind == "spatial" and partial and _way(table) is None:
+    if platform.turns == 3 and partial and _way(table) is None:
         more |= {name: "rad" for name in SINGLE_ANGLES if name in table}
     if not partial:
         _whole(table, mechanism)
@@ -126,6 +128,7 @@ def _read(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None = N
 
     Columns without a meaning are logged.
     """
+    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     table = read_table(path)
     units = _known(mechanism, more or {})
     for column, own in table.units.items():
@@ -198,8 +201,8 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     If they may be partial, NaN where a column is missing or a cell empty.
     """
     platform = mechanism.platform
-    way = _way(table) if platform.kind == "spatial" else None
-    places = platform.coordinates[: platform.units.count("m")]
+    way = _way(table) if platform.turns == 3 else None
+    places = platform.coordinates[: platform.lengths]
     told = [name for name in places if name in table]
     if not partial and told and len(told) < len(places):
         raise MeasurementError(
@@ -212,11 +215,11 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
         return table.numbers(name, unit, blank=partial)
 
     units = dict(zip(platform.coordinates, platform.units, strict=True))
-    if platform.kind != "spatial" or way in (None, "tilt-torsion"):
+    if platform.turns < 3 or way in (None, "tilt-torsion"):
         return np.column_stack([numbers(name, unit) for name, unit in units.items()])
     names, unit = WAYS[way]
-    position = np.column_stack([numbers(name, "m") for name in "xyz"])
     values = np.column_stack([numbers(name, unit) for name in names])
+    position = np.column_stack([numbers(name, "m") for name in places] or [values[:, :0]])
     given = np.isfinite(values).all(axis=1)
     turns = np.full((len(values), 3), np.nan)
     try:
@@ -224,7 +227,7 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     except MeasurementError as error:
         raise MeasurementError(f"{table.path}: {error}") from error
     at = RigidTransform.from_components(np.zeros((int(given.sum()), 3)), rotation)
-    turns[given] = platform.coordinates_of(at)[:, 3:]
+    turns[given] = platform.coordinates_of(at)[:, platform.lengths :]
     return np.concatenate((position, turns), axis=1)
 
 
@@ -235,7 +238,7 @@ def _whole(table: Table, mechanism: Mechanism) -> None:
         MeasurementError: it was measured in part.
     """
     platform = mechanism.platform
-    places = platform.units.count("m")
+    places = platform.lengths
     needed = platform.coordinates[: places if _way(table) else None]
     missing = [name for name in needed if name not in table]
     if missing and len(missing) < len(needed):

@@ -13,11 +13,13 @@ from pincal.files.output import writing
 from pincal.files.schema import FORMAT, LegSpec, MechanismSpec, read_spec
 from pincal.files.urdf import read_chain, read_points
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
+from pincal.model.checks import must_be
 from pincal.model.home import check_home
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
+from pincal.model.platform_kind import KINDS, PlatformKind
 from pincal.model.sensor import Sensor
 
 _YAML = "mechanism.yaml"
@@ -69,7 +71,9 @@ def _folder(name_or_path: str | Path) -> Path:
     Raises:
         FileError: no such folder.
     """
-    folder = Path(name_or_path)
+    folder = Path(
+        must_be(name_or_path, (str, Path), "a mechanism's name or folder", MechanismError)
+    )
     if not is_folder(folder) and str(name_or_path) in bundled():
         folder = bundled()[str(name_or_path)]
     name = str(name_or_path)[:200]
@@ -99,7 +103,9 @@ def is_folder(path: Path) -> bool:
 
 def _mechanism(spec: MechanismSpec, folder: Path) -> Mechanism:
     home = spec.platform.home
-    platform = Platform(spec.platform.kind, tuple(home.values()))
+    kind = spec.platform.kind
+    own = kind if isinstance(kind, str) else PlatformKind(kind.name, tuple(kind.freedoms))
+    platform = Platform(own, tuple(home.values()))
     if tuple(home) != platform.coordinates:
         raise MechanismError(
             f"platform.home has {', '.join(home)}; expected {', '.join(platform.coordinates)}"
@@ -185,6 +191,7 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
     """
+    must_be(mechanism, Mechanism, "a mechanism to write", MechanismError)
     with writing(folder, force=force, folder=True) as scratch:
         write_mechanism(mechanism, scratch)
     return Path(folder)
@@ -206,7 +213,9 @@ def _dump(mechanism: Mechanism) -> str:
         "name": mechanism.name,
         **({"description": mechanism.description} if mechanism.description else {}),
         "platform": {
-            "kind": platform.kind,
+            "kind": platform.kind
+            if platform.kind in KINDS
+            else _Flow(name=platform.kind, freedoms=list(platform.form.freedoms)),
             "urdf": "platform.urdf",
             "home": _Flow(zip(platform.coordinates, platform.home, strict=True)),
         },

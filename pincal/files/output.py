@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pincal.errors import FileError
+from pincal.model.checks import must_be
 
 #: A folder that holds one of these was written by pincal and may be replaced.
 MARKERS = ("mechanism.yaml", "result.json", "study.md")
@@ -24,7 +25,7 @@ def refuse_existing(path: str | Path, *, force: bool, folder: bool = False) -> P
         FileError: it exists and ``force`` is not set; a folder is in a file's place, or
             something not written by pincal in a folder's; its parent does not exist.
     """
-    path = Path(path)
+    path = Path(must_be(path, (str, Path), "where to write", FileError))
     if path == Path("-"):
         raise FileError("cannot write to standard output ('-'); name a file")
     try:

@@ -20,7 +20,7 @@ from pydantic import (
 from pincal.errors import MechanismError
 from pincal.files.input import plain_number
 from pincal.files.yaml_reading import read_yaml
-from pincal.model.limits import LARGEST
+from pincal.model.checks import LARGEST
 
 FORMAT = 1
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=64)]
@@ -81,10 +81,17 @@ class LegSpec(Strict):
     placements: dict[str, list[dict[str, Value | list[Value]]]]
 
 
+class KindSpec(Strict):
+    """A kind of platform of the user's own."""
+
+    name: str
+    freedoms: list[str]
+
+
 class PlatformSpec(Strict):
     """The platform."""
 
-    kind: str
+    kind: str | KindSpec
     urdf: str
     home: dict[str, Number]
 

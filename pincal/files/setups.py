@@ -10,6 +10,7 @@ from pydantic import Field
 from pincal.errors import MeasurementError
 from pincal.files.schema import Name, Number, Strict
 from pincal.files.yaml_reading import read_yaml
+from pincal.model.checks import must_be
 from pincal.model.setup import ORIGIN, Distance, Setup, Target
 
 
@@ -37,7 +38,8 @@ def read_setup(path: str | Path) -> Setup:
         FileError: the file is missing or cannot be read.
         MeasurementError: it does not parse, or says something else than it should.
     """
-    spec = read_yaml(Path(path), _SetupSpec, MeasurementError)
+    path = Path(must_be(path, (str, Path), "a setup file", MeasurementError))
+    spec = read_yaml(path, _SetupSpec, MeasurementError)
     distances = {name: Distance(one.start, one.target) for name, one in spec.distances.items()}
     try:
         return Setup(

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError, PincalError
 from pincal.files.input import plain_number, read_text, why_no_number
 from pincal.files.output import writing
-from pincal.model.checks import must_be
-from pincal.model.limits import LARGEST
+from pincal.model.checks import LARGEST, must_be
 
 Array = NDArray[np.float64]
 
@@ -133,7 +132,7 @@ def read_table(source: str | Path | Any) -> Table:
     """
     if is_dataframe(source):
         return _of_dataframe(source)
-    path = Path(must_be(source, (str, Path), "a table", MeasurementError))
+    path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
     text = read_text(path, _LARGEST, MeasurementError, pipe=True)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows, lines = [], []

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pincal.errors import MechanismError
 from pincal.files.input import plain_number, why_no_number
 from pincal.files.xml import read_xml
+from pincal.model.checks import LARGEST
 from pincal.model.leg import Joint, JointKind
-from pincal.model.limits import LARGEST
 from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import sensor_law
+from pincal.model.checks import LARGEST
 from pincal.model.leg import Leg
-from pincal.model.limits import LARGEST
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import carry
 from pincal.symmetry.elements import Element, wrapped

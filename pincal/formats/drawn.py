@@ -51,7 +51,7 @@ def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
         replace(leg, joints=tuple(replace(j, home=drawn.get(j.name, 0.0)) for j in leg.joints))
         for leg in mechanism.legs
     ]
-    gap = opening(legs, mechanism.platform.kind)
+    gap = opening(legs, mechanism.platform.form)
     if gap <= _SMALL * largest_size(mechanism.legs, mechanism.platform):
         return f"the loops close as drawn, within {gap:.2g} m", False
     moved: dict[str, tuple[float, str]] = {}

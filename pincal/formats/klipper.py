@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pincal.errors import MechanismError
 from pincal.files.input import lines_of, plain_number, read_text
 from pincal.formats.delta import DeltaPrinter, Expressed, Three, noted
-from pincal.model.limits import LARGEST
+from pincal.model.checks import LARGEST
 
 Array = NDArray[np.float64]
 _SAVED = "#*# "  # begins the lines of SAVE_CONFIG

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.input import plain_number
-from pincal.model.limits import LARGEST
+from pincal.model.checks import LARGEST
 
 Array = NDArray[np.float64]
 _TURNS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")

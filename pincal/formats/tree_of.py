@@ -22,7 +22,6 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement
 
 BASE, PLATFORM = "base", "platform"
-_FREEDOMS = {"point": "XY", "planar": "XYz", "translational": "XYZ", "spatial": "XYZxyz"}
 
 
 def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
@@ -32,7 +31,7 @@ def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
     if it can.
     """
     with suppress(MechanismError):
-        closing, platform = assembled(mechanism.legs, mechanism.platform.kind)
+        closing, platform = assembled(mechanism.legs, mechanism.platform.form)
         mechanism = replace(mechanism, legs=closing, platform=platform)
     names = [joint.name for leg in mechanism.legs for joint in leg.joints]
     shared = len(set(names)) != len(names) or PLATFORM in names
@@ -78,7 +77,8 @@ def _named(leg: Leg) -> Leg:
 def _floating(mechanism: Mechanism) -> tuple[Edge, ...]:
     """Return the platform's freedoms as joints, at home."""
     platform = mechanism.platform
-    edges = turns(Joint(PLATFORM, "fixed"), BASE, PLATFORM, _FREEDOMS[platform.kind])
+    freedoms = "".join("XYZxyz"[row] for row in platform.twist_rows)
+    edges = turns(Joint(PLATFORM, "fixed"), BASE, PLATFORM, freedoms)
     at = platform.home_pose.as_matrix()[0]
     x, y, z = Rotation.from_matrix(at[:3, :3]).as_euler("XYZ")
     values = dict(zip(("px", "py", "pz", "x", "y", "z"), (*at[:3, 3], x, y, z), strict=True))

@@ -17,6 +17,7 @@ from pincal.errors import MechanismError
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
+from pincal.model.platform_kind import PlatformKind
 
 Array = NDArray[np.float64]
 _STEPS = 100
@@ -25,7 +26,7 @@ _SMALL = 1e-12  # of the size
 _CLOSED = 1e-10  # of the size
 
 
-def assembled(legs: Sequence[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform]:
+def assembled(legs: Sequence[Leg], kind: str | PlatformKind) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose.
 
     Args:
@@ -74,7 +75,7 @@ def assembled(legs: Sequence[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform
     return placed, Platform(kind, tuple(home.tolist()))
 
 
-def opening(legs: Sequence[Leg], kind: str) -> float:
+def opening(legs: Sequence[Leg], kind: str | PlatformKind) -> float:
     """Return how far ends that should meet are apart at home, the platform put in between, [m].
 
     Where whole frames meet, their turn counts times the leg's size.

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from pincal.errors import PincalError
 
 Array = NDArray[np.float64]
+LARGEST = 1e12
+"""Size of a mechanism's numbers, [m] or [rad]: larger ones are slips, their squares overflow."""
 
 
 def described(value: object) -> str:
@@ -25,7 +27,7 @@ def described(value: object) -> str:
 
 
 def array_of(
-    values: Any, shape: tuple[int | str, ...], what: str, error: type[PincalError]
+    values: Any, shape: tuple[int | str, ...], what: str, error_type: type[PincalError]
 ) -> Array:
     """Return values as an array of float64 that is not writable, a copy if need be.
 
@@ -37,51 +39,55 @@ def array_of(
     """
     wanted = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
     if isinstance(values, str | bytes | Mapping) or values is None:
-        raise error(f"{what}: expected an array of shape {wanted}; got {described(values)}")
+        raise error_type(f"{what}: expected an array of shape {wanted}; got {described(values)}")
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "fiub":
             raise ValueError
         array = array.astype(np.float64, copy=array.flags.writeable)
     except (TypeError, ValueError) as fault:
-        raise error(f"{what}: expected numbers, shape {wanted}; got {described(values)}") from fault
+        raise error_type(
+            f"{what}: expected numbers, shape {wanted}; got {described(values)}"
+        ) from fault
     if array.ndim != len(shape) or any(
         isinstance(size, int) and size != own for size, own in zip(shape, array.shape, strict=True)
     ):
-        raise error(f"{what}: expected shape {wanted}; got shape {array.shape}")
+        raise error_type(f"{what}: expected shape {wanted}; got shape {array.shape}")
     array.setflags(write=False)
     return array
 
 
-def names_of(values: Any, count: int, what: str, error: type[PincalError]) -> tuple[str, ...]:
+def names_of(values: Any, count: int, what: str, error_type: type[PincalError]) -> tuple[str, ...]:
     """Return names, one a row, as a tuple.
 
     Raises:
         PincalError: of the given type: no names, or not one a row.
     """
     if isinstance(values, str) or not isinstance(values, Iterable):
-        raise error(f"{what}: expected {count} names, one a row; got {described(values)}")
+        raise error_type(f"{what}: expected {count} names, one a row; got {described(values)}")
     names = tuple(values)
     if wrong := [name for name in names if not isinstance(name, str)]:
-        raise error(f"{what}: expected names; got {described(wrong[0])} among them")
+        raise error_type(f"{what}: expected names; got {described(wrong[0])} among them")
     if len(names) != count:
-        raise error(f"{what}: expected {count} names, one a row; got {len(names)}")
+        raise error_type(f"{what}: expected {count} names, one a row; got {len(names)}")
     return names
 
 
-def number_of(value: Any, what: str, error: type[PincalError]) -> float:
+def number_of(value: Any, what: str, error_type: type[PincalError]) -> float:
     """Return a number as float.
 
     Raises:
         PincalError: of the given type: something else.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise error(f"{what}: expected a number; got {described(value)}")
+        raise error_type(f"{what}: expected a number; got {described(value)}")
     return float(value)
 
 
-def must_be(value: Any, kind: type | tuple[type, ...], what: str, error: type[PincalError]) -> Any:
-    """Return a value that is of a kind.
+def must_be(
+    value: Any, kind: type | tuple[type, ...], what: str, error_type: type[PincalError]
+) -> Any:
+    """Return a value that is of a kind; ``what`` may say more of what is expected.
 
     Raises:
         PincalError: of the given type: it is something else.
@@ -89,5 +95,5 @@ def must_be(value: Any, kind: type | tuple[type, ...], what: str, error: type[Pi
     if not isinstance(value, kind):
         kinds = kind if isinstance(kind, tuple) else (kind,)
         expected = " or ".join(f"a {one.__name__}" for one in kinds)
-        raise error(f"{what}: expected {expected}; got {described(value)}")
+        raise error_type(f"{what}: expected {expected}; got {described(value)}")
     return value

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.checks import must_be, number_of
-from pincal.model.limits import LARGEST
+from pincal.model.checks import LARGEST, must_be, number_of
+from pincal.model.overview import counted, one_line, triple
+from pincal.model.parameter import listed
 from pincal.model.placement import Placement
 from pincal.model.sensor import Sensor
 
@@ -36,6 +37,16 @@ class Joint:
     """Limits, [rad] or [m]."""
     home: float = 0.0
     """Position in the home configuration, [rad] or [m]; fixes the working mode."""
+
+    def __repr__(self) -> str:
+        axis = f" {'about' if self.turns else 'along'} {triple(self.axis)}"
+        moves = (
+            axis * (self.kind != "fixed"),
+            f"from {self.lower:.4g} to {self.upper:.4g}, home {self.home:.4g}",
+        )
+        place = f"at {self.placement!r}" if self.placement != Placement() else ""
+        own = moves[1] if self.kind != "fixed" else ""
+        return one_line("Joint", repr(self.name), self.kind + moves[0], own, place)
 
     @property
     def limited(self) -> bool:
@@ -126,6 +137,21 @@ class Leg:
                 )
         for joint in (*self.joints, self.point):
             joint.placement.rest(self.nominal_by_name, f"{self.name}, joint {joint.name!r}")
+
+    def __repr__(self) -> str:
+        return one_line(
+            "Leg",
+            repr(self.name),
+            self.joint_letters,
+            f"reads {listed([sensor.joint for sensor in self.sensors])}",
+            f"closes a {self.closes}",
+            counted(len(self.parameters), "parameter"),
+        )
+
+    @property
+    def joint_letters(self) -> str:
+        """Kinds of the moving joints, base first: R for revolute, P for prismatic."""
+        return "".join("P" if joint.kind == "prismatic" else "R" for joint in self.moving)
 
     @cached_property
     def moving(self) -> tuple[Joint, ...]:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.model.checks import array_of, must_be, names_of, number_of
-from pincal.model.limits import LARGEST
+from pincal.model.checks import LARGEST, array_of, must_be, names_of, number_of
 from pincal.model.mechanism import Mechanism
+from pincal.model.overview import counted, one_line
 
 if TYPE_CHECKING:
     from pincal.model.setup import Setup
@@ -123,6 +123,17 @@ class Plan:
 
         return dataframe(columns_of(mechanism, self, orientation))
 
+    def __repr__(self) -> str:
+        more = [name for name, value in vars(self).items() if value is not None]
+        has = [name for name in more if name not in ("poses", "lines", "extra", "sigma_extra")]
+        has += getattr(self, "extra", ())
+        poses = f"{counted(len(self), 'row')}: {counted(self.poses.shape[1], 'coordinate')}"
+        if lacks := int(np.isnan(self.poses).any(axis=1).sum()):
+            poses += f" (not all in {counted(lacks, 'row')})"
+        if self.readings is not None:
+            poses += f", {counted(self.readings.shape[1], 'reading')}"
+        return one_line(type(self).__name__, poses, *(name for name in has if name != "readings"))
+
     def __len__(self) -> int:
         return len(self.poses)
 
@@ -137,7 +148,7 @@ class Plan:
         return np.array([s in (leg, EVERY_LEG, "") for s in self.sets], dtype=bool)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Measurements(Plan):
     """What was measured, row by row; NaN where it was not.
 

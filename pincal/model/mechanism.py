@@ -16,6 +16,7 @@ from pincal.errors import MechanismError
 from pincal.model.checks import must_be
 from pincal.model.leg import Leg
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
+from pincal.model.overview import counted, one_line, page
 from pincal.model.parameter import Parameter, Parameters
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
@@ -80,6 +81,14 @@ class Mechanism:
                 _check_planar(
                     leg.name, joint.name, joint.kind, joint.placement.origin(), joint.axis
                 )
+
+    def __repr__(self) -> str:
+        kind = f"{self.platform.kind} platform"
+        numbers = counted(len(self.legs), "leg"), counted(len(self.parameters), "parameter")
+        return one_line("Mechanism", repr(self.name), kind, *numbers)
+
+    def __str__(self) -> str:
+        return page(self)
 
     @cached_property
     def leg_names(self) -> tuple[str, ...]:

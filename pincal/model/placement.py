@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.model.overview import one_line, triple
 
 Array = NDArray[np.float64]
 Value = str | float  # a parameter's name, or a constant
@@ -138,6 +139,11 @@ class Placement:
     """URDF origin, [m]."""
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """URDF origin, roll-pitch-yaw about fixed axes, [rad]."""
+
+    def __repr__(self) -> str:
+        parts = [f"{c.kind}({', '.join(map(str, c.values))})" for c in self.coordinates]
+        turned = f"rpy={triple(self.rpy)}" if any(self.rpy) else ""
+        return one_line("Placement", *parts, f"xyz={triple(self.xyz)}", turned)
 
     @property
     def steps(self) -> tuple[Step, ...]:

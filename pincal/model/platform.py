@@ -4,44 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
-from pincal.model.orientation import columns_of, rotation_of
+from pincal.model.checks import array_of, must_be
+from pincal.model.overview import one_line, triple
+from pincal.model.platform_kind import KINDS, PlatformKind
 
 Array = NDArray[np.float64]
 Poses: TypeAlias = Array | RigidTransform  # coordinates (N, dof), or transforms of length N
-
-
-@dataclass(frozen=True)
-class _Kind:
-    coordinates: tuple[str, ...]
-    units: tuple[str, ...]
-    twist_rows: tuple[int, ...]
-    closure_rows: tuple[int, ...]
-    bounds: tuple[tuple[float, float], ...]
-    """Of each coordinate; lengths are bounded by the reach of the legs."""
-
-
-_ANY, _TURN, _TILT = (-np.inf, np.inf), (-np.pi, np.pi), (0.0, np.pi)
-_KINDS = {
-    "point": _Kind(("x", "y"), ("m", "m"), (0, 1), (0, 1), (_ANY, _ANY)),
-    "planar": _Kind(("x", "y", "phi"), ("m", "m", "rad"), (0, 1, 5), (0, 1), (_ANY, _ANY, _TURN)),
-    "translational": _Kind(
-        ("x", "y", "z"), ("m", "m", "m"), (0, 1, 2), (0, 1, 2), (_ANY, _ANY, _ANY)
-    ),
-    "spatial": _Kind(
-        ("x", "y", "z", "azimuth", "tilt", "torsion"),
-        ("m", "m", "m", "rad", "rad", "rad"),
-        (0, 1, 2, 3, 4, 5),
-        (0, 1, 2),
-        (_ANY, _ANY, _ANY, _TURN, _TILT, _TURN),
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -54,60 +29,89 @@ class Platform:
     - ``spatial``: x, y, z and tilt and torsion, R = Rz(azimuth) Ry(tilt) Rz(torsion − azimuth)
       (6-UPS paper, Section 2.2); the azimuth has no meaning at tilt 0 and is 0 there.
 
+    A ``PlatformKind`` of one's own has other freedoms, such as x, y, z, phi.
+
     Poses are ``T_base_platform``, a SciPy ``RigidTransform`` of length N, or the
     coordinates, shape (N, dof), in [m] and [rad].
     """
 
-    kind: str
+    kind: str | PlatformKind
+    """Name of a kind above, or a ``PlatformKind`` of one's own; its name from then on."""
     home: tuple[float, ...]
     """Coordinates of the home pose, [m] and [rad]."""
+    form: PlatformKind = None  # type: ignore[assignment]
+    """The kind's freedoms; follows from ``kind``."""
 
     def __post_init__(self) -> None:
-        if self.kind not in _KINDS:
-            raise MechanismError(
-                f"unknown platform kind {self.kind!r}; expected one of {', '.join(_KINDS)}"
-            )
+        form: Any = self.form
+        kind: Any = must_be(self.kind, (str, PlatformKind), "a platform's kind", MechanismError)
+        if isinstance(kind, PlatformKind):
+            form, kind = kind, kind.name
+        if kind in KINDS and form not in (None, KINDS[kind]) and form.name == kind:
+            raise MechanismError(f"the kind {kind!r} has other freedoms; name your own otherwise")
+        if form is None or form.name != kind:
+            if kind not in KINDS:
+                raise MechanismError(
+                    f"unknown platform kind {kind!r}; expected one of {', '.join(KINDS)}"
+                )
+            form = KINDS[kind]
+        object.__setattr__(self, "kind", kind)
+        object.__setattr__(self, "form", form)
+        home = array_of(self.home, ("dof",), "the home pose", MechanismError).tolist()
+        object.__setattr__(self, "home", tuple(home))
         if len(self.home) != self.dof:
             raise MechanismError(
                 f"the home pose of a {self.kind!r} platform has {self.dof} coordinates "
                 f"({', '.join(self.coordinates)}), got {len(self.home)}"
             )
 
+    def __repr__(self) -> str:
+        return one_line("Platform", repr(self.kind), f"home={triple(self.home)}")
+
     @staticmethod
-    def dof_of(kind: str) -> int:
+    def dof_of(kind: str | PlatformKind) -> int:
         """Return the number of freedoms of a kind of platform."""
-        return len(_KINDS[kind].coordinates)
+        return len((KINDS[kind] if isinstance(kind, str) else kind).freedoms)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates."""
-        return _KINDS[self.kind].coordinates
+        return self.form.coordinates
 
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the coordinates, and of the twist rows in the same order."""
-        return _KINDS[self.kind].units
+        return self.form.units
+
+    @property
+    def lengths(self) -> int:
+        """Number of coordinates that are positions; they come first."""
+        return self.form.lengths
+
+    @property
+    def turns(self) -> int:
+        """Number of coordinates that are angles: none, one or three."""
+        return self.form.turns
 
     @property
     def freedoms(self) -> tuple[str, ...]:
-        """Names of the twist rows: turns of a spatial platform are rx, ry, rz in base axes."""
-        names = (*self.coordinates[:3], "rx", "ry", "rz")
-        return names if self.kind == "spatial" else self.coordinates
+        """Names of the twist rows: three turns are rx, ry, rz in base axes, one is phi."""
+        return self.form.freedoms if self.turns == 3 else self.coordinates
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
         """Least and largest value of each coordinate, infinite for lengths."""
-        return _KINDS[self.kind].bounds
+        return self.form.bounds
 
     @property
     def twist_rows(self) -> tuple[int, ...]:
         """Rows of a twist (linear first) that the platform can move in, one per freedom."""
-        return _KINDS[self.kind].twist_rows
+        return self.form.twist_rows
 
     @property
     def closure_rows(self) -> tuple[int, ...]:
         """Rows of the loop closure that are kept: two in a plane, three in space."""
-        return _KINDS[self.kind].closure_rows
+        return self.form.closure_rows
 
     def closing(self, closes: str) -> tuple[int, ...]:
         """Return the rows of a twist in which a leg closes a ``"point"`` or a ``"frame"``."""
@@ -145,20 +149,9 @@ class Platform:
         if not np.isfinite(coordinates).all():
             row = int(np.argmin(np.isfinite(coordinates).all(axis=1)))
             raise MechanismError(f"pose {row + 1} has a coordinate that is not a finite number")
-        lengths = [i for i, unit in enumerate(self.units) if unit == "m"]
         position = np.zeros((len(coordinates), 3))
-        position[:, : len(lengths)] = coordinates[:, lengths]
-        return RigidTransform.from_components(position, self._rotation(coordinates))
-
-    def _rotation(self, coordinates: Array) -> Rotation:
-        if self.kind == "spatial":
-            return rotation_of("tilt-torsion", coordinates[:, 3:])
-        quaternion = np.zeros((len(coordinates), 4))
-        quaternion[:, 3] = 1.0
-        if self.kind == "planar":
-            quaternion[:, 2] = np.sin(coordinates[:, 2] / 2)
-            quaternion[:, 3] = np.cos(coordinates[:, 2] / 2)
-        return Rotation.from_quat(quaternion)
+        position[:, : self.lengths] = coordinates[:, : self.lengths]
+        return RigidTransform.from_components(position, self.form.rotations(coordinates))
 
     def coordinates_of(self, poses: Poses) -> Array:
         """Return the coordinates of poses, shape (N, dof), [m] and [rad], angles in (-pi, pi]."""
@@ -168,14 +161,7 @@ class Platform:
 
     def from_matrices(self, matrices: Array) -> Array:
         """Return the coordinates of homogeneous matrices, shape (N, 4, 4) to (N, dof)."""
-        lengths = self.units.count("m")
-        columns = list(matrices[:, :lengths, 3].T)
-        R = matrices[:, :3, :3]
-        if self.kind == "planar":
-            columns.append(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
-        elif self.kind == "spatial":
-            columns += list(columns_of("tilt-torsion", Rotation.from_matrix(R)).T)
-        return np.stack(columns, axis=1)
+        return self.form.from_matrices(matrices)
 
     def moved(self, poses: Array, twists: Array) -> Array:
         """Return poses moved by small twists at the platform's origin, axes of the base.
@@ -184,7 +170,7 @@ class Platform:
             poses: Coordinates, shape (N, dof).
             twists: In the platform's freedoms, shape (N, dof), [m] and [rad].
         """
-        if self.kind != "spatial":
+        if self.turns < 3:
             return poses + twists
         return self.from_matrices(self.displaced(self.transforms(poses).as_matrix(), twists))
 
@@ -201,14 +187,15 @@ class Platform:
 
     def twists_between(self, first: Array, second: Array) -> Array:
         """Return the twists that take first poses to second ones, shape (N, dof): see ``moved``."""
-        if self.kind != "spatial":
+        if self.turns < 3:
             turn = [unit == "rad" for unit in self.units]
             twists = second - first
             twists[:, turn] = (twists[:, turn] + np.pi) % (2 * np.pi) - np.pi
             return twists
         a, b = self.transforms(first), self.transforms(second)
         turns = (b.rotation * a.rotation.inv()).as_rotvec()
-        return np.concatenate((b.translation - a.translation, turns), axis=1)
+        shifts = (b.translation - a.translation)[:, : self.lengths]
+        return np.concatenate((shifts, turns), axis=1)
 
     @cached_property
     def home_pose(self) -> RigidTransform:

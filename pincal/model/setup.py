@@ -15,6 +15,8 @@ from pincal.errors import MeasurementError
 from pincal.model.checks import array_of, must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
+from pincal.model.overview import one_line
+from pincal.model.parameter import listed
 
 Point = tuple[float, float, float]
 _FAR = 3.0  # times the longest leg: no target is that far from its platform
@@ -80,6 +82,15 @@ class Setup:
                     f"distance {column!r} is to a target {one.target!r}; expected one of "
                     f"{', '.join(self.targets)}"
                 )
+
+    def __repr__(self) -> str:
+        targets = [n + " (unknown)" * t.unknown for n, t in self.targets.items() if t != Target()]
+        return one_line(
+            "Setup",
+            "unknown frame" if self.unknown_frame else "base frame",
+            f"targets {listed(targets)}" if targets else "",
+            f"distances {listed(self.distances)}" if self.distances else "",
+        )
 
     @property
     def plain(self) -> bool:

@@ -58,9 +58,9 @@ class Orientations:
     @classmethod
     def everywhere(cls, platform: Platform) -> Orientations:
         """Return orientations all round: every 5° in a plane, every 30° in space."""
-        if platform.kind == "planar":
+        if platform.turns == 1:
             return cls.of(platform, _round("phi", _PLANE_STEP))
-        if platform.kind == "spatial":
+        if platform.turns == 3:
             tilt = Axis.spaced("tilt", 0.0, np.pi, _SPACE_STEP)
             around = [_round(name, _SPACE_STEP) for name in ("azimuth", "torsion")]
             return cls.of(platform, tilt, *around)
@@ -80,11 +80,12 @@ class Orientations:
         values = {axis.name: axis.values for axis in parsed}
         if len(values) != len(parsed):
             raise WorkspaceError("an axis of orientation is given twice")
-        if platform.kind == "planar" and set(values) == {"phi"}:
-            return cls.from_rotations(Rotation.from_euler("Z", values["phi"][:, None]))
+        if platform.turns == 1 and set(values) == {"phi"}:
+            axis = np.eye(3)[platform.twist_rows[-1] - 3]
+            return cls.from_rotations(Rotation.from_rotvec(np.outer(values["phi"], axis)))
         ways = {w: c for w, (c, unit) in WAYS.items() if unit == "rad" and set(values) <= set(c)}
-        if platform.kind != "spatial" or not ways:
-            wanted = {"planar": "phi", "spatial": _SPATIAL}.get(platform.kind, "none")
+        if platform.turns < 3 or not ways:
+            wanted = {0: "none", 1: "phi", 3: _SPATIAL}[platform.turns]
             raise WorkspaceError(
                 f"orientations by {', '.join(values)}: a {platform.kind!r} platform takes {wanted}"
             )

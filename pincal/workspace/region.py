@@ -272,16 +272,16 @@ def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orien
                 f"a constant-orientation workspace has one orientation; got {len(given)}. An "
                 "azimuth that is not given beside a tilt goes all round: give it too"
             )
-        if kind == "dexterous" and platform.kind in ("planar", "spatial"):
+        if kind == "dexterous" and platform.turns:
             raise WorkspaceError(
                 "a dexterous workspace asks for every orientation there is; of a choice of "
                 "orientations it is a total-orientation workspace"
             )
         return given
-    if kind == "total-orientation" and platform.kind in ("planar", "spatial"):
+    if kind == "total-orientation" and platform.turns:
         raise WorkspaceError(
             "a total-orientation workspace needs the orientations to reach, such as "
-            + ("'phi [deg]=-20:20:5'" if platform.kind == "planar" else "'tilt [deg]=0:30:5'")
+            + ("'phi [deg]=-20:20:5'" if platform.turns == 1 else "'tilt [deg]=0:30:5'")
         )
     if kind == "constant-orientation":
         return Orientations.home(platform)
