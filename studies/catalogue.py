@@ -9,10 +9,23 @@ import pincal
 from . import five_bar, hexapod, three_rrr
 from .study import Study
 
-STUDIES: dict[str, Callable[[int, bool, Callable[[str], None]], Study]] = {
-    "5R": five_bar.run,
-    "3RRR": three_rrr.run,
-    "6UPS": hexapod.run,
+#: Title, paper and content of each study.
+STUDIES: dict[str, tuple[str, str, Callable[[Study], None]]] = {
+    "5R": (
+        "Five-bar (5R): divide and conquer",
+        "Kinematic identification of parallel mechanisms by a divide and conquer strategy",
+        five_bar.run,
+    ),
+    "3RRR": (
+        "3-RRR: symmetrical observability",
+        "Symmetrical observability of kinematic parameters in symmetrical-parallel mechanisms",
+        three_rrr.run,
+    ),
+    "6UPS": (
+        "Hexapod (6-UPS): symmetrical workspace, calibrated",
+        "Symmetrical workspace of 6-UPS parallel robot using tilt and torsion angles",
+        hexapod.run,
+    ),
 }
 
 
@@ -46,6 +59,7 @@ def run_study(
         MechanismError: there is no study of that name.
     """
     (name,) = named(name)
-    study = STUDIES[name](seed, quick, progress)
-    study.command += f" --seed {seed}" * bool(seed) + " --quick" * quick + " -o FOLDER"
+    title, paper, content = STUDIES[name]
+    study = Study(name, title, paper, seed, quick, progress)
+    content(study)
     return study

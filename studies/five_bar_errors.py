@@ -2,43 +2,64 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.design.simulate import platform_errors
-from pincal.model.measurements import Noise
-from pincal.model.mechanism import Mechanism
-from pincal.show.colours import COLOURS
-from pincal.show.plots import HATCHES
-from pincal.workspace.inscribed import Inscribed
+import pincal
 
+from . import drawing
 from .study import Cell, Study
-from .trials import (
-    Way,
-    root_mean_square,
-    times_figure,
-    values,
-)
+from .trials import Way, position_errors, root_mean_square, values
 
 Array = NDArray[np.float64]
-NOISE = Noise(position=1e-4, reading=1e-4)
+NOISE = pincal.Noise(position=1e-4, reading=1e-4)
 INSIDE = 0.95  # of the circle, in which postures are chosen
 
 
-def parameters(
-    study: Study,
-    mechanism: Mechanism,
-    truth: Mechanism,
-    ways: list[Way],
-    errors: dict[str, Array],
-) -> dict[str, tuple[float, float]]:
-    """Compare the errors of the parameters (Table 2, Fig. 5), and return their means."""
+@dataclass(frozen=True)
+class Outcome:
+    """What a way to calibrate leaves of the errors of the parameters, in m, rad and 1."""
+
+    way: Way
+    identified: list[pincal.Mechanism]
+    """By draw of the noise."""
+    errors: Array
+    """Identified less true parameters, shape (n_draws, n)."""
+    bound: Array
+    """Cramér and Rao's least standard deviation of each parameter, shape (n,)."""
+
+    @classmethod
+    def of(
+        cls,
+        way: Way,
+        nominal: pincal.Mechanism,
+        truth: pincal.Mechanism,
+        identified: list[pincal.Mechanism],
+    ) -> Outcome:
+        """Return the outcome of a way whose calibrations were done."""
+        errors = np.stack([values(one) for one in identified]) - values(truth)
+        bound = np.sqrt(np.diagonal(way.bound(nominal, truth, NOISE)))
+        return cls(way, identified, errors, bound)
+
+    @property
+    def mean(self) -> tuple[float, float]:
+        """Root mean square over all parameters and draws, and its standard error."""
+        return root_mean_square(self.errors)
+
+    @property
+    def single(self) -> list[float]:
+        """Root mean square over draws, by parameter."""
+        return np.sqrt((self.errors**2).mean(axis=0)).tolist()
+
+
+def parameters(study: Study, truth: pincal.Mechanism, outcomes: list[Outcome]) -> None:
+    """Compare the errors of the parameters (Table 2, Fig. 5)."""
+    mechanism = study.mechanism
     before = values(mechanism) - values(truth)
-    means = {name: root_mean_square(found) for name, found in errors.items()}
-    bounds = {way.name: np.sqrt(np.diagonal(way.bound(mechanism, truth, NOISE))) for way in ways}
-    draws = len(errors[ways[0].name])
+    draws, ways = len(outcomes[0].errors), [one.way for one in outcomes]
     study.heading("Parameters before and after (Tables 2, 3, Fig. 5)")
     study.say(
         f"""Real parameters as in Table 2, noise 1e-4 on positions [m] and readings [rad], {draws}
@@ -54,11 +75,9 @@ def parameters(
             int(way.plan.serves("leg_1").sum()) if way.poses == "own" else len(way.plan.poses)
             for way in ways
         ],
-        "error [m, rad, 1]": [means[way.name][0] for way in ways],
-        "± [m, rad, 1]": [means[way.name][1] for way in ways],
-        "Cramér-Rao bound [m, rad, 1]": [
-            float(np.sqrt((bounds[w.name] ** 2).mean())) for w in ways
-        ],
+        "error [m, rad, 1]": [one.mean[0] for one in outcomes],
+        "± [m, rad, 1]": [one.mean[1] for one in outcomes],
+        "Cramér-Rao bound [m, rad, 1]": [float(np.sqrt((one.bound**2).mean())) for one in outcomes],
     }
     study.table("table_3_parameter_errors", "Error of the parameters by way.", columns)
     names = [f"{n} ({leg.name})" for leg in mechanism.legs for n in leg.parameter_names]
@@ -68,106 +87,60 @@ def parameters(
         "real": values(truth).tolist(),
         "before": np.abs(before).tolist(),
     }
-    for way in ways:
-        single[way.name] = np.sqrt((errors[way.name] ** 2).mean(axis=0)).tolist()
     study.table(
-        "table_2_parameters", "Each parameter: error before, and after by way, SI units.", single
+        "table_2_parameters",
+        "Each parameter: error before, and after by way, SI units.",
+        single | {one.way.name: one.single for one in outcomes},
     )
+    shown = [outcomes[index] for index in (0, 1, 7)]
+    bars = {"before": np.abs(before).tolist()} | {one.way.name: one.single for one in shown}
+    figure, (axes,) = drawing.panels(1, 12, 4.6)
+    places = drawing.draw_bars(axes, [name.replace(" (", "\n(") for name in names], bars)
+    for place, one in zip(places[1:], shown, strict=True):
+        axes.hlines(one.bound, place - 0.1, place + 0.1, color="black", ls="--", lw=1)
+    axes.set(yscale="log", ylim=(1e-4, 3e-2), ylabel="|identified − real| [m], [rad], [1]")
     study.figure(
         "fig_5_parameter_errors",
         f"Fig. 5: errors of the parameters before and after calibration, root mean square "
         f"of {draws} draws; dashes: Cramér-Rao bound",
-        bars_by_parameter(names, before, ways, errors, bounds),
+        figure,
     )
-    return means
-
-
-def bars_by_parameter(
-    names: list[str],
-    before: Array,
-    ways: list[Way],
-    errors: dict[str, Array],
-    bounds: dict[str, Array],
-) -> Figure:
-    """Return Fig. 5: bars by parameter, on a logarithmic scale."""
-    shown = [ways[0], ways[1], ways[7]]
-    figure = Figure(figsize=(12, 4.6), layout="constrained")
-    axes = figure.subplots()
-    place, width = np.arange(len(names)), 0.2
-    axes.bar(place - 1.5 * width, np.abs(before), width, color="0.75", label="before")
-    for index, way in enumerate(shown):
-        at = place + (index - 0.5) * width
-        height = np.sqrt((errors[way.name] ** 2).mean(axis=0))
-        axes.bar(
-            at,
-            height,
-            width,
-            color=COLOURS[index],
-            hatch=HATCHES[index],
-            edgecolor="white",
-            label=way.name,
-        )
-        axes.hlines(bounds[way.name], at - width / 2, at + width / 2, color="black", ls="--", lw=1)
-    axes.set_yscale("log")
-    axes.set_ylim(1e-4, 3e-2)
-    axes.set_xticks(place, [name.replace(" (", "\n(") for name in names], fontsize=8)
-    axes.set_ylabel("|identified − real| [m], [rad], [1]")
-    axes.legend(fontsize=8, ncols=4, loc="upper left")
-    return figure
 
 
 def maps(
-    study: Study,
-    mechanism: Mechanism,
-    truth: Mechanism,
-    circle: Inscribed,
-    found: dict[str, list[Mechanism]],
-    quick: bool,
+    study: Study, truth: pincal.Mechanism, circle: pincal.Inscribed, outcomes: list[Outcome]
 ) -> None:
     """Map the position error over the circle (Fig. 6)."""
-    r = circle.radius
-    n = 25 if quick else 61
-    side = np.linspace(-r, r, n)
+    side = np.linspace(-circle.radius, circle.radius, 25 if study.quick else 61)
     x, y = np.meshgrid(side, side)
-    inside = np.hypot(x, y) <= INSIDE * r
+    inside = np.hypot(x, y) <= INSIDE * circle.radius
     poses = np.stack((x[inside], y[inside] + circle.centre[1]), axis=1)
-    kept = 5 if quick else 40
-    maps, table = {}, {}
-    first = np.linalg.norm(platform_errors(mechanism, truth, poses), axis=1)
-    table["before"] = first
-    for name, identified in found.items():
-        squares = [
-            (platform_errors(model, truth, poses) ** 2).sum(axis=1) for model in identified[:kept]
-        ]
-        maps[name] = table[name] = np.sqrt(np.mean(squares, axis=0))
+    kept = 5 if study.quick else 40
+    found = {"before": position_errors(study.mechanism, truth, poses)}
+    for one in outcomes:
+        squares = [position_errors(model, truth, poses) ** 2 for model in one.identified[:kept]]
+        found[one.way.name] = np.sqrt(np.mean(squares, axis=0))
     study.heading("Position error over the circle (Fig. 6)")
     study.table(
         "fig_6_position_errors",
         f"""Position error of the end-effector over {100 * INSIDE:.0f} % of the circle's radius,
-        root
-        mean square of {kept} draws (before: of the one machine); the largest is over the
+        root mean square of {kept} draws (before: of the one machine); the largest is over the
         circle.""",
         {
-            "way": list(table),
-            "root mean square [mm]": [1e3 * float(np.sqrt((m**2).mean())) for m in table.values()],
-            "largest [mm]": [1e3 * float(m.max()) for m in table.values()],
+            "way": list(found),
+            "root mean square [mm]": [1e3 * float(np.sqrt((m**2).mean())) for m in found.values()],
+            "largest [mm]": [1e3 * float(m.max()) for m in found.values()],
         },
     )
-    shown = {name: maps[name] for name in list(found)[:2] + list(found)[7:8]}
-    figure = Figure(figsize=(13, 4.2), layout="constrained")
-    top = 1e3 * max(float(m.max()) for m in shown.values())
-    bottom = 1e3 * min(float(m.min()) for m in shown.values())
-    panels = figure.subplots(1, len(shown), sharey=True)
+    shown = {outcomes[index].way.name: found[outcomes[index].way.name] for index in (0, 1, 7)}
+    ends = 1e3 * np.concatenate(list(shown.values()))
+    norm = LogNorm(ends.min(), ends.max())
+    figure, panels = drawing.panels(len(shown), 13, 4.2)
     for axes, (name, errors) in zip(panels, shown.items(), strict=True):
         picture = np.full(x.shape, np.nan)
         picture[inside] = 1e3 * errors
-        image = axes.pcolormesh(
-            side, side + circle.centre[1], picture, norm=LogNorm(bottom, top), cmap="viridis"
-        )
-        axes.set_title(name)
-        axes.set_aspect("equal")
-        axes.set_xlabel("x [m]")
-    panels[0].set_ylabel("y [m]")
+        image = axes.pcolormesh(side, side + circle.centre[1], picture, norm=norm)
+        drawing.from_above(axes, name)
     figure.colorbar(image, ax=panels, label="position error, root mean square [mm]")
     study.figure(
         "fig_6_error_maps",
@@ -177,10 +150,9 @@ def maps(
     )
 
 
-def costs(study: Study, mechanism: Mechanism, ways: list[Way], seconds: dict[str, float]) -> None:
+def costs(study: Study, ways: list[Way], seconds: dict[str, float]) -> None:
     """Compare what measuring and computing cost (Table 3)."""
-    legs = len(mechanism.legs)
-    n = [len(leg.parameters) for leg in mechanism.legs]
+    n = [len(leg.parameters) for leg in study.mechanism.legs]
     alone = [way.method == "per-leg" for way in ways]
     study.heading("Costs (Table 3)")
     study.table(
@@ -190,9 +162,9 @@ def costs(study: Study, mechanism: Mechanism, ways: list[Way], seconds: dict[str
         {
             "way": [way.name for way in ways],
             "postures": [len(way.plan.poses) for way in ways],
-            "measured values": [len(way.plan.poses) * (2 + legs) for way in ways],
+            "measured values": [len(way.plan.poses) * (2 + len(n)) for way in ways],
             "regressors": [
-                f"{legs} of {n[0]}×{n[0]}" if a else f"1 of {sum(n)}×{sum(n)}" for a in alone
+                f"{len(n)} of {n[0]}×{n[0]}" if a else f"1 of {sum(n)}×{sum(n)}" for a in alone
             ],
             "cost of inversion": [sum(k**3 for k in n) if a else sum(n) ** 3 for a in alone],
         },
@@ -200,5 +172,5 @@ def costs(study: Study, mechanism: Mechanism, ways: list[Way], seconds: dict[str
     study.figure(
         "table_3_times",
         "Table 3: time to choose postures, and to simulate and identify once",
-        times_figure(seconds),
+        drawing.times(seconds),
     )

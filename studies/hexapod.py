@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
@@ -10,25 +9,15 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
-from pincal.files.mechanism_folders import load_mechanism
-from pincal.kinematics.inverse import inverse
-from pincal.kinematics.readers import skeleton
-from pincal.model.mechanism import Mechanism
-from pincal.show.colours import COLOURS
-from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import Element
-from pincal.workspace.criteria import Margins
-from pincal.workspace.orientations import Orientations
-from pincal.workspace.positions import Grid
-from pincal.workspace.region import Workspace, compute_workspace
-from pincal.workspace.sampling import sample_workspace
+import pincal
+from pincal import Element
 
+from . import drawing
 from .hexapod_calibration import COMMON, calibration
-from .study import Claim, Study, by_rows
-from .trials import paired, times_figure
+from .study import Study, by_rows
+from .trials import paired
 
 Array = NDArray[np.float64]
-PAPER = "Symmetrical workspace of 6-UPS parallel robot using tilt and torsion angles"
 POSE = np.array([[0.5, 0.6, 1.9, 0.2, 0.3, 0.4]])
 MATRIX = np.array(
     [
@@ -44,35 +33,61 @@ PRINTED = (
     ("38", Element(4 * np.pi / 3), (2.0740, 2.1695, 2.1457, 1.9637, 2.0096, 2.0358)),
     ("40", Element(0.0, reflection=True), (1.9637, 2.1457, 2.1695, 2.0740, 2.0358, 2.0096)),
 )
-NONE = Margins.none()
+NONE = pincal.Margins.none()
 
 
-def run(seed: int, quick: bool, progress: Callable[[str], None]) -> Study:
-    """Return the study of the hexapod."""
-    mechanism = load_mechanism("6UPS")
-    study = Study(
-        "6UPS", "Hexapod (6-UPS): symmetrical workspace, calibrated", PAPER, "pincal study 6UPS"
+def run(study: Study) -> None:
+    """Check the symmetry of the hexapod, and calibrate it."""
+    study.progress("sampling the workspace")
+    poses = pincal.sample_workspace(study.mechanism, 1_000 if study.quick else 10_000, study.seed)
+    equal = _lengths(study, poses[:300])
+    study.progress("total orientation workspaces")
+    workspaces, kept = _workspaces(study)
+    study.progress("what symmetry saves")
+    saved = _savings(study)
+    study.progress("choosing poses and calibrating")
+    outcome = calibration(study, poses)
+    first = list(outcome)[1]
+    times, verdict = paired(outcome[first][:, 0], outcome[COMMON][:, 0])
+    tilts, zyx = (workspaces[name] for name in ("tilt and torsion", "Z-Y-X angles"))
+    stay, leave = kept["tilt and torsion"], 1 - kept["Z-Y-X angles"]
+    study.claims(
+        ("leg lengths, Eqs. 36 to 41", "four decimals", equal, "with θa = π/3 − 0.3"),
+        (
+            "total orientation workspace by tilt and torsion (Fig. 5)",
+            "symmetric as the structure",
+            f"{tilts.measure:.3f} m² at z = 1.8 m, {100 * stay:.4g} % kept by every element",
+            "holds" if stay == 1.0 else "does not hold",
+        ),
+        (
+            "by RPY angles (Fig. 6)",
+            "symmetric about one plane only",
+            f"{zyx.measure:.3f} m², {100 * leave:.1f} % leave under some element",
+            "holds" if leave > 0.0 else "does not hold",
+        ),
+        (
+            "computation reduced by 5/6",
+            "six times",
+            f"{saved:.2f} times fewer positions",
+            "on a grid of radius and bearing; positions on mirror planes have smaller orbits",
+        ),
+        (
+            f"{first} (144 poses) against {COMMON}, position",
+            "(beyond the paper)",
+            f"error of the common ones {times}",
+            verdict,
+        ),
     )
-    progress("sampling the workspace")
-    poses = sample_workspace(mechanism, 1_000 if quick else 10_000, seed)
-    equal = _lengths(study, mechanism, poses[:300])
-    progress("total orientation workspaces")
-    tilts, zyx, kept = _workspaces(study, mechanism, quick)
-    progress("what symmetry saves")
-    saved = _savings(study, mechanism, quick)
-    progress("choosing poses and calibrating")
-    outcome = calibration(study, mechanism, poses, seed, quick)
-    _against(study, equal, (tilts, zyx), kept, saved, outcome)
-    return study
 
 
-def _lengths(study: Study, mechanism: Mechanism, poses: Array) -> str:
+def _lengths(study: Study, poses: Array) -> str:
     """Check the example of Eqs. 35 to 41 (Fig. 4), and return how many lengths are as printed."""
-    platform, group = mechanism.platform, symmetry_group(mechanism)
+    mechanism = study.mechanism
+    platform, group = mechanism.platform, pincal.symmetry_group(mechanism)
     R = platform.transforms(POSE).rotation.as_matrix()[0]
     rows, digits = [], []
     for equation, element, printed in PRINTED:
-        found = inverse(mechanism, element.poses(platform, POSE)).readings[0]
+        found = pincal.inverse(mechanism, element.poses(platform, POSE)).readings[0]
         off = float(np.abs(found - printed).max())
         digits += np.abs(found.round(4) - printed).round(4).tolist()
         rows.append((equation, str(element), *(f"{v:.4f}" for v in found), f"{off:.1e}"))
@@ -107,40 +122,40 @@ def _lengths(study: Study, mechanism: Mechanism, poses: Array) -> str:
     return f"{same} of {len(digits)} lengths as printed, the others off by {max(digits):.0e} m"
 
 
-def _draw(axes: Axes3D, mechanism: Mechanism, pose: Array, permutation: tuple[int, ...]) -> None:
+def _draw(
+    axes: Axes3D, mechanism: pincal.Mechanism, pose: Array, permutation: tuple[int, ...]
+) -> None:
     """Draw the hexapod in space; leg κ's colour goes where the element carries leg κ."""
-    solution = inverse(mechanism, pose)
-    corners, bases = [], []
-    for index, leg in enumerate(mechanism.legs):
-        points = skeleton(leg, solution.joints[leg.name][0])
-        axes.plot(*points.T, "-", color=COLOURS[permutation.index(index) % len(COLOURS)], lw=2.5)
-        bases.append(points[0])
-        corners.append(points[-1])
-    for ring in (np.array(bases), np.array(corners)):
+    (place,) = mechanism.platform.transforms(pose)
+    bases = np.array([leg.joints[0].placement.xyz for leg in mechanism.legs])
+    corners = place.apply([leg.point.placement.xyz for leg in mechanism.legs])
+    for index, ends in enumerate(zip(bases, corners, strict=True)):
+        colour = drawing.COLOURS[permutation.index(index)]
+        axes.plot(*np.transpose(ends), "-", color=colour, lw=2.5)
+    for ring in (bases, corners):
         axes.plot(*np.vstack((ring, ring[:1])).T, "-", color="0.3", lw=1)
     axes.set(xlim=(-0.9, 0.9), ylim=(-0.9, 0.9), zlim=(0, 2.1))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_box_aspect((1.8, 1.8, 2.1), zoom=0.9)
 
 
-def _workspaces(
-    study: Study, mechanism: Mechanism, quick: bool
-) -> tuple[Workspace, Workspace, dict[str, float]]:
+def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, float]]:
     """Compare tilt and torsion with Z-Y-X angles (Figs. 5, 6)."""
-    platform, group = mechanism.platform, symmetry_group(mechanism)
+    mechanism, quick = study.mechanism, study.quick
+    platform, group = mechanism.platform, pincal.symmetry_group(mechanism)
     step = 0.06 if quick else 0.02
     sides = [f"{name}=-1.5:1.5:{step}" for name in "xy"]
-    tilts = Orientations.of(
+    tilts = pincal.Orientations.of(
         platform, "azimuth [deg]=-170:180:10", "tilt=0:0.6:0.1", "torsion=-0.6:0.6:0.1"
     )
-    zyx = Orientations.of(platform, *(f"{n}=-0.6:0.6:0.1" for n in ("yaw", "pitch", "roll")))
-    section = Grid.of(*sides, "z=1.8")
+    zyx = pincal.Orientations.of(platform, *(f"{n}=-0.6:0.6:0.1" for n in ("yaw", "pitch", "roll")))
+    section = pincal.Grid.of(*sides, "z=1.8")
     coarse = [f"{name}=-1.5:1.5:{0.15 if quick else 0.06}" for name in "xy"]
-    space = Grid.of(*coarse, f"z=1:2.6:{0.2 if quick else 0.05}")
+    space = pincal.Grid.of(*coarse, f"z=1:2.6:{0.2 if quick else 0.05}")
     found, clouds = {}, {}
     for name, turns in (("tilt and torsion", tilts), ("Z-Y-X angles", zyx)):
-        found[name] = compute_workspace(mechanism, "total-orientation", section, turns, NONE)
-        clouds[name] = compute_workspace(mechanism, "total-orientation", space, turns, NONE)
+        found[name] = pincal.compute_workspace(mechanism, "total-orientation", section, turns, NONE)
+        clouds[name] = pincal.compute_workspace(mechanism, "total-orientation", space, turns, NONE)
     kept = {
         name: min(float(w.test(w.positions @ e.matrix.T).mean()) for e in group.elements)
         for name, w in found.items()
@@ -177,8 +192,8 @@ def _workspaces(
         w = found[name]
         stay = w.test(w.positions @ Element(2 * np.pi / 3).matrix.T)
         for which, colour, label in (
-            (stay, COLOURS[5], "stays under a rotation by 120°"),
-            (~stay, COLOURS[1], "leaves"),
+            (stay, drawing.COLOURS[5], "stays under a rotation by 120°"),
+            (~stay, drawing.COLOURS[1], "leaves"),
         ):
             at = w.positions[which]
             flat.plot(at[:, 0], at[:, 1], "s", ms=1.6, color=colour, label=label, rasterized=True)
@@ -190,22 +205,25 @@ def _workspaces(
             f"Fig. {number}: total orientation workspace by {name}",
             figure,
         )
-    return found["tilt and torsion"], found["Z-Y-X angles"], kept
+    return found, kept
 
 
-def _savings(study: Study, mechanism: Mechanism, quick: bool) -> float:
+def _savings(study: Study) -> float:
     """Measure what symmetry saves, and return the factor in positions."""
-    turns = Orientations.of(
+    mechanism = study.mechanism
+    turns = pincal.Orientations.of(
         mechanism.platform, "azimuth [deg]=-170:180:10", "tilt=0:0.6:0.05", "torsion=-0.6:0.6:0.05"
     )
     grids = {
-        "x, y": Grid.of("x=-1.5:1.5:0.02", "y=-1.5:1.5:0.02", "z=1.8"),
-        "radius, bearing": Grid.of("radius=0.01:1.5:0.02", "bearing [deg]=0:359:1", "z=1.8"),
+        "x, y": pincal.Grid.of("x=-1.5:1.5:0.02", "y=-1.5:1.5:0.02", "z=1.8"),
+        "radius, bearing": pincal.Grid.of("radius=0.01:1.5:0.02", "bearing [deg]=0:359:1", "z=1.8"),
     }
-    if quick:
+    if study.quick:
         grids = {
-            "x, y": Grid.of("x=-1.5:1.5:0.1", "y=-1.5:1.5:0.1", "z=1.8"),
-            "radius, bearing": Grid.of("radius=0.05:1.5:0.1", "bearing [deg]=0:355:5", "z=1.8"),
+            "x, y": pincal.Grid.of("x=-1.5:1.5:0.1", "y=-1.5:1.5:0.1", "z=1.8"),
+            "radius, bearing": pincal.Grid.of(
+                "radius=0.05:1.5:0.1", "bearing [deg]=0:355:5", "z=1.8"
+            ),
         }
     rows = []
     seconds, factor = {}, 1.0
@@ -214,13 +232,12 @@ def _savings(study: Study, mechanism: Mechanism, quick: bool) -> float:
         for symmetry in (True, False):
             begin = perf_counter()
             both.append(
-                compute_workspace(
+                pincal.compute_workspace(
                     mechanism, "total-orientation", grid, turns, NONE, symmetry=symmetry
                 )
             )
-            seconds[f"{name}: {'with' if symmetry else 'without'} symmetry"] = (
-                perf_counter() - begin
-            )
+            label = f"{name}: {'with' if symmetry else 'without'} symmetry"
+            seconds[label] = perf_counter() - begin
         factor = grid.size / both[0].computed
         same = bool((both[0].inside == both[1].inside).all())
         used = len(both[0].elements)
@@ -235,52 +252,5 @@ def _savings(study: Study, mechanism: Mechanism, quick: bool) -> float:
     headers = ("grid", "elements used", "positions", "computed", "factor", "same set")
     caption = "Positions to compute, with the symmetry of grid and mechanism."
     study.table("savings", caption, by_rows(headers, rows))
-    study.figure("savings_times", "Time with and without symmetry", times_figure(seconds))
+    study.figure("savings_times", "Time with and without symmetry", drawing.times(seconds))
     return factor
-
-
-def _against(
-    study: Study,
-    equal: str,
-    workspaces: tuple[Workspace, Workspace],
-    kept: dict[str, float],
-    saved: float,
-    outcome: dict[str, Array],
-) -> None:
-    """Say what agrees with the paper."""
-    tilts, zyx = workspaces
-    names = list(outcome)
-    mine, common = outcome[names[1]], outcome[COMMON]
-    ratio, half, words = paired(mine[:, 0], common[:, 0])
-    stays = kept["tilt and torsion"] == 1.0
-    study.claims(
-        [
-            Claim("leg lengths, Eqs. 36 to 41", "four decimals", equal, "with θa = π/3 − 0.3"),
-            Claim(
-                "total orientation workspace by tilt and torsion (Fig. 5)",
-                "symmetric as the structure",
-                f"{tilts.measure:.3f} m² at z = 1.8 m, {100 * kept['tilt and torsion']:.4g} % kept "
-                "by every element",
-                "holds" if stays else "does not hold",
-            ),
-            Claim(
-                "by RPY angles (Fig. 6)",
-                "symmetric about one plane only",
-                f"{zyx.measure:.3f} m², {100 * (1 - kept['Z-Y-X angles']):.1f} % leave under some "
-                "element",
-                "holds" if kept["Z-Y-X angles"] < 1.0 else "does not hold",
-            ),
-            Claim(
-                "computation reduced by 5/6",
-                "six times",
-                f"{saved:.2f} times fewer positions",
-                "on a grid of radius and bearing; positions on mirror planes have smaller orbits",
-            ),
-            Claim(
-                f"{names[1]} (144 poses) against {COMMON}, position",
-                "(beyond the paper)",
-                f"error of the common ones {ratio:.2f} ± {half:.2f} times as large",
-                words,
-            ),
-        ]
-    )

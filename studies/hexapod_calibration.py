@@ -1,29 +1,26 @@
-"""The hexapod calibrated by the symmetric protocol, beyond its paper."""
+"""The hexapod calibrated by the symmetric protocol, which its paper does not do."""
 
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.design.select import Protocol
-from pincal.model.measurements import Noise
-from pincal.model.mechanism import Mechanism
-from pincal.show.plots import draw_observability
+import pincal
 
+from . import drawing
 from .study import Study
 from .trials import (
+    Protocol,
     Way,
     choose,
     machines,
     platform_rms,
     root_mean_square,
-    times_figure,
     values,
 )
 
 Array = NDArray[np.float64]
-NOISE = Noise(position=2e-5, orientation=2e-5, reading=5e-6)
+NOISE = pincal.Noise(position=2e-5, orientation=2e-5, reading=5e-6)
 SIGMA = 1e-3
 COMMON = "24 common"
 CHOICES: dict[str, tuple[Protocol, int]] = {
@@ -34,12 +31,10 @@ CHOICES: dict[str, tuple[Protocol, int]] = {
 }
 
 
-def calibration(
-    study: Study, mechanism: Mechanism, poses: Array, seed: int, quick: bool
-) -> dict[str, Array]:
+def calibration(study: Study, poses: Array) -> dict[str, Array]:
     """Calibrate by the symmetric protocol; return errors by way and machine, shape (n, 3)."""
-    count = 2 if quick else 20
-    selections, seconds = choose(mechanism, poses, CHOICES, NOISE, seed, quick)
+    mechanism, count = study.mechanism, 2 if study.quick else 20
+    selections, seconds = choose(study, poses, CHOICES, NOISE)
     plans = {name: one.plan for name, one in selections.items()}
     own = plans["symmetric, 24 a leg"]
     ways = [
@@ -50,13 +45,13 @@ def calibration(
         Way("4 orbits (24 poses)", plans["4 orbits"], "all", residual="closure"),
         Way("4 orbits, together", plans["4 orbits"], "all", "together", "closure"),
     ]
-    some = poses[: 50 if quick else 200]
+    some = poses[: 50 if study.quick else 200]
     found: dict[str, list[tuple[float, float, float]]] = {
         name: [] for name in ("before", *(way.name for way in ways))
     }
     squares: dict[str, list[float]] = {way.name: [] for way in ways}
     lost = 0
-    for truth, noise in machines(mechanism, SIGMA, seed, count):
+    for truth, noise in machines(mechanism, SIGMA, study.seed, count):
         found["before"].append(_errors(mechanism, truth, some))
         for way in ways:
             result = way.run(mechanism, truth, NOISE, noise)
@@ -103,14 +98,16 @@ def calibration(
             "efficiency": [s.efficiency for s in selections.values()],
         },
     )
-    figure = Figure(figsize=(8, 4), layout="constrained")
-    draw_observability(figure.subplots(), mechanism, first)
-    study.figure("observability", "Observability by parameter and leg, symmetric selection", figure)
-    study.figure("selection_times", "Time to choose poses", times_figure(seconds))
+    caption = "Observability by parameter and leg, symmetric selection"
+    names = mechanism.legs[0].parameter_names
+    study.figure("observability", caption, drawing.observability(first, names))
+    study.figure("selection_times", "Time to choose poses", drawing.times(seconds))
     return errors
 
 
-def _errors(model: Mechanism, truth: Mechanism, poses: Array) -> tuple[float, float, float]:
+def _errors(
+    model: pincal.Mechanism, truth: pincal.Mechanism, poses: Array
+) -> tuple[float, float, float]:
     """Return root mean squares: position [m], orientation [rad], parameters."""
     parameters = values(model) - values(truth)
     return (*platform_rms(model, truth, poses), float(np.sqrt((parameters**2).mean())))

@@ -8,46 +8,45 @@ the same text and tables byte for byte.
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+import pincal
+
 Cell: TypeAlias = str | float | int
 Columns: TypeAlias = Mapping[str, Sequence[Cell]]
-_DPI = 110
-_DIGITS = 4
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A figure or claim of a paper beside what was measured."""
-
-    what: str
-    paper: str
-    measured: str
-    verdict: str
-    """Whether they agree, and if not, why."""
 
 
 @dataclass
 class Study:
-    """Text, tables and figures of one study, in the order in which they were added."""
+    """What is asked of a study, and its text, tables and figures in the order of their adding."""
 
     name: str
     """Of the mechanism."""
     title: str
     paper: str
     """Title of the paper that it follows."""
-    command: str
-    """What to type for it."""
+    seed: int = 0
+    """Of all random choices."""
+    quick: bool = False
+    """Fewer draws and coarser grids."""
+    progress: Callable[[str], None] = lambda _: None
+    """Called with what is being done."""
     parts: list[str] = field(default_factory=list)
     """Paragraphs, tables and figures in Markdown, paths relative to the folder."""
     tables: dict[str, dict[str, list[Cell]]] = field(default_factory=dict)
     figures: dict[str, Figure] = field(default_factory=dict)
+
+    @cached_property
+    def mechanism(self) -> pincal.Mechanism:
+        """The nominal mechanism."""
+        return pincal.load_mechanism(self.name)
 
     def heading(self, text: str) -> None:
         """Begin a section."""
@@ -69,20 +68,17 @@ class Study:
         text = " ".join(caption.split())
         self.parts.append(f"![{text}](figures/{name}.png)\n\n*{text}*")
 
-    def claims(self, claims: Sequence[Claim]) -> None:
-        """Add the table of what agrees with the paper and what does not."""
+    def claims(self, *rows: tuple[str, str, str, str]) -> None:
+        """Add what the paper says, what was measured, and whether they agree or why not."""
         self.heading("Against the paper")
-        columns = {
-            "what": [c.what for c in claims],
-            "paper": [c.paper for c in claims],
-            "measured": [c.measured for c in claims],
-            "verdict": [c.verdict for c in claims],
-        }
+        columns = by_rows(("what", "paper", "measured", "verdict"), rows)
         self.table("against_the_paper", "What the paper says, and what was measured.", columns)
 
     def page(self, folder: str = "") -> str:
         """Return the page, its figures and tables in a folder relative to it."""
-        head = f"# {self.title}\n\nAfter *{self.paper}*. Written by `{self.command}`."
+        options = f" --seed {self.seed}" * bool(self.seed) + " --quick" * self.quick
+        command = f"pincal study {self.name}{options} -o FOLDER"
+        head = f"# {self.title}\n\nAfter *{self.paper}*. Written by `{command}`."
         text = "\n\n".join([head, *self.parts])
         if folder:
             text = text.replace("](figures/", f"]({folder}/figures/")
@@ -97,15 +93,14 @@ class Study:
         for name, columns in self.tables.items():
             stem = folder / "tables" / name
             with stem.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
-                rows = zip(*columns.values(), strict=True)
                 writer = csv.writer(file, lineterminator="\n")
-                writer.writerows([list(columns), *([_cell(c, 8) for c in row] for row in rows)])
+                writer.writerows([list(columns), *_rows(columns, digits=8)])
             stem.with_suffix(".md").write_text(markdown(columns) + "\n", encoding="utf-8")
-        with mpl.rc_context({"svg.hashsalt": self.name}):
+        with mpl.rc_context({"svg.hashsalt": self.name, "savefig.dpi": 110}):
             for name, figure in self.figures.items():
                 stem = folder / "figures" / name
-                figure.savefig(stem.with_suffix(".svg"), dpi=_DPI, metadata={"Date": None})
-                figure.savefig(stem.with_suffix(".png"), dpi=_DPI)
+                figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+                figure.savefig(stem.with_suffix(".png"))
 
 
 def by_rows(headers: Sequence[str], rows: Sequence[Sequence[Cell]]) -> dict[str, list[Cell]]:
@@ -119,12 +114,14 @@ def markdown(columns: Columns) -> str:
     lines = [
         "| " + " | ".join(columns) + " |",
         "|" + "|".join("---:" if n else "---" for n in numeric) + "|",
+        *("| " + " | ".join(row) + " |" for row in _rows(columns, digits=4)),
     ]
-    rows = zip(*columns.values(), strict=True)
-    lines += ["| " + " | ".join(_cell(c, _DIGITS) for c in row) + " |" for row in rows]
     return "\n".join(lines)
 
 
-def _cell(value: Cell, digits: int) -> str:
-    """Return a cell as text."""
-    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+def _rows(columns: Columns, digits: int) -> list[list[str]]:
+    """Return the cells of a table as text, row by row."""
+    return [
+        [f"{cell:.{digits}g}" if isinstance(cell, float) else str(cell) for cell in row]
+        for row in zip(*columns.values(), strict=True)
+    ]

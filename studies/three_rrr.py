@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.design.select import Protocol, Selection
-from pincal.files.mechanism_folders import load_mechanism
-from pincal.identification.residuals import Residual
-from pincal.identification.task import Method
-from pincal.model.mechanism import Mechanism
-from pincal.show.plots import draw_mechanism, draw_observability, draw_poses
-from pincal.show.workspace_plots import articular_figure, draw_workspace
-from pincal.symmetry.detect import symmetry_group
-from pincal.workspace.articular import articular_space, articular_symmetry
-from pincal.workspace.orientations import Orientations
-from pincal.workspace.positions import Grid
-from pincal.workspace.region import Workspace, compute_workspace
-from pincal.workspace.sampling import sample_workspace
+import pincal
 
-from .study import Claim, Study
+from . import drawing
+from .study import Study
 from .three_rrr_errors import NOISE, cramer_rao, draw_maps, measure_accuracies
-from .trials import Way, choose, paired, times_figure
+from .trials import Protocol, Way, choose, paired
 
 Array = NDArray[np.float64]
-PAPER = "Symmetrical observability of kinematic parameters in symmetrical-parallel mechanisms"
 PAPERS = "symmetric, own 24 (the paper's)"
 COMMON = "24 common (traditional)"
 TURNS = (0.0, 0.4, 0.6)
@@ -42,42 +28,39 @@ CHOICES: dict[str, tuple[Protocol, int]] = {
 }
 
 
-def run(seed: int, quick: bool, progress: Callable[[str], None]) -> Study:
-    """Return the study of the 3-RRR."""
-    mechanism = load_mechanism("3RRR")
-    study = Study("3RRR", "3-RRR: symmetrical observability", PAPER, "pincal study 3RRR")
-    progress("workspace and articular-variables space")
-    poses = sample_workspace(mechanism, 2_000 if quick else 30_000, seed)
-    planes, reached = _spaces(study, mechanism, poses, quick)
-    progress("choosing poses")
-    selections, seconds = _selections(study, mechanism, poses, seed, quick)
+def run(study: Study) -> None:
+    """Compare ways to choose poses for the 3-RRR."""
+    study.progress("workspace and articular-variables space")
+    poses = pincal.sample_workspace(study.mechanism, 2_000 if study.quick else 30_000, study.seed)
+    planes, reached = _spaces(study, poses)
+    study.progress("choosing poses")
+    selections, seconds = _selections(study, poses)
     ways = _ways(selections)
-    bounds = cramer_rao(study, mechanism, ways)
-    machines = 3 if quick else 100
-    progress(f"{machines} machines calibrated in each of {len(ways)} ways")
-    after = measure_accuracies(study, mechanism, ways, poses, seed, machines, quick)
-    progress("mapping errors")
-    draw_maps(study, mechanism, ways[0], planes, seed)
-    _times(study, seconds)
-    _against(study, mechanism, reached, selections, bounds, after)
-    return study
+    bounds = cramer_rao(study, ways)
+    machines = 3 if study.quick else 100
+    study.progress(f"{machines} machines calibrated in each of {len(ways)} ways")
+    after = measure_accuracies(study, ways, poses, machines)
+    study.progress("mapping errors")
+    draw_maps(study, ways[0], planes)
+    study.heading("Cost of choosing")
+    ratio = seconds["symmetric, 24 a leg"] / seconds["independent, 24 a leg"]
+    title = f"symmetric over independent: {ratio:.2f} (one leg of three: 0.33)"
+    caption = "Time to choose poses, certificate included"
+    study.figure("selection_times", caption, drawing.times(seconds, title))
+    _against(study, reached, selections["symmetric, 24 a leg"], bounds, after)
 
 
-def _spaces(
-    study: Study, mechanism: Mechanism, poses: Array, quick: bool
-) -> tuple[dict[float, Workspace], str]:
+def _spaces(study: Study, poses: Array) -> tuple[dict[float, pincal.Workspace], str]:
     """Check the symmetry of the workspace and of the readings (Figs. 5, 7)."""
-    step = 0.04 if quick else 0.01
-    grid = Grid.of(
-        f"radius={step / 2}:0.8:{step}", "bearing [deg]=0:359:" + ("4" if quick else "1")
-    )
-    platform, group = mechanism.platform, symmetry_group(mechanism)
-    planes = {
-        turn: compute_workspace(
-            mechanism, "constant-orientation", grid, Orientations.of(platform, f"phi={turn}")
-        )
-        for turn in TURNS
-    }
+    mechanism = study.mechanism
+    step = 0.04 if study.quick else 0.01
+    bearing = "bearing [deg]=0:359:" + ("4" if study.quick else "1")
+    grid = pincal.Grid.of(f"radius={step / 2}:0.8:{step}", bearing)
+    group = pincal.symmetry_group(mechanism)
+    planes = {}
+    for turn in TURNS:
+        kept = pincal.Orientations.of(mechanism.platform, f"phi={turn}")
+        planes[turn] = pincal.compute_workspace(mechanism, "constant-orientation", grid, kept)
     study.heading("Workspace and articular-variables space (Figs. 5, 7)")
     found = "; ".join(str(b) for b in group.breaks)
     study.say(
@@ -86,31 +69,29 @@ def _spaces(
         with its working mode is {", ".join(str(e) for e in group.elements)}. The three
         reflections of Eq. 18 map the geometry but not the working mode: {found}."""
     )
-    carried, rows = [], []
-    for turn, plane in planes.items():
-        inside = [plane.test(plane.positions @ e.matrix.T).mean() for e in group.elements]
-        rows.append(f"φ = {turn:g} rad")
-        carried.append((plane.count, plane.measure, plane.uncertainty, float(min(inside))))
     study.table(
         "fig_5_workspaces",
         "Constant orientation workspaces, and which share of them rotations keep inside.",
         {
-            "orientation": rows,
-            "cells": [c[0] for c in carried],
-            "area [m²]": [c[1] for c in carried],
-            "± [m²]": [c[2] for c in carried],
-            "kept by rotations": [c[3] for c in carried],
+            "orientation": [f"φ = {turn:g} rad" for turn in planes],
+            "cells": [plane.count for plane in planes.values()],
+            "area [m²]": [plane.measure for plane in planes.values()],
+            "± [m²]": [plane.uncertainty for plane in planes.values()],
+            "kept by rotations": [
+                min(float(p.test(p.positions @ e.matrix.T).mean()) for e in group.elements)
+                for p in planes.values()
+            ],
         },
     )
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
-    for axes, (turn, plane) in zip(figure.subplots(1, 3), planes.items(), strict=True):
-        draw_workspace(axes, plane, plain=True)
-        draw_mechanism(axes, mechanism, np.array([0.0, 0.0, turn]))
+    figure, panels = drawing.panels(3, 13, 4.6)
+    for axes, (turn, plane) in zip(panels, planes.items(), strict=True):
+        drawing.draw_mechanism(axes, mechanism, (0.0, 0.0, turn))
+        drawing.draw_workspace(axes, plane)
         axes.set_title(f"φ = {turn:g} rad, {plane.measure:.3f} m²")
     study.figure(
         "fig_5_workspaces", "Fig. 5: the 3-RRR over its constant orientation workspaces", figure
     )
-    checks = articular_symmetry(mechanism, poses[: len(poses) // 15])
+    checks = pincal.articular_symmetry(mechanism, poses[: len(poses) // 15])
     study.table(
         "fig_7_articular_symmetry",
         """Readings permuted as the rotations permute legs: their forward kinematics, started aside,
@@ -123,24 +104,22 @@ def _spaces(
             "off at most [m, rad]": [f"{c.off:.0e}" for c in checks],
         },
     )
-    spaces = {"overall": articular_space(mechanism, poses)}
+    spaces = {"overall": pincal.articular_space(mechanism, poses)}
     for turn, plane in planes.items():
         at = np.column_stack((plane.positions[:, :2], np.full(plane.count, turn)))
-        spaces[f"φ = {turn:g} rad"] = articular_space(mechanism, at)
+        spaces[f"φ = {turn:g} rad"] = pincal.articular_space(mechanism, at)
     study.figure(
         "fig_7_articular_space",
         "Fig. 7: articular-variables space as a cloud, and seen along ψ₁ = ψ₂ = ψ₃",
-        articular_figure(mechanism, spaces),
+        drawing.readings_of_three_legs(spaces),
     )
     least = min(check.inside for check in checks)
     return planes, f"{least} of {checks[0].asked} permuted readings reached"
 
 
-def _selections(
-    study: Study, mechanism: Mechanism, poses: Array, seed: int, quick: bool
-) -> tuple[dict[str, Selection], dict[str, float]]:
+def _selections(study: Study, poses: Array) -> tuple[dict[str, pincal.Selection], dict[str, float]]:
     """Choose poses (Figs. 8, 9), and return selections and the time each took, [s]."""
-    selections, seconds = choose(mechanism, poses, CHOICES, NOISE, seed, quick)
+    selections, seconds = choose(study, poses, CHOICES, NOISE)
     study.heading("Chosen poses and observability (Figs. 8, 9)")
     study.say(
         """Chosen by the active calibration algorithm, rows weighted by the noise they carry.
@@ -168,7 +147,7 @@ def _selections(
     )
     first = selections["symmetric, 24 a leg"]
     spread = [np.ptp([leg.r_diagonal for leg in first.legs], axis=0).max()]
-    names = mechanism.legs[0].parameter_names
+    names = study.mechanism.legs[0].parameter_names
     study.table(
         "fig_9_parameters",
         f"""|R_ii| of each parameter of the symmetric selection. Between legs they differ by at most
@@ -176,29 +155,25 @@ def _selections(
         {"parameter": list(names)}
         | {leg.leg: [float(v) for v in leg.r_diagonal] for leg in first.legs},
     )
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    for axes, name in ((left, "symmetric, 24 a leg"), (middle, "24 common"), (right, "8 orbits")):
-        draw_mechanism(axes, mechanism)
-        draw_poses(axes, mechanism, selections[name].plan)
-        axes.legend(fontsize=7, loc="upper left")
-        axes.set_title(name)
-        axes.set_xlim(-1.2, 1.2)
-        axes.set_ylim(-1.2, 1.2)
+    figure, panels = drawing.panels(3, 13, 4.6)
+    for axes, name in zip(panels, ("symmetric, 24 a leg", "24 common", "8 orbits"), strict=True):
+        drawing.draw_mechanism(axes, study.mechanism, (0.0, 0.0, 0.0))
+        drawing.draw_poses(axes, study.mechanism, selections[name].plan)
+        axes.set(title=name, xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
     study.figure(
         "fig_8_poses", "Fig. 8: chosen poses; strokes show the platform's orientation", figure
     )
-    figure = Figure(figsize=(8, 4), layout="constrained")
-    draw_observability(figure.subplots(), mechanism, first)
-    study.figure("fig_9_observability", "Fig. 9: observability by parameter and leg", figure)
+    caption = "Fig. 9: observability by parameter and leg"
+    study.figure("fig_9_observability", caption, drawing.observability(first, names))
     return selections, seconds
 
 
-def _ways(selections: dict[str, Selection]) -> list[Way]:
+def _ways(selections: dict[str, pincal.Selection]) -> list[Way]:
     """Return the ways to compare: the paper's two first, then what it lacks."""
     plans = {name: one.plan for name, one in selections.items()}
     own = "symmetric, 24 a leg"
-    joint: tuple[Literal["all"], Method, Residual] = ("all", "together", "closure")
+    joint: tuple[Literal["all"], Literal["together"], Literal["closure"]]
+    joint = ("all", "together", "closure")
     return [
         Way(PAPERS, plans[own]),
         Way(COMMON, plans["24 common"], "all", "together"),
@@ -213,72 +188,56 @@ def _ways(selections: dict[str, Selection]) -> list[Way]:
     ]
 
 
-def _times(study: Study, seconds: dict[str, float]) -> None:
-    """Draw the time of selection."""
-    study.heading("Cost of choosing")
-    ratio = seconds["symmetric, 24 a leg"] / seconds["independent, 24 a leg"]
-    title = f"symmetric over independent: {ratio:.2f} (one leg of three: 0.33)"
-    caption = "Time to choose poses, certificate included"
-    study.figure("selection_times", caption, times_figure(seconds, title))
-
-
 def _against(
     study: Study,
-    mechanism: Mechanism,
     reached: str,
-    selections: dict[str, Selection],
+    symmetric: pincal.Selection,
     gains: dict[str, tuple[float, float]],
     after: dict[str, Array],
 ) -> None:
     """Say what agrees with the paper."""
-    symmetric = selections["symmetric, 24 a leg"]
-    group = symmetry_group(mechanism)
+    group = pincal.symmetry_group(study.mechanism)
     index = [leg.indices.O1_per_parameter for leg in symmetric.legs]
     every = reached.split(" of ")[0] == reached.split(" of ")[1].split(" ")[0]
     claims = [
-        Claim(
+        (
             "symmetry of the structure (Eq. 18)",
             "three rotations, three reflections",
             ", ".join(str(e) for e in group.elements),
             "; ".join(str(b) for b in group.breaks) or "holds",
         ),
-        Claim(
+        (
             "symmetry of the articular-variables space (conjecture, Fig. 7)",
             "rotations by 2π/3 about ψ₁ = ψ₂ = ψ₃",
             reached,
             "holds" if every else "does not hold",
         ),
-        Claim(
+        (
             "equal observability of the legs (Fig. 9)",
             "equal",
             f"O₁ (Eq. 13) {index[0]:.4f}, differing by {np.ptp(index):.0e}",
             "holds" if np.ptp(index) < 1e-9 * index[0] else "does not hold",
         ),
     ]
-    for what, place in (("position", 0), ("orientation", 1)):
-        ratio, half, words = paired(after[PAPERS][:, place], after[COMMON][:, place])
+    for place, what in enumerate(("position", "orientation")):
+        times, verdict = paired(after[PAPERS][:, place], after[COMMON][:, place])
         claims.append(
-            Claim(
+            (
                 f"symmetric protocol (72 poses) against 24 common poses, {what} (Fig. 10)",
                 "better",
-                f"error of the common ones {ratio:.2f} ± {half:.2f} times as large",
-                words,
+                f"error of the common ones {times}",
+                verdict,
             )
         )
     for name in list(after)[3:]:
         alone, together = gains[name]
+        times, verdict = paired(after[name][:, 0], after[PAPERS][:, 0])
         claims.append(
-            Claim(
+            (
                 name,
                 "(not considered)",
                 f"gain {alone:.2f} by parameters, {together:.2f} by axes, over the paper's",
-                _against_papers(after, name),
+                f"position {verdict}: the paper's error is {times}",
             )
         )
-    study.claims(claims)
-
-
-def _against_papers(after: dict[str, Array], name: str) -> str:
-    """Return how a way's position errors compare with the paper's, machine by machine."""
-    ratio, half, words = paired(after[name][:, 0], after[PAPERS][:, 0])
-    return f"position {words}: the paper's error is {ratio:.2f} ± {half:.2f} times as large"
+    study.claims(*claims)

@@ -7,27 +7,20 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pincal.design.simulate import platform_errors
-from pincal.identification.task import Method
-from pincal.model.measurements import Noise
-from pincal.model.mechanism import Mechanism
-from pincal.show.colours import COLOURS
-from pincal.show.plots import HATCHES
-from pincal.workspace.region import Workspace
+import pincal
 
+from . import drawing
 from .study import Cell, Study
-from .trials import Way, machines, platform_rms
+from .trials import Method, Way, machines, platform_rms, position_errors
 
 Array = NDArray[np.float64]
-NOISE = Noise(position=1e-4, orientation=1e-4)  # Eq. 23
+NOISE = pincal.Noise(position=1e-4, orientation=1e-4)  # Eq. 23
 SIGMA = 2e-3  # of the parameters' errors
 
 
-def cramer_rao(
-    study: Study, mechanism: Mechanism, ways: list[Way]
-) -> dict[str, tuple[float, float]]:
+def cramer_rao(study: Study, ways: list[Way]) -> dict[str, tuple[float, float]]:
     """Compare the Cramér-Rao bounds of ways; return their gains over the first way."""
-    kinds = {}
+    mechanism, kinds = study.mechanism, {}
     for way in ways:
         method: Method = "together" if way.residual == "closure" else "per-leg"
         covariance = way.bound(mechanism, mechanism, NOISE, method)
@@ -55,22 +48,15 @@ def cramer_rao(
     return gains
 
 
-def measure_accuracies(
-    study: Study,
-    mechanism: Mechanism,
-    ways: list[Way],
-    poses: Array,
-    seed: int,
-    count: int,
-    quick: bool,
-) -> dict[str, Array]:
+def measure_accuracies(study: Study, ways: list[Way], poses: Array, count: int) -> dict[str, Array]:
     """Compare the platform's errors before and after (Fig. 10), by machine."""
-    some = poses[:: len(poses) // (100 if quick else 1000)]
+    mechanism = study.mechanism
+    some = poses[:: len(poses) // (100 if study.quick else 1000)]
     rows: dict[str, list[tuple[float, float]]] = {
         name: [] for name in ("before", *(way.name for way in ways))
     }
     lost = 0
-    trials = machines(mechanism, SIGMA, seed, count)
+    trials = machines(mechanism, SIGMA, study.seed, count)
     for truth, noise in trials:
         rows["before"].append(platform_rms(mechanism, truth, some))
         for way in ways:
@@ -97,24 +83,20 @@ def measure_accuracies(
                 float(1e3 * np.percentile(v[:, place], level)) for v in after.values()
             ]
     study.table("fig_10_accuracy", "Errors of the platform before and after calibration.", columns)
-    figure = Figure(figsize=(12, 4.6), layout="constrained")
-    panels = figure.subplots(1, 2, sharey=True)
-    for axes, place, unit in (
-        (panels[0], 0, "position [mm]"),
-        (panels[1], 1, "orientation [mrad]"),
-    ):
+    figure, panels = drawing.panels(2, 12, 4.6)
+    for place, unit in enumerate(("position [mm]", "orientation [mrad]")):
+        axes = panels[place]
         for index, (name, found) in enumerate(after.items()):
             low, middle, high = 1e3 * np.percentile(found[:, place], [25, 50, 75])
-            colour = "0.75" if name == "before" else COLOURS[(index - 1) % len(COLOURS)]
-            axes.barh(name, middle, color=colour, hatch=HATCHES[index % len(HATCHES)], ec="white")
-            axes.errorbar(
-                middle, name, xerr=[[middle - low], [high - middle]], color="black", capsize=3
-            )
+            colour = drawing.COLOURS[index % len(drawing.COLOURS)]
+            axes.barh(name, middle, color=colour)
+            ends = [[middle - low], [high - middle]]
+            axes.errorbar(middle, name, xerr=ends, color="black", capsize=3)
             axes.annotate(f" {middle:.3g}", (high, index), va="center", size=8)
-        axes.set_xscale("log")
-        axes.set_xlabel(f"{unit}, root mean square")
+        axes.set(xscale="log", xlabel=f"{unit}, root mean square")
         axes.margins(x=0.15)
-    panels[0].invert_yaxis()
+        axes.invert_yaxis()
+    panels[1].set_yticklabels([])
     study.figure(
         "fig_10_accuracy",
         "Fig. 10: error of the platform over the workspace, median of machines and middle half",
@@ -123,12 +105,12 @@ def measure_accuracies(
     return after
 
 
-def draw_maps(
-    study: Study, mechanism: Mechanism, way: Way, planes: dict[float, Workspace], seed: int
-) -> None:
+def draw_maps(study: Study, way: Way, planes: dict[float, pincal.Workspace]) -> None:
     """Map the position error of one machine before and after (Fig. 11)."""
-    truth, noise = machines(mechanism, SIGMA, seed, 1)[0]
+    mechanism = study.mechanism
+    truth, noise = machines(mechanism, SIGMA, study.seed, 1)[0]
     identified = way.run(mechanism, truth, NOISE, noise).identified
+    study.heading("Where the errors are (Fig. 11)")
     figure = Figure(figsize=(13, 7.6), layout="constrained")
     panels = figure.subplots(2, len(planes), sharex=True, sharey=True)
     for row, (name, model) in zip(
@@ -137,20 +119,13 @@ def draw_maps(
         found = {}
         for turn, plane in planes.items():
             poses = np.column_stack((plane.positions[:, :2], np.full(plane.count, turn)))
-            errors = platform_errors(model, truth, poses)[:, :2]
-            found[turn] = poses, 1e3 * np.linalg.norm(errors, axis=1)
+            found[turn] = poses, 1e3 * position_errors(model, truth, poses)
         ends = np.concatenate([errors for _, errors in found.values()])
         norm = LogNorm(np.nanpercentile(ends, 1), np.nanmax(ends))
         for axes, (turn, (poses, errors)) in zip(row, found.items(), strict=True):
-            image = axes.scatter(
-                poses[:, 0], poses[:, 1], c=errors, norm=norm, s=4, lw=0, rasterized=True
-            )
-            axes.set_title(f"{name}, φ = {turn:g} rad")
-            axes.set_aspect("equal")
-            axes.set_xlabel("x [m]")
+            image = axes.scatter(*poses[:, :2].T, c=errors, norm=norm, s=4, lw=0, rasterized=True)
+            drawing.from_above(axes, f"{name}, φ = {turn:g} rad")
         figure.colorbar(image, ax=row, label="position error [mm]")
-        row[0].set_ylabel("y [m]")
-    study.heading("Where the errors are (Fig. 11)")
     study.figure(
         "fig_11_error_maps",
         "Fig. 11: position error of the first machine at constant orientations, before and after "

@@ -12,7 +12,7 @@ from command_line import done, run
 
 import pincal
 from studies import catalogue
-from studies.study import Claim, Study
+from studies.study import Study
 
 
 def told(*arguments: object) -> dict[str, Any]:
@@ -117,9 +117,9 @@ def test_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Title, folder and tables of each study, numbers as numbers."""
 
     def run_study(name: str, seed: int, quick: bool, progress: object) -> Study:
-        study = Study(name, f"Study of {name}", "A paper", "pincal study")
+        study = Study(name, f"Study of {name}", "A paper", seed, quick)
         study.table("lengths", "Lengths", {"leg": ["a", "b"], "length [m]": [1.5, float("nan")]})
-        study.claims([Claim("what", "1", "2", "differs")])
+        study.claims(("what", "1", "2", "differs"))
         return study
 
     monkeypatch.setattr(catalogue, "run_study", run_study)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import contents, done, run
 
-from pincal.files.tables import read_table
 from studies.study import Study, markdown
 from studies.trials import root_mean_square
 
@@ -31,8 +33,11 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def column(folder: Path, table: str, name: str) -> list[str]:
-    """Return the cells of one column of a table."""
-    return read_table(folder / "tables" / f"{table}.csv").text[name]
+    """Return the cells of one column of a table, named without its unit."""
+    with (folder / "tables" / f"{table}.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    (header,) = (one for one in rows[0] if one.partition(" [")[0] == name)
+    return [row[header] for row in rows]
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -91,7 +96,7 @@ def test_three_rrr(folders: dict[str, Path]) -> None:
 def test_hexapod(folders: dict[str, Path]) -> None:
     """Leg lengths as printed, workspaces as symmetric as said, a calibration that helps."""
     folder = folders["6UPS"]
-    off = [float(v) for v in read_table(folder / "tables/eqs_36_to_41_lengths.csv").text["off by"]]
+    off = [float(v) for v in column(folder, "eqs_36_to_41_lengths", "off by")]
     assert max(off) < 1e-4
     kept = [float(v) for v in column(folder, "figs_5_6_workspaces", "kept by the group")]
     assert kept[0] == 1.0
@@ -127,6 +132,25 @@ def test_wrong_studies_are_refused(tmp_path: Path) -> None:
     assert contents(tmp_path) == {"mine": None}
 
 
+def test_both_commands_are_one(folders: dict[str, Path], tmp_path: Path) -> None:
+    """``python -m studies`` in the sources writes what ``pincal study`` writes."""
+    command = [sys.executable, "-m", "studies", "6ups", "--quick", "-o", tmp_path / "6UPS"]
+    subprocess.run(command, cwd=Path(__file__).parents[1], check=True, capture_output=True)
+    first, again = contents(folders["6UPS"]), contents(tmp_path / "6UPS")
+    assert all(first[name] == again[name] for name in first if name.endswith((".md", ".csv")))
+
+
+def test_without_studies_the_command_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where neither the sources nor a wheel's studies are: one message, nothing written."""
+    monkeypatch.setattr("pincal.cli.study._BESIDE", tmp_path)
+    outcome = run("study", "5R", "-o", tmp_path / "a")
+    assert outcome.code == 2
+    assert "studies are not installed" in outcome.trouble
+    assert contents(tmp_path) == {}
+
+
 def test_tables_in_markdown() -> None:
     """Numbers to four digits and to the right, text to the left."""
     text = markdown({"way": ["a", "b"], "error [m]": [0.000123456, 2.0], "n": [1, 20]})
@@ -136,7 +160,7 @@ def test_tables_in_markdown() -> None:
         "| a | 0.0001235 | 1 |",
         "| b | 2 | 20 |",
     ]
-    study = Study("x", "Title", "Paper", "pincal study x")
+    study = Study("x", "Title", "Paper")
     study.table("t", "A  table.", {"a": [1]})
     assert "A table. (`folder/tables/t.csv`)" in study.page("folder")
 
