@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from differences import differentiated
 from numpy.typing import NDArray
 
 import pincal
@@ -69,16 +70,12 @@ def jacobian(
 
     ``turn`` are shoulder angles that say which turn the shoulder is in, shape (N,).
     """
-    columns = []
-    for name in p:
-        h = 1e-6
-        ends = []
-        for sign in (1, -1):
-            q = {**p, name: p[name] + sign * h}
-            shoulder = turn + near(angles(kind, q, poses, mode)[0], turn)
-            ends.append(reading(kind, leg, q, shoulder))
-        columns.append((ends[0] - ends[1]) / (2 * h))
-    return np.stack(columns, axis=1)
+
+    def read(move: Array) -> Array:
+        q = dict(zip(p, np.array([*p.values()]) + move, strict=True))
+        return reading(kind, leg, q, turn + near(angles(kind, q, poses, mode)[0], turn))
+
+    return differentiated(read, len(p), 1e-5)  # near singular poses too
 
 
 def near(value: Array, reference: Array) -> Array:

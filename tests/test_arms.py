@@ -10,8 +10,8 @@ import pinocchio as pin
 import pytest
 from arms import ARMS, loaded, reference, robot
 from measured import put
+from differences import assert_derivative, differentiated
 from random_mechanisms import reached
-from test_closure import check_derivative
 
 import pincal
 from pincal.kinematics.closure import LegClosure
@@ -77,12 +77,10 @@ def test_derivatives_are_pinocchios(name: str) -> None:
         moved[:, :3, :3] = pin.exp3(twist[3:]) @ moved[:, :3, :3]
         return moved
 
-    check_derivative(lambda v: gap(arm.poses(v, joints), platform), found.parameter, phi)
-    check_derivative(
-        lambda v: gap(arm.poses(phi, joints + v), platform), found.active, np.zeros(len(leg.moving))
-    )
+    assert_derivative(found.parameter, lambda v: gap(arm.poses(phi + v, joints), platform))
+    assert_derivative(found.active, lambda v: gap(arm.poses(phi, joints + v), platform))
     tips = arm.poses(phi, joints)
-    check_derivative(lambda v: gap(tips, shifted(v)), found.pose, np.zeros(6))
+    assert_derivative(found.pose, lambda v: gap(tips, shifted(v)))
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -137,14 +135,16 @@ def test_rank_from_positions(
 def jacobian(name: str, joints: Array, at: Array | None = None) -> Array:
     """Return ∂(pose)/∂(parameters) by central differences through Pinocchio, shape (6 N, n)."""
     arm, n = reference(name), len(loaded(name).legs[0].parameters)
-    at, step = np.zeros(n) if at is None else at, 1e-5
-    columns = []
-    for one in np.eye(n):
-        a, b = (arm.poses(at + sign * step * one, joints) for sign in (1.0, -1.0))
-        turns = a[:, :3, :3] @ b[:, :3, :3].transpose(0, 2, 1)
+    at = np.zeros(n) if at is None else at
+    here = arm.poses(at, joints)
+
+    def twists(move: Array) -> Array:
+        there = arm.poses(at + move, joints)
+        turns = there[:, :3, :3] @ here[:, :3, :3].transpose(0, 2, 1)
         turned = np.array([pin.log3(turn) for turn in turns])
-        columns.append(np.concatenate((a[:, :3, 3] - b[:, :3, 3], turned), axis=1) / (2 * step))
-    return np.stack(columns, axis=2).reshape(-1, n)
+        return np.concatenate((there[:, :3, 3] - here[:, :3, 3], turned), axis=1)
+
+    return differentiated(twists, n).reshape(-1, n)
 
 
 def groups(words: str) -> list[list[str]]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import done
+from differences import assert_derivative
 from marks import some_slow
 from measured import workspace
 from numpy.typing import NDArray
@@ -40,12 +40,6 @@ def disturbed(cables: pincal.Mechanism, rng: np.random.Generator, size: float) -
 def lengths_read(poses: Array, p: Array) -> Array:
     """Return k (‖p − A‖ − ‖A‖) for p = (A_x, A_y, A_z, k), shape (N,)."""
     return p[3] * (np.linalg.norm(poses - p[:3], axis=1) - np.linalg.norm(p[:3]))
-
-
-def differences(function: Callable[[Array], Array], p: Array, step: float = 1e-6) -> Array:
-    """Return ∂function/∂p by central differences, shape (N, n_params)."""
-    steps = step * np.eye(len(p))
-    return np.stack([(function(p + h) - function(p - h)) / (2 * step) for h in steps], axis=1)
 
 
 def homed(kind: str) -> pincal.Mechanism:
@@ -82,8 +76,7 @@ def test_jacobian_holds_the_change_of_home(cables: pincal.Mechanism) -> None:
         poses = rng.uniform(-0.9, 0.9, (50, 3))
         for leg in robot.legs:
             C = pincal.identification_jacobian(robot, leg.name, poses)
-            reference = differences(lambda p, at=poses: lengths_read(at, p), leg.nominal)
-            assert np.abs(C - reference).max() < 1e-7 * np.abs(reference).max()
+            assert_derivative(C, lambda h, p=leg.nominal, at=poses: lengths_read(at, p + h))
 
 
 @pytest.mark.parametrize("kind", some_slow(["3RRR", "5R", "6UPS"], "6UPS"))
@@ -98,12 +91,12 @@ def test_any_leg_can_be_homed(kind: str) -> None:
         constant = offset if leg.sensors[0].form == "reading" else -offset / gain
         assert at_home[index] == pytest.approx(constant, abs=1e-12)
 
-        def readings(p: Array, index: int = index, name: str = leg.name) -> Array:
-            return pincal.inverse(mechanism.with_parameters({name: p}), poses).readings[:, index]
+        def readings(h: Array, index: int = index, leg: pincal.Leg = leg) -> Array:
+            moved = mechanism.with_parameters({leg.name: leg.nominal + h})
+            return pincal.inverse(moved, poses).readings[:, index]
 
         C = pincal.identification_jacobian(mechanism, leg.name, poses)
-        reference = differences(readings, leg.nominal)
-        assert np.abs(C - reference).max() < 1e-7 * np.abs(reference).max()
+        assert_derivative(C, readings, precision=1e-13)
 
 
 @pytest.mark.parametrize("residual", ["closure", "joint"])

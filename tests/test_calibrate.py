@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_forms import angles, closure, near, reading
+from differences import differentiated
 from scipy.optimize import least_squares
 
 import pincal
@@ -99,11 +100,7 @@ def independent_solution(
     """Return SciPy's optimum, with derivatives by differences of fourth order."""
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        columns = []
-        for h in 1e-4 * np.eye(len(x)):
-            near, far = residual(x + h) - residual(x - h), residual(x + 2 * h) - residual(x - 2 * h)
-            columns.append((8 * near - far) / (12 * 1e-4))
-        return np.stack(columns, axis=1)
+        return differentiated(lambda h: residual(x + h), len(x))
 
     found = least_squares(residual, start, jac=jacobian, x_scale="jac", xtol=1e-15, ftol=1e-15)
     for _ in range(3):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done, run
+from differences import differentiated
 from measured import workspace
 
 import pincal
@@ -32,15 +33,9 @@ def fisher(mechanism: pincal.Mechanism, poses: np.ndarray, measured: list[int]) 
 
     The pose enters with its own measurements, and is eliminated by the Schur complement.
     """
-    start, h = np.concatenate([leg.nominal for leg in mechanism.legs]), 1e-6
-    shifts = h * np.eye(len(start))
-    ahead = [readings(mechanism, start + d, poses) for d in shifts]
-    behind = [readings(mechanism, start - d, poses) for d in shifts]
-    by_parameter = np.subtract(ahead, behind).transpose(1, 2, 0) / (2 * h)
-    shifts = h * np.eye(mechanism.platform.dof)
-    ahead = [readings(mechanism, start, poses + d) for d in shifts]
-    behind = [readings(mechanism, start, poses - d) for d in shifts]
-    by_pose = np.subtract(ahead, behind).transpose(1, 2, 0) / (2 * h)
+    start, dof = np.concatenate([leg.nominal for leg in mechanism.legs]), mechanism.platform.dof
+    by_parameter = differentiated(lambda h: readings(mechanism, start + h, poses), len(start))
+    by_pose = differentiated(lambda h: readings(mechanism, start, poses + h), dof)
     prior = np.zeros(mechanism.platform.dof)
     prior[measured] = NOISE.of_poses(mechanism)[measured] ** -2
     weight = NOISE.reading**-2

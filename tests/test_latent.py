@@ -10,6 +10,7 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 from closed_forms import angles, near, reading
+from differences import assert_derivative, differentiated
 from marks import some_slow
 from measured import (
     EXACT,
@@ -63,67 +64,93 @@ def test_derivatives_of_what_is_measured(kind: str) -> None:
     """By the platform's twist and by frame and targets, against central differences."""
     mechanism, data, setup = everything(kind)
     observation, platform = Observation(mechanism, data, setup), mechanism.platform
-    unknowns, rng, h = observation.external, np.random.default_rng(0), 1e-6
+    unknowns, rng = observation.external, np.random.default_rng(0)
     external = unknowns.moved(unknowns.start, 0.3 * rng.standard_normal(len(unknowns)))
     matrices = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     matrices = platform.displaced(matrices, 0.2 * rng.standard_normal((len(data), platform.dof)))
     rows = observation.evaluate(matrices, external)
-    for column, unit in enumerate(np.eye(platform.dof)):
-        step = np.tile(h * unit, (len(data), 1))
-        ahead, behind = (
-            observation.evaluate(platform.displaced(matrices, d), external).value
-            for d in (step, -step)
-        )
-        np.testing.assert_allclose(rows.pose[:, :, column], (ahead - behind) / (2 * h), atol=1e-8)
-    for column, unit in enumerate(h * np.eye(len(unknowns))):
-        ahead, behind = (
-            observation.evaluate(matrices, unknowns.moved(external, d)).value for d in (unit, -unit)
-        )
-        numeric = (ahead - behind) / (2 * h)
-        np.testing.assert_allclose(rows.external[:, :, column], numeric, atol=1e-8)
+    assert_derivative(
+        rows.pose,
+        lambda h: (
+            observation.evaluate(
+                platform.displaced(matrices, np.tile(h, (len(data), 1))), external
+            ).value
+        ),
+    )
+    assert_derivative(
+        rows.external,
+        lambda h: observation.evaluate(matrices, unknowns.moved(external, h)).value,
+    )
     assert not rows.value[~observation.measured].any()
     assert not rows.pose[~observation.measured].any()
 
 
 @pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))
 def test_derivatives_of_the_problem(kind: str) -> None:
-    """Closure rows by parameters and poses, against central differences of the rows."""
+    """Conditions of the legs by parameters and poses, where they do not hold, are derivatives."""
     mechanism, _, data = machine(kind, 8)
     problem, unknowns = latent_problem(calibration_task(mechanism, data, method="latent"))
     state = problem.start(unknowns.start)
-    rows, _ = problem.rows(state)
-    n_legs, h = len(mechanism.legs), 1e-6
-    scale = np.abs(rows.value / np.maximum(np.abs(rows.value), 1e-300))  # weights stand still
-    assert np.isfinite(scale).all()
 
-    def raw(parameters: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-        """Return closure residuals over the weights at the state, shape (N, n_legs)."""
-        moved, plain = problem.rows(replace(state, parameters=parameters, matrices=matrices))
-        gaps = np.concatenate([d.value for d in plain.demands], axis=1)
-        del moved
-        return gaps * weights
+    def values(parameters: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        moved = mechanism.platform.displaced(state.matrices, np.tile(twist, (len(data), 1)))
+        there = replace(state, parameters=state.parameters + parameters, matrices=moved)
+        return np.concatenate([d.value for d in problem.rows(there)[1].demands], axis=1)
 
-    _, plain = problem.rows(state)
-    gaps = np.concatenate([d.parameter for d in plain.demands], axis=2)
-    own = np.concatenate(
-        [rows.parameter[:, i, columns] for i, columns in enumerate(problem.columns)], axis=1
-    )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(gaps[:, 0] == 0.0, np.nan, own / gaps[:, 0])
-    weights = np.stack([np.nanmedian(ratio[:, c], axis=1) for c in problem.columns], axis=1)
-    for column, unit in enumerate(h * np.eye(len(unknowns.start))):
-        ahead, behind = (raw(state.parameters + d, state.matrices) for d in (unit, -unit))
-        numeric = (ahead - behind) / (2 * h)
-        size = np.abs(rows.parameter[:, :n_legs]).max()
-        assert np.abs(rows.parameter[:, :n_legs, column] - numeric).max() < 1e-7 * size
-    for column, unit in enumerate(np.eye(mechanism.platform.dof)):
-        step = np.tile(h * unit, (len(data), 1))
-        ahead, behind = (
-            raw(state.parameters, mechanism.platform.displaced(state.matrices, d))
-            for d in (step, -step)
-        )
-        numeric, size = (ahead - behind) / (2 * h), np.abs(rows.pose[:, :n_legs]).max()
-        assert np.abs(rows.pose[:, :n_legs, column] - numeric).max() < 1e-7 * size
+    demands = problem.rows(state)[1].demands
+    parameter = np.zeros((len(data), len(demands), len(state.parameters)))
+    for row, (demand, columns) in enumerate(zip(demands, problem.columns, strict=True)):
+        parameter[:, row, columns] = demand.parameter[:, 0]
+    pose = np.concatenate([demand.pose for demand in demands], axis=1)
+    nowhere = np.zeros(mechanism.platform.dof)
+    assert np.abs(values(0 * state.parameters, nowhere)).max() > 1e-5
+    assert_derivative(parameter, lambda h: values(h, nowhere), precision=5e-12)
+    assert_derivative(pose, lambda h: values(0 * state.parameters, h), precision=5e-12)
+
+
+def whitened(
+    mechanism: pincal.Mechanism, data: pincal.Measurements
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals in standard deviations and Jacobian, (N, k) and (N, k, n), poses free."""
+    task = calibration_task(mechanism, data, method="latent", noise=NOISE)
+    problem, unknowns = latent_problem(task)
+    linear = problem.linearise(problem.start(unknowns.start))
+    return linear.white, linear.jacobian
+
+
+@pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))
+def test_white_rows_weigh_what_was_measured(kind: str) -> None:
+    """Squares and gradients are those of inverse kinematics: predicted less measured, over σ.
+
+    To first order a pose has the squares min over x of |P φ + X x + r|² / σ² + |x|² / σ_x²; P and X
+    by differences, r what readings are off. Whatever basis the rows are in, J'J, J'e and e'e are
+    fixed by that, and fall to a ninth, a quarter or their negative if one of them is not whole.
+    """
+    mechanism, _, data = machine(kind, 8, noise=EXACT, sigma=0.0)
+    poses, platform, off = data.poses, mechanism.platform, 0.1 * NOISE.reading
+    start = np.concatenate([leg.nominal for leg in mechanism.legs])
+    ends = np.cumsum([len(leg.parameters) for leg in mechanism.legs])[:-1]
+
+    def readings(values: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        parts = dict(zip(mechanism.leg_names, np.split(values, ends), strict=True))
+        at = platform.moved(poses, np.tile(twist, (len(poses), 1)))
+        return pincal.inverse(mechanism.with_parameters(parts), at).readings
+
+    r = off * np.random.default_rng(0).standard_normal(data.readings.shape)
+    P = differentiated(lambda h: readings(start + h, np.zeros(platform.dof)), len(start))
+    X = differentiated(lambda h: readings(start, h), platform.dof)
+    P, X, r = (one / NOISE.reading for one in (P, X, r))
+    prior = np.diag(NOISE.of_poses(mechanism) ** -2)
+    white, jacobian = whitened(mechanism, replace(data, readings=data.readings - r * NOISE.reading))
+    for row in range(len(poses)):
+        own = np.eye(len(P[row])) - X[row] @ np.linalg.solve(X[row].T @ X[row] + prior, X[row].T)
+        J, e = jacobian[row], white[row]
+        for found, wanted in (
+            (J.T @ J, P[row].T @ own @ P[row]),
+            (J.T @ e, P[row].T @ own @ r[row]),
+            (e @ e, r[row] @ own @ r[row]),
+        ):
+            np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-3 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))

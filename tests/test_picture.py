@@ -112,12 +112,28 @@ def test_a_rod_has_no_seams(degrees: float) -> None:
     assert np.allclose(colours(figure, along, 0 * along), to_rgb(RED), atol=0.02)
 
 
-@pytest.mark.parametrize("stroke", [1e-12, 1e-8, 1e-5])
+@pytest.mark.parametrize("stroke", [1e-12, 1e-8, 0.9e-5, 1.1e-5, 1e-3])
 def test_a_rod_may_vanish(stroke: float) -> None:
-    """The rod of a prismatic joint that has hardly moved is drawn or not, without complaint."""
-    place = np.diag([1.0, 1.0, stroke, 1.0])
+    """The rod of a prismatic joint that has hardly moved is drawn from a thousandth of an outline.
+
+    Its shadow is that of a cylinder as long as the stroke, however it is seen.
+    """
+    place, radius, edge = np.diag([1.0, 1.0, stroke, 1.0]), 0.1, 0.01
     for V in (np.eye(3), np.roll(np.eye(3), 1, axis=0), turned(1)):
-        paint(Figure().subplots(), [(Shape("cylinder", (0.1, 1.0), place, RED), place)], V, 0.01)
+        axes = Figure().subplots()
+        paint(axes, [(Shape("cylinder", (radius, 1.0), np.eye(4), RED), place)], V, edge)
+        areas = []
+        for path in axes.collections[0].get_paths():
+            x, y = path.vertices.T
+            areas.append(abs(float(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2))
+        if stroke < 1e-3 * edge:
+            assert not areas
+            continue
+        dark, bright = areas
+        circle = 16 / 2 * np.sin(2 * np.pi / 16) * radius**2
+        shadow = 2 * radius * stroke * np.hypot(*V[2, :2]) + circle * abs(V[2, 2])
+        assert dark == pytest.approx(shadow, rel=0.02)
+        assert 0.0 < bright < dark
 
 
 @pytest.mark.parametrize("name", sorted(pincal.bundled()))
