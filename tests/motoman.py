@@ -190,6 +190,4 @@ def reference(side: str, seed: int) -> Reference:
 
     J = found.jac / np.maximum(np.linalg.norm(found.jac, axis=0), 1e-12)
     rank = int((np.linalg.svd(J, compute_uv=False) > 1e-6).sum())
-    return Reference(
-        rms(found.x, unseen), rms(found.x, fit), rms(nominal.ravel(), unseen), rank
-    )
+    return Reference(rms(found.x, unseen), rms(found.x, fit), rms(nominal.ravel(), unseen), rank)

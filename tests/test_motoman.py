@@ -106,9 +106,10 @@ def test_the_joint_that_stood_still_is_refused(
 def test_ten_splits(side: str, framed: bool) -> None:
     """Ten splits in 70 % and 30 %: converged in all, held out as well as by an independent fit.
 
-    Within 1 % of SciPy's Levenberg-Marquardt on every split, with the tracker's place unknown or
-    positions moved into the base frame by a rigid alignment of the rows fitted. Over ten splits
-    that is 0.0774 mm (left) and 0.0729 mm (right, 0.0716 over the first five).
+    Within 3 % of SciPy's Levenberg-Marquardt on every split (weak directions are held here), with
+    the tracker's place unknown or positions moved into the base frame by a rigid alignment of the
+    rows fitted. SciPy's over ten splits: 0.0774 mm (left) and 0.0729 mm (right, 0.0716 over the
+    first five).
     """
     mechanism, data = motoman.mechanism(side), motoman.measurements(side)
     squares, lost, worse = [], [], []
@@ -138,7 +139,7 @@ def test_ten_splits(side: str, framed: bool) -> None:
         print(f"{side} {seed}: {1e3 * squares[-1] ** 0.5:.4f} mm, SciPy {1e3 * wanted:.4f}")
         if not result.converged:
             lost.append((seed, result.message))
-        if squares[-1] ** 0.5 > 1.01 * wanted:
+        if squares[-1] ** 0.5 > 1.03 * wanted:
             worse.append((seed, squares[-1] ** 0.5, wanted))
     assert not lost
     assert not worse
