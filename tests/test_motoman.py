@@ -1,90 +1,59 @@
-"""A real arm of seven joints seen by a laser tracker. Skipped where the data are absent.
-
-The data (public, of ctu-vras/multirobot-calibration) are looked for beside the project, or where
-``PINCAL_DATA`` says.
-"""
+"""Two real arms of seven joints seen by a laser tracker. Skipped where the data are absent."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
+from dataclasses import replace
 
+import motoman
 import numpy as np
 import pytest
+from motoman import SIDES, table_of
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.kinematics.arm import arm
 
-DATA = Path(os.environ.get("PINCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
-FILE = DATA / "motoman_left" / "measurements.csv"
-pytestmark = pytest.mark.skipif(not FILE.is_file(), reason=f"no {FILE}")
-NAMES = ("E", "S", "L", "U", "R", "B", "T")
-#: Nominal Denavit-Hartenberg table, Rz(θ + q) Tz(d) Tx(a) Rx(α): a [m], d [m], α, θ [rad].
-TABLE = [
-    (0.0, -0.263, np.radians(-15.0), -np.pi / 2),
-    (0.15, 1.4159, -np.pi / 2, 0.0),
-    (0.614, 0.0, np.pi, -np.pi / 2),
-    (0.2, 0.0, -np.pi / 2, 0.0),
-    (0.0, -0.64, np.pi / 2, 0.0),
-    (0.03, 0.0, np.pi / 2, -np.pi / 2),
-    (0.0, 0.2, 0.0, 0.0),
-    (0.05, 0.25, 0.0, 0.0),
-]
+pytestmark = pytest.mark.skipif(
+    not all(motoman.data_file(side).is_file() for side in SIDES),
+    reason=f"no measurements in {motoman.DATA}",
+)
 NOISE = pincal.Noise(5e-5, 1e-4, 0.0)
 SETUP = pincal.Setup(unknown_frame=True)
 
 
-def _link(a: float, d: float, alpha: float, theta: float) -> np.ndarray:
-    """Return one row's transform, shape (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_euler("ZX", [theta, alpha]).as_matrix()
-    matrix[:3, 3] = a * np.cos(theta), a * np.sin(theta), d
-    return matrix
-
-
-def _placement(matrix: np.ndarray) -> pincal.Placement:
-    x, y, z = matrix[:3, 3].tolist()
-    roll, pitch, yaw = Rotation.from_matrix(matrix[:3, :3]).as_euler("xyz").tolist()
-    return pincal.Placement(xyz=(x, y, z), rpy=(roll, pitch, yaw))
+#: Root mean square distance held out, over ten splits, [m].
+BOUNDS = {"left": 0.080e-3, "right": 0.074e-3}
 
 
 @pytest.fixture(scope="module")
 def mechanism() -> pincal.Mechanism:
-    """The arm of the nominal table; each joint turns about z before its row."""
-    joints, before = [], np.eye(4)
-    for name, row in zip(NAMES, TABLE, strict=False):
-        joints.append(
-            pincal.Joint(f"q_{name}", "revolute", _placement(before), lower=-np.inf, upper=np.inf)
-        )
-        before = _link(*row)
-    joints.append(pincal.Joint("reflector", "fixed", _placement(before @ _link(*TABLE[7]))))
-    return arm("motoman", tuple(joints))
+    """The left arm of the nominal table."""
+    return motoman.mechanism("left")
 
 
 @pytest.fixture(scope="module")
 def data() -> pincal.Measurements:
-    """Positions of the reflector in the tracker's frame, and readings, of 208 rows."""
-    table = np.genfromtxt(FILE, delimiter=",", names=True, deletechars="", encoding="utf-8")
-    columns = {name: table[name] for name in table.dtype.names or ()}
-
-    def starting(start: str) -> np.ndarray:
-        return next(values for name, values in columns.items() if name.startswith(start))
-
-    readings = np.column_stack([starting(f"q_{name}") for name in NAMES])
-    poses = np.full((len(readings), 6), np.nan)
-    poses[:, :3] = np.column_stack([starting(axis) for axis in "xyz"])
-    return pincal.Measurements(poses=poses, readings=readings)
+    """Positions of the left arm's reflector in the tracker's frame, and readings, of 208 rows."""
+    return motoman.measurements("left")
 
 
-def test_nominal_table(mechanism: pincal.Mechanism) -> None:
+def external(result: pincal.CalibrationResult) -> tuple[Rotation, np.ndarray]:
+    """Return where the base stands in the tracker's frame."""
+    frame = np.array([one.identified for one in result.external])
+    return Rotation.from_rotvec(frame[3:]), frame[:3]
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_nominal_table(side: str) -> None:
     """The arm's forward kinematics are the product of the table's transforms."""
+    mechanism = motoman.mechanism(side)
     readings = np.random.default_rng(0).uniform(-2.0, 2.0, (5, 7))
     poses = pincal.forward(mechanism, readings).poses
+    independent, _ = motoman.positions(side, readings, np.zeros((8, 6)))
+    np.testing.assert_allclose(poses[:, :3], independent, atol=1e-12)
     for pose, q in zip(mechanism.platform.transforms(poses).as_matrix(), readings, strict=True):
         wanted = np.eye(4)
-        for (a, d, alpha, theta), turn in zip(TABLE, [*q, 0.0], strict=True):
-            wanted = wanted @ _link(a, d, alpha, theta + turn)
+        for (a, d, alpha, theta), turn in zip(table_of(side), [*q, 0.0], strict=True):
+            wanted = wanted @ motoman.link(a, d, alpha, theta + turn)
         np.testing.assert_allclose(pose, wanted, atol=1e-12)
 
 
@@ -96,9 +65,7 @@ def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, s
     leaves 0.380 mm. The first joint stood still: four directions are held and named, and one more
     that is told to ± 0.26 rad only.
     """
-    order = np.random.default_rng(seed).permutation(len(data))
-    cut = int(0.7 * len(data))
-    fit, unseen = (data.rows(np.sort(rows)) for rows in (order[:cut], order[cut:]))
+    fit, unseen = (data.rows(rows) for rows in motoman.split("left", seed))
     result = pincal.calibrate(
         mechanism,
         fit,
@@ -109,9 +76,9 @@ def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, s
         hold_undetermined=True,
     )
     assert result.converged
-    frame = np.array([one.identified for one in result.external])
+    turn, shift = external(result)
     points = pincal.forward(result.identified, unseen.readings).poses[:, :3]
-    off = Rotation.from_rotvec(frame[3:]).apply(points) + frame[:3] - unseen.poses[:, :3]
+    off = turn.apply(points) + shift - unseen.poses[:, :3]
     rms = float(np.sqrt((off**2).sum(axis=1).mean()))
     print(f"seed {seed}: {1e3 * rms:.4f} mm held out")
     assert rms <= 0.085e-3
@@ -131,3 +98,61 @@ def test_the_joint_that_stood_still_is_refused(
     assert np.ptp(data.readings[:, 0]) == 0.0
     with pytest.raises(pincal.ObservabilityError, match=r"q_S_x.*hold-undetermined"):
         pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=SETUP, rough=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("framed", [True, False], ids=["unknown frame", "aligned"])
+@pytest.mark.parametrize("side", SIDES)
+def test_ten_splits(side: str, framed: bool) -> None:
+    """Ten splits in 70 % and 30 %: converged in all, held out as well as by an independent fit.
+
+    Within 3 % of SciPy's Levenberg-Marquardt on every split (weak directions are held here), with
+    the tracker's place unknown or positions moved into the base frame by a rigid alignment of the
+    rows fitted. SciPy's over ten splits: 0.0774 mm (left) and 0.0729 mm (right, 0.0716 over the
+    first five).
+    """
+    mechanism, data = motoman.mechanism(side), motoman.measurements(side)
+    squares, lost, worse = [], [], []
+    for seed in range(10):
+        rows, others = motoman.split(side, seed)
+        seen = data
+        if not framed:
+            nominal, _ = motoman.positions(side, data.readings, np.zeros((8, 6)))
+            turn, shift = motoman.aligned(data.poses[rows, :3], nominal[rows])
+            poses = data.poses.copy()
+            poses[:, :3] = turn.apply(poses[:, :3]) + shift
+            seen = replace(data, poses=poses)
+        result = pincal.calibrate(
+            mechanism,
+            seen.rows(rows),
+            method="latent",
+            noise=NOISE,
+            setup=SETUP if framed else None,
+            rough=True,
+            hold_undetermined=True,
+        )
+        turn, shift = external(result) if framed else (Rotation.identity(), np.zeros(3))
+        points = pincal.forward(result.identified, data.readings[others]).poses[:, :3]
+        off = turn.apply(points) + shift - seen.poses[others, :3]
+        squares.append(float((off**2).sum(axis=1).mean()))
+        wanted = motoman.reference(side, seed).held_out
+        print(f"{side} {seed}: {1e3 * squares[-1] ** 0.5:.4f} mm, SciPy {1e3 * wanted:.4f}")
+        if not result.converged:
+            lost.append((seed, result.message))
+        if squares[-1] ** 0.5 > 1.03 * wanted:
+            worse.append((seed, squares[-1] ** 0.5, wanted))
+    assert not lost
+    assert not worse
+    assert np.mean(squares) ** 0.5 <= BOUNDS[side]
+
+
+@pytest.mark.slow
+def test_the_independent_fit() -> None:
+    """SciPy's fits of five splits: 0.0716 mm held out (right arm), where registration leaves 0.34.
+
+    Rank 27 of 48 displacements: so many numbers are all that positions can tell.
+    """
+    found = [motoman.reference("right", seed) for seed in range(5)]
+    assert {one.rank for one in found} == {27}
+    assert np.mean([one.held_out for one in found]) == pytest.approx(0.0716e-3, rel=2e-3)
+    assert np.mean([one.registered for one in found]) == pytest.approx(0.344e-3, rel=0.03)
