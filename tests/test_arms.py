@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arms import ARMS, loaded, reference, robot
-from measured import put
 from differences import assert_derivative, differentiated
+from measured import put
 from random_mechanisms import reached
 
 import pincal

@@ -118,8 +118,6 @@ def inverse_left_jacobian(vectors: Array) -> Array:
     angles = np.linalg.norm(vectors, axis=1)
     small = angles < _SERIES
     safe = np.where(small, 1.0, angles)
-    factor = np.where(
-        small, 1 / 12, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe))
-    )
+    factor = np.where(small, 1 / 12, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)))
     S = np.cross(vectors[:, None], np.eye(3)).transpose(0, 2, 1)
     return np.eye(3) - 0.5 * S + factor[:, None, None] * (S @ S)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MechanismError
-from pincal.kinematics.closed_forms import closed_form, wrapped
 from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.closed_forms import closed_form, wrapped
 from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.mechanism import Mechanism
@@ -248,5 +248,7 @@ def reached(mechanism: Mechanism, poses: Poses) -> Mask:
     for rows, matrices in matrix_chunks(transforms):
         for index, leg in enumerate(legs):
             solved = closed_form(leg) is not None
-            found[rows, index] = start_joints(leg, matrices)[1] if solved else close(leg, matrices).reached
+            found[rows, index] = (
+                start_joints(leg, matrices)[1] if solved else close(leg, matrices).reached
+            )
     return found
