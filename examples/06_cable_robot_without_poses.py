@@ -19,7 +19,7 @@ data = pincal.simulate(robot, truth, plan, noise, seed=1).measurements
 true_poses = plan.poses.copy()
 data.poses[9:] = np.nan  # a camera saw the first nine poses only
 
-result = pincal.calibrate(robot, data, method="latent", noise=noise, rough=True)
+result = pincal.calibrate(robot, data, noise=noise, rough=True)
 print(result)
 found = result.estimated_poses
 off = np.linalg.norm(found - true_poses, axis=1)

@@ -37,7 +37,7 @@ print(f"the radius within {alone:.2f} mm, {known:.2f} mm if rods were known")
 
 # So rods were measured with calipers, to 0.1 mm.
 result = pincal.calibrate(
-    printer, data, method="latent", noise=noise, tied=["radius"], priors={"arm": 1e-4}
+    printer, data, noise=noise, tied=["radius"], priors={"arm": 1e-4}
 )
 print(result)
 Path("calibrated.cfg").write_text(write_klipper(delta_printer(result.identified)))

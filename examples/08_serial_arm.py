@@ -40,7 +40,7 @@ poses[:, :3] = np.add(tracker.apply(reflector(truth, readings)), [2.0, 1.0, 0.5]
 poses[:, :3] += 5e-5 * np.random.default_rng(2).standard_normal((40, 3))
 data = pincal.Measurements(poses, readings=readings)
 
-result = pincal.calibrate(arm, data, method="latent", noise=noise, setup=setup)
+result = pincal.calibrate(arm, data, noise=noise, setup=setup)
 print(f"{result.message}; reduced χ² {result.reduced_chi2:.2f}")
 print(*(f"- {words[:78]}" for words in result.gauge), sep="\n")
 

@@ -152,15 +152,15 @@ def _ways(plans: dict[str, pincal.Plan]) -> list[Way]:
     paper = Way("divide and conquer", plans["divide and conquer"])
     return [
         paper,
-        Way("traditional, 36 common", plans["36 common"], "all", "together"),
-        Way("traditional, 18 common", plans["18 common"], "all", "together"),
-        Way("traditional, 18 of the 36", plans["18 of the 36"], "all", "together"),
+        Way("traditional, 36 common", plans["36 common"], "all", "all-legs"),
+        Way("traditional, 18 common", plans["18 common"], "all", "all-legs"),
+        Way("traditional, 18 of the 36", plans["18 of the 36"], "all", "all-legs"),
         replace(paper, name="divide and conquer, whitened", residual="closure"),
         replace(paper, name="its 36 for every leg", poses="all"),
         replace(paper, name="its 36, whitened", poses="all", residual="closure"),
-        replace(paper, name=BEST, poses="all", method="together", residual="closure"),
-        Way("36 common, whitened, together", plans["36 common"], "all", "together", "closure"),
-        Way("18 orbits, whitened, together", plans["18 orbits"], "all", "together", "closure"),
+        replace(paper, name=BEST, poses="all", residual="closure"),
+        Way("36 common, whitened, together", plans["36 common"], "all", "all-legs", "closure"),
+        Way("18 orbits, whitened, together", plans["18 orbits"], "all", "all-legs", "closure"),
     ]
 
 

@@ -41,9 +41,9 @@ def calibration(study: Study, poses: Array) -> dict[str, Array]:
         Way("symmetric, own 24", own, residual="closure"),
         Way("symmetric, all 144 for every leg", own, "all", residual="closure"),
         Way(COMMON, plans["24 common"], "all", residual="closure"),
-        Way("24 common, together", plans["24 common"], "all", "together", "closure"),
+        Way("24 common, together", plans["24 common"], "all", "all-legs", "closure"),
         Way("4 orbits (24 poses)", plans["4 orbits"], "all", residual="closure"),
-        Way("4 orbits, together", plans["4 orbits"], "all", "together", "closure"),
+        Way("4 orbits, together", plans["4 orbits"], "all", "all-legs", "closure"),
     ]
     some = poses[: 50 if study.quick else 200]
     found: dict[str, list[tuple[float, float, float]]] = {

@@ -172,11 +172,11 @@ def _ways(selections: dict[str, pincal.Selection]) -> list[Way]:
     """Return the ways to compare: the paper's two first, then what it lacks."""
     plans = {name: one.plan for name, one in selections.items()}
     own = "symmetric, 24 a leg"
-    joint: tuple[Literal["all"], Literal["together"], Literal["closure"]]
-    joint = ("all", "together", "closure")
+    joint: tuple[Literal["all"], Literal["all-legs"], Literal["closure"]]
+    joint = ("all", "all-legs", "closure")
     return [
         Way(PAPERS, plans[own]),
-        Way(COMMON, plans["24 common"], "all", "together"),
+        Way(COMMON, plans["24 common"], "all", "all-legs"),
         Way("symmetric, all 72 for every leg", plans[own], "all"),
         Way("72 common", plans["72 common"], "all"),
         Way("24 orbits (72 poses)", plans["24 orbits"], "all"),

@@ -22,7 +22,7 @@ def cramer_rao(study: Study, ways: list[Way]) -> dict[str, tuple[float, float]]:
     """Compare the Cramér-Rao bounds of ways; return their gains over the first way."""
     mechanism, kinds = study.mechanism, {}
     for way in ways:
-        method: Method = "together" if way.residual == "closure" else "per-leg"
+        method: Method = "all-legs" if way.residual == "closure" else "per-leg"
         covariance = way.bound(mechanism, mechanism, NOISE, method)
         single = float(np.exp(np.log(np.diagonal(covariance)).mean() / 2))
         axes = float(np.exp(np.linalg.slogdet(covariance)[1] / (2 * len(covariance))))

@@ -17,7 +17,7 @@ from .study import Study
 
 Array = NDArray[np.float64]
 Protocol: TypeAlias = Literal["independent", "common", "symmetric", "orbits"]
-Method: TypeAlias = Literal["per-leg", "together"]
+Method: TypeAlias = Literal["per-leg", "all-legs"]
 _LITTLE = 1e-6  # of the noise: rows of one pose differ, as measured ones do
 
 
@@ -54,7 +54,7 @@ class Way:
         mechanism: pincal.Mechanism,
         truth: pincal.Mechanism,
         noise: pincal.Noise,
-        method: Method = "together",
+        method: Method = "all-legs",
     ) -> Array:
         """Return the Cramér-Rao bound of the parameters, a covariance, shape (n, n).
 

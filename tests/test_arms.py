@@ -166,7 +166,7 @@ def test_what_moves_together_is_named(name: str, redundant: int) -> None:
     mechanism = loaded(name)
     plan = pincal.sample_configurations(mechanism, 60, 0)
     data = pincal.simulate(mechanism, mechanism, plan, NOISE, 1).measurements
-    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
     (words,) = result.gauge
     assert words.startswith(f"{redundant} parameters are redundant, whatever is measured: ")
     J = jacobian(name, pincal.sample_configurations(mechanism, 30, 7).readings)
@@ -203,7 +203,7 @@ def test_clean_poses_identify_the_arm(name: str) -> None:
     mechanism, rng = loaded(name), np.random.default_rng(3)
     phi = 2e-3 * rng.standard_normal(len(mechanism.legs[0].parameters))
     data = measured_by(name, phi, 40, 0)
-    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
     assert result.converged
     unseen = measured_by(name, phi, 100, 9)
     found = pincal.forward(result.identified, unseen.readings).poses
@@ -227,7 +227,7 @@ def test_order_of_rows_does_not_matter() -> None:
     data = measured_by("ur10", phi, 40, 0)
     other = data.rows(np.random.default_rng(0).permutation(40))
     one, two = (
-        pincal.calibrate(mechanism, d, method="latent", noise=NOISE).legs[0].identified
+        pincal.calibrate(mechanism, d, noise=NOISE).legs[0].identified
         for d in (data, other)
     )
     np.testing.assert_allclose(one, two, atol=1e-12)
@@ -253,7 +253,7 @@ def test_clean_positions_identify_the_arm(frame: bool) -> None:
         data, "poses", np.s_[:, :3], seen(platform.transforms(data.poses).as_matrix(), tracker)
     )
     data = put(data, "poses", np.s_[:, 3:], np.nan)
-    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)
+    result = pincal.calibrate(mechanism, data, noise=NOISE, setup=setup)
     assert result.converged
     place = np.eye(4)
     if frame:
@@ -276,4 +276,4 @@ def test_a_target_on_the_last_axis() -> None:
     data = put(data, "poses", np.s_[:, :3], data.poses[:, :3] + (matrices[:, :3, 0] * 0.2))
     data = put(data, "poses", np.s_[:, 3:], np.nan)
     with pytest.raises(pincal.ObservabilityError, match="wrist_3"):
-        pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)
+        pincal.calibrate(mechanism, data, noise=NOISE, setup=setup)

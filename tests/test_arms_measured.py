@@ -47,7 +47,7 @@ def twists(a: pincal.Mechanism, b: pincal.Mechanism, readings: np.ndarray) -> np
 def test_noise_of_poses_and_encoders(noise: pincal.Noise) -> None:
     """Reduced χ² is one within its spread, and the arm is within the noise of the truth."""
     mechanism, truth, data = simulated(noise=noise)
-    result = pincal.calibrate(mechanism, data, method="latent", noise=noise)
+    result = pincal.calibrate(mechanism, data, noise=noise)
     assert result.converged
     assert abs(result.reduced_chi2 - 1.0) < 4 * np.sqrt(2 / (6 * 60 - 30))
     unseen = pincal.sample_configurations(mechanism, 100, 9).readings
@@ -71,7 +71,7 @@ def test_errors_are_those_of_many_calibrations(points: bool) -> None:
         data = pincal.simulate(mechanism, truth, plan, NOISE, seed).measurements
         if points:
             data = as_points(mechanism, data)
-        result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)
+        result = pincal.calibrate(mechanism, data, noise=NOISE, setup=setup)
         found.append(result.legs[0].identified)
         std.append(result.legs[0].std)
         one, two = (pincal.forward(m, unseen.readings).poses for m in (result.identified, truth))
@@ -97,7 +97,7 @@ def test_outliers_are_listed_and_left_out() -> None:
     spoiled = data.poses.copy()
     spoiled[[7, 20, 41], 1] += 5e-3
     bad = replace(data, poses=spoiled)
-    result = pincal.calibrate(mechanism, bad, method="latent", noise=NOISE, loss="reject")
+    result = pincal.calibrate(mechanism, bad, noise=NOISE, loss="reject")
     assert result.converged
     assert {7, 20, 41} <= {one.row for one in result.outliers}
     assert len(result.outliers) <= 5
@@ -137,7 +137,7 @@ def test_mistakes_are_refused(wrong: str, words: str) -> None:
                 x = x[::-1].copy()
         bad = replace(one, readings=q, poses=x)
         with pytest.raises(pincal.MeasurementError, match=words if setup.plain else "miss|contra"):
-            pincal.calibrate(mechanism, bad, method="latent", noise=NOISE, setup=setup)
+            pincal.calibrate(mechanism, bad, noise=NOISE, setup=setup)
 
 
 def test_a_missing_reading() -> None:
@@ -147,20 +147,20 @@ def test_a_missing_reading() -> None:
     q[4, 2] = np.nan
     kept = np.delete(np.arange(60), 4)
     one, other = (
-        pincal.calibrate(mechanism, d, method="latent", noise=NOISE)
+        pincal.calibrate(mechanism, d, noise=NOISE)
         for d in (replace(data, readings=q), data.rows(kept))
     )
     far = pincal.sample_configurations(mechanism, 20, 9).readings
     np.testing.assert_allclose(twists(one.identified, other.identified, far), 0.0, atol=1e-9)
     points = replace(as_points(mechanism, data), readings=q)
     with pytest.raises(pincal.MeasurementError, match="data row 5 has 3 measured quantities"):
-        pincal.calibrate(mechanism, points, method="latent", noise=NOISE, setup=POINT)
+        pincal.calibrate(mechanism, points, noise=NOISE, setup=POINT)
 
 
 def test_other_methods_say_what_to_do() -> None:
     """Redundant parameters are for latent poses; an arm's readings do not follow from poses."""
     mechanism, _, data = simulated()
-    for method in ("per-leg", "together"):
+    for method in ("per-leg", "all-legs"):
         with pytest.raises(pincal.ObservabilityError, match="--method latent"):
             pincal.calibrate(mechanism, data, method=method, noise=NOISE)
     with pytest.raises(pincal.MeasurementError, match="do not follow from its poses"):
@@ -202,7 +202,7 @@ def test_any_joints(chain: str, told: int, tmp_path: Path) -> None:
     assert (found.rank.rank, found.rank.n_params) == (told, 6 * n + 6)
     truth = pincal.disturb(mechanism, 1e-3, 3)
     data = pincal.simulate(mechanism, truth, plan, EXACT).measurements
-    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
     far = pincal.sample_configurations(mechanism, 60, 5).readings
     assert np.abs(twists(result.identified, truth, far)).max() < 1e-9
     assert f"{6 * n + 6 - told} parameters are redundant" in result.gauge[0]
@@ -241,7 +241,7 @@ def test_a_planar_arm() -> None:
     apart = mechanism.platform.twists_between(pincal.forward(truth, plan.readings).poses, poses)
     np.testing.assert_allclose(apart, 0.0, atol=1e-12)
     data = pincal.Measurements(poses=poses, readings=plan.readings)
-    for method in ("per-leg", "latent"):
+    for method in ("per-leg", "all-legs"):
         result = pincal.calibrate(mechanism, data, method=method, noise=NOISE)
         np.testing.assert_allclose(result.legs[0].identified, truth.legs[0].nominal, atol=1e-9)
 
@@ -268,7 +268,7 @@ def test_files_say_the_same(tmp_path: Path) -> None:
     mechanism.save(tmp_path / "arm")
     assert pincal.load_mechanism(str(tmp_path / "arm")) == mechanism
     readings = pincal.sample_configurations(mechanism, 20, 4).readings
-    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
     result.save(tmp_path / "result")
     back = pincal.load_mechanism(str(tmp_path / "result"))
     for one, folder in ((mechanism, "arm"), (result.identified, "result/mechanism")):
@@ -293,7 +293,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     assert "30 of 42" in said
     done("simulate", arm, plan, "-o", data)
     noise = ("--noise-position", 1e-4, "--noise-orientation", 1e-4)
-    said = done("calibrate", arm, data, "--method", "latent", *noise, "-o", tmp_path / "result").out
+    said = done("calibrate", arm, data, *noise, "-o", tmp_path / "result").out
     assert "12 parameters are redundant" in " ".join(said.split())
     done("forward", tmp_path / "result", data, "-o", tmp_path / "poses.csv")
     assert "identity" in done("symmetry", arm).out
@@ -308,8 +308,8 @@ def test_expected_error_is_what_was_forecast() -> None:
     data = pincal.simulate(arm, truth, plan, noise, seed=5).measurements
     for unknown in (False, True):
         setup = pincal.Setup(unknown_frame=unknown)
-        result = pincal.calibrate(arm, data, method="latent", noise=noise, setup=setup)
-        found = pincal.expected_error(result, unseen)
+        result = pincal.calibrate(arm, data, noise=noise, setup=setup)
+        found = result.expected_error(unseen)
         forecast = pincal.forecast(truth, plan, noise, setup=setup).platform_error(unseen)
         assert found.position == pytest.approx(forecast.position, rel=0.02)
         assert found.orientation == pytest.approx(forecast.orientation, rel=0.02)
@@ -330,17 +330,17 @@ def test_what_was_held_is_not_promised_elsewhere(jitter: float) -> None:
     if jitter < 1e-4:
         said = "hardly tell .*hold-undetermined" if jitter else "undetermined: .*hold-undetermined"
         with pytest.raises(pincal.ObservabilityError, match=said):
-            pincal.calibrate(arm, data, method="latent", noise=noise)
+            pincal.calibrate(arm, data, noise=noise)
     else:
-        (said, *_) = pincal.calibrate(arm, data, method="latent", noise=noise).warnings
+        (said, *_) = pincal.calibrate(arm, data, noise=noise).warnings
         assert "hardly told" in said
-    result = pincal.calibrate(arm, data, method="latent", noise=noise, hold_undetermined=True)
+    result = pincal.calibrate(arm, data, noise=noise, hold_undetermined=True)
     assert result.undetermined
-    there = pincal.expected_error(result, plan)
+    there = result.expected_error(plan)
     assert 0.0 < there.position < 2e-4
     off = pincal.forward(result.identified, still).poses - pincal.forward(truth, still).poses
     assert np.sqrt((off[:, :3] ** 2).sum(axis=1).mean()) < 2 * there.position
-    assert np.isinf(pincal.expected_error(result, pincal.sample_configurations(arm, 20)).position)
+    assert np.isinf(result.expected_error(pincal.sample_configurations(arm, 20)).position)
     found = workspace_errors(result, plan)
     assert found.where == "over the measured poses"
     assert found.mean_after()[0] < 2e-4

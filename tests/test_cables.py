@@ -246,7 +246,7 @@ def test_a_redundant_machine_is_measured_where_it_was_to_go(
     noise = pincal.Noise(1e-3, 0.0, 1e-3)
     noisy = pincal.simulate(cables, truth, pincal.Plan(poses), noise).measurements
     assert (noisy.poses - poses).std() == pytest.approx(1e-3, rel=0.1)
-    result = pincal.calibrate(cables, noisy, method="together", noise=noise)
+    result = pincal.calibrate(cables, noisy, noise=noise)
     before, after = (
         pincal.accuracy(model, truth, poses[:200]).position for model in (cables, result.identified)
     )

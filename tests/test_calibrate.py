@@ -49,7 +49,7 @@ def error(result: pincal.CalibrationResult, truth: pincal.Mechanism) -> float:
     return max(float(np.abs(a.nominal - b.nominal).max()) for a, b in pairs)
 
 
-@pytest.mark.parametrize("method", ["per-leg", "together"])
+@pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 @pytest.mark.parametrize("residual", ["closure", "joint"])
 @pytest.mark.parametrize("poses", ["own", "all"])
 def test_clean_data_recover_the_parameters(
@@ -154,7 +154,7 @@ def test_joint_optimum_equals_an_independent_solver(
 
 CASES: dict[str, dict[str, Any]] = {
     "per-leg": {},
-    "together": {"method": "together", "poses": "all"},
+    "all-legs": {"poses": "all"},
     "joint": {"residual": "joint"},
     "scale": {"noise": None},
 }
@@ -180,7 +180,7 @@ def many_fits(kind: str, case: str, plan: pincal.Plan) -> tuple[np.ndarray, ...]
 @pytest.fixture(scope="module")
 def statistics(selections: dict[str, pincal.Selection]) -> dict[tuple[str, str], tuple]:
     """300 noisy fits by mechanism and case, on two cores."""
-    keys = [("3RRR", case) for case in ("per-leg", "together")]
+    keys = [("3RRR", case) for case in ("per-leg", "all-legs")]
     keys += [("5R", case) for case in ("per-leg", "joint", "scale")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OPENBLAS_NUM_THREADS", "1")  # two processes have the cores
@@ -205,7 +205,7 @@ def test_standard_errors_equal_the_spread(statistics: dict[tuple[str, str], tupl
         ratio = std.mean(axis=0) / errors.std(axis=0)
         assert abs(ratio.mean() - 1) < 0.10
         assert np.abs(ratio - 1).max() < 0.15
-        if case in ("per-leg", "together"):
+        if case in ("per-leg", "all-legs"):
             assert abs(chi2.mean() - 1) < 0.05
 
 
@@ -230,7 +230,7 @@ def test_together_with_all_poses_beats_each_leg_alone(
 ) -> None:
     """Every pose for every leg, correlations used, gives less error than own poses alone."""
     alone = np.sqrt((statistics["3RRR", "per-leg"][0] ** 2).mean(axis=0))
-    together = np.sqrt((statistics["3RRR", "together"][0] ** 2).mean(axis=0))
+    together = np.sqrt((statistics["3RRR", "all-legs"][0] ** 2).mean(axis=0))
     assert (together < alone).mean() > 0.9
 
 
@@ -243,7 +243,7 @@ def test_expected_platform_error_is_the_covariance_carried_on(
     """
     noise, poses = pincal.Noise(1e-6, 1e-6), candidates[kind][:200]
     mechanism, _, data = noisy(kind, selections[kind].plan, 21, noise)
-    result = pincal.calibrate(mechanism, data, noise=noise, method="together", poses="all")
+    result = pincal.calibrate(mechanism, data, noise=noise, poses="all")
     sums = np.zeros(2)
     for column in np.linalg.cholesky(result.covariance).T:
         parts = np.split(column, len(mechanism.legs))
@@ -254,7 +254,7 @@ def test_expected_platform_error_is_the_covariance_carried_on(
         model = result.identified.with_parameters(values)
         made = pincal.accuracy(model, result.identified, poses)
         sums += np.square([made.position, made.orientation])
-    expected = pincal.expected_error(result, poses)
+    expected = result.expected_error(poses)
     assert expected.poses == 200
     found = np.array([expected.position, expected.orientation])
     np.testing.assert_allclose(found, np.sqrt(sums), rtol=1e-3)
@@ -351,7 +351,7 @@ def test_per_leg_and_together_agree_without_shared_noise(
     noise = pincal.Noise(0.0, 0.0, 1e-5)
     mechanism, _, data = noisy(kind, selections[kind].plan, 8, noise)
     alone = pincal.calibrate(mechanism, data, noise=noise)
-    together = pincal.calibrate(mechanism, data, noise=noise, method="together")
+    together = pincal.calibrate(mechanism, data, noise=noise)
     for a, b in zip(alone.legs, together.legs, strict=True):
         np.testing.assert_allclose(a.identified, b.identified, atol=1e-10)
         np.testing.assert_allclose(a.std, b.std, rtol=1e-5)
@@ -458,6 +458,6 @@ def test_a_start_near_a_singularity_says_nothing_of_the_poses(
     """Of a hundred machines one has a pose that noise carries far at nominal: it is calibrated."""
     mechanism, noise = pincal.load_mechanism("3RRR"), three_rrr_errors.NOISE
     plan = pincal.select_poses(mechanism, candidates["3RRR"], 24, "common").plan
-    way = Way("common", plan, "all", "together", "joint")
+    way = Way("common", plan, "all", "all-legs", "joint")
     for truth, seed in machines(mechanism, three_rrr_errors.SIGMA, 0, 20)[10:]:
         assert way.run(mechanism, truth, noise, seed).converged

@@ -458,7 +458,7 @@ BAD = {
         ),
     ),
     "distance-missing": Case(
-        "calibrate 3RRR measured.csv --method latent --setup s.yaml",
+        "calibrate 3RRR measured.csv --setup s.yaml",
         ["measured.csv", "no column 'wire'", "'wire [m]'"],
         lambda: Path("s.yaml").write_text(
             "pincal_setup: 1\ndistances: {wire: {from: [2.0, 0, 0]}}\n"

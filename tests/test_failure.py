@@ -54,7 +54,7 @@ def said(mechanism: pincal.Mechanism, data: pincal.Measurements, **options: Any)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+@pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 def test_what_a_rough_mechanism_hides_is_named_when_the_fit_fails(method: str) -> None:
     """Nothing is checked before, but what explains the failure is said, and no pose is blamed."""
     mechanism, data = measured("3RRR")
@@ -71,7 +71,7 @@ def test_a_frame_found_by_the_fit_hides_no_sign() -> None:
     """Torsion of the other sign in a tracker's frame: the fit fails, and its sign is named."""
     mechanism, data = measured("6UPS", 0.15)
     wrong = other_sign(data, 5)
-    text = said(mechanism, wrong, method="together", setup=FRAME)
+    text = said(mechanism, wrong, setup=FRAME)
     assert "torsion has the other sign" in text
 
 
@@ -89,7 +89,7 @@ def test_a_slip_is_named_first() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+@pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 def test_a_search_that_ran_away_says_so(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where poses tell everything at nominal parameters, they are not said to lack anything."""
     monkeypatch.setattr("pincal.identification.failure.suspected", lambda *_: "")
@@ -100,7 +100,7 @@ def test_a_search_that_ran_away_says_so(method: str, monkeypatch: pytest.MonkeyP
     assert "Measure poses" not in text
 
 
-@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+@pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 def test_a_sound_fit_is_silent(method: str) -> None:
     """Nothing is said to have failed where nothing has."""
     mechanism, data = measured("3RRR", 0.2)
@@ -143,10 +143,10 @@ def test_readings_alone_are_told_what_they_lack() -> None:
         data = pincal.simulate(mechanism, mechanism, plan, noise, 0).measurements
         data = replace(data, poses=np.full_like(data.poses, np.nan))
         with pytest.raises(pincal.ObservabilityError, match=words) as caught:
-            pincal.calibrate(mechanism, data, method="latent", noise=noise)
+            pincal.calibrate(mechanism, data, noise=noise)
         assert len(str(caught.value)) < 300
         if kind == "4cable":
-            result = pincal.calibrate(mechanism, data, method="latent", noise=noise, fixed=["k"])
+            result = pincal.calibrate(mechanism, data, noise=noise, fixed=["k"])
             assert result.promises
 
 
@@ -161,12 +161,12 @@ def test_one_row_is_spoken_of_as_one() -> None:
     """One row that does not fit, and no rows."""
     mechanism, data = measured("3RRR", 0.2)
     data = put(data, "poses", np.s_[4, 0], data.poses[4, 0] + (2e-4))
-    result = pincal.calibrate(mechanism, data, method="together", poses="all", noise=NOISE)
+    result = pincal.calibrate(mechanism, data, poses="all", noise=NOISE)
     (text,) = (one for one in result.warnings if "not fit the others" in one)
     assert text.startswith("1 of 60 rows does not fit the others, data row 5 by")
     assert "look at it" in text
     robust = pincal.calibrate(
-        mechanism, data, method="together", poses="all", noise=NOISE, loss="reject"
+        mechanism, data, poses="all", noise=NOISE, loss="reject"
     )
     summary = " ".join(calibration_summary(data, robust, None))
     assert "with the row that does not fit" in summary

@@ -184,7 +184,7 @@ def test_killed_while_writing(times: int, measured: Path, tmp_path: Path) -> Non
                      "--axis torsion=-0.05:0.05:0.005 --jobs 2", " …", marks=pytest.mark.slow),
         pytest.param("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", " …",
                      marks=pytest.mark.slow),
-        pytest.param("calibrate 5R {}/many.csv --method latent", " …", marks=pytest.mark.slow),
+        pytest.param("calibrate 5R {}/many.csv", " …", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_path: Path) -> None:

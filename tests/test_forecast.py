@@ -84,12 +84,12 @@ def test_full_poses_give_the_covariance_of_the_calibration(
     exact = pincal.simulate(
         mechanism, mechanism, pincal.Plan(poses[name]), pincal.Noise(0.0, 0.0, 0.0)
     ).measurements
-    result = pincal.calibrate(mechanism, exact, method="together", poses="all", noise=NOISE)
+    result = pincal.calibrate(mechanism, exact, poses="all", noise=NOISE)
     found = pincal.forecast(mechanism, poses[name], NOISE)
     assert found.rank.complete
     np.testing.assert_allclose(found.covariance, result.covariance, rtol=1e-6, atol=1e-18)
     one = found.platform_error(poses[name])
-    other = pincal.expected_error(result, poses[name])
+    other = result.expected_error(poses[name])
     assert one.position == pytest.approx(other.position, rel=1e-6)
     assert one.orientation == pytest.approx(other.orientation, rel=1e-6)
 
@@ -105,7 +105,7 @@ def test_each_leg_alone_gives_the_covariance_of_the_default(name: str, dealt: bo
     result = pincal.calibrate(mechanism, exact, noise=NOISE)
     found = pincal.forecast(mechanism, plan, NOISE, method="per-leg")
     np.testing.assert_allclose(found.covariance, result.covariance, rtol=1e-6, atol=1e-18)
-    expected = pincal.expected_error(result, poses)
+    expected = result.expected_error(poses)
     assert found.platform_error(poses).position == pytest.approx(expected.position, rel=1e-6)
     best = pincal.forecast(mechanism, poses, NOISE)
     assert best.platform_error(poses).position < expected.position
@@ -115,7 +115,7 @@ def test_each_leg_alone_gives_the_covariance_of_the_default(name: str, dealt: bo
 
 
 def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
-    """The bound is that of --method latent; the default's larger error stands beside it."""
+    """The bound is that of; the default's larger error stands beside it."""
     mechanism = pincal.load_mechanism("5R")
     poses = workspace("5R", 30)
     plan = pincal.Plan(poses, ("leg_1", "leg_2") * 15)
@@ -127,7 +127,7 @@ def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
     alone = 1e3 * own.platform_error(over).position
     best = 1e3 * pincal.forecast(mechanism, plan).platform_error(over).position
     assert best < 0.9 * alone
-    assert f"{best:.3g} mm; the best that any calibration can reach: --method latent" in said
+    assert f"{best:.3g} mm; the best that any calibration can reach:" in said
     assert f"each leg alone by the poses of its set: root mean square {alone:.3g} mm" in said
     assert f"{own.poses_for(1e-4, over):.0f} with each leg alone" in said
     outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--measure", "x")

@@ -55,7 +55,7 @@ def test_the_anchors_are_found(mechanism: pincal.Mechanism, data: pincal.Measure
 
     An independent fit found 0.623 mm and distances of 1582.1, 1790.5, 1595.4, 2352.2 mm.
     """
-    result = pincal.calibrate(mechanism, data, method="latent", noise=HELD)
+    result = pincal.calibrate(mechanism, data, noise=HELD)
     assert result.converged
     assert rms(result) <= 0.63e-3
     far = [np.linalg.norm(leg.identified[:3]) for leg in result.legs]
@@ -72,13 +72,13 @@ def test_the_anchors_are_found(mechanism: pincal.Mechanism, data: pincal.Measure
 def test_positions_with_noise(mechanism: pincal.Mechanism, data: pincal.Measurements) -> None:
     """Measured positions freed at 1 mm: 0.465 mm, as the independent fit found."""
     noise = pincal.Noise(1e-3, 0.0, 1e-3)
-    result = pincal.calibrate(mechanism, data, method="latent", noise=noise)
+    result = pincal.calibrate(mechanism, data, noise=noise)
     assert rms(result) == pytest.approx(0.465e-3, abs=2e-6)
 
 
 def test_gains_are_needed(mechanism: pincal.Mechanism, data: pincal.Measurements) -> None:
     """Without them 1.80 mm is left, and χ² says that the model lacks something."""
-    result = pincal.calibrate(mechanism, data, method="latent", noise=HELD, fixed=("k",))
+    result = pincal.calibrate(mechanism, data, noise=HELD, fixed=("k",))
     assert rms(result) == pytest.approx(1.80e-3, abs=0.02e-3)
     assert any("χ²" in text for text in result.warnings)
 
@@ -96,7 +96,7 @@ def test_rough_starts_reach_the_optimum(
                 for leg in mechanism.legs
             }
         )
-        result = pincal.calibrate(start, data, method="latent", noise=HELD, rough=True)
+        result = pincal.calibrate(start, data, noise=HELD, rough=True)
         reached += result.converged and rms(result) <= 0.63e-3
     print(f"{reached} of 50 starts")
     assert reached >= 45
@@ -107,7 +107,7 @@ def test_the_command_finds_the_poses(tmp_path: Path) -> None:
     """From the bundled robot and the file as it is: result, mechanism and all 44 poses."""
     noise = ("--noise-position", 1e-3, "--noise-reading", 1e-3)
     out = tmp_path / "result"
-    outcome = done("calibrate", "4cable", FILE, "--method", "latent", *noise, "--rough", "-o", out)
+    outcome = done("calibrate", "4cable", FILE, *noise, "--rough", "-o", out)
     assert "held-out rows" in outcome.out
     found = pincal.load_mechanism(str(out))
     poses = pincal.read_measurements(FILE, found, partial=True)

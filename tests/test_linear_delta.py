@@ -100,7 +100,7 @@ def test_clean_heights_give_all_that_heights_can_tell() -> None:
     """
     mechanism, truth = pincal.load_mechanism("linear_delta"), drawn(2)
     data = probed(mechanism, truth, pincal.Noise(0.0, 0.0, 0.0))
-    result = pincal.calibrate(mechanism, data, method="latent", noise=PROBE)
+    result = pincal.calibrate(mechanism, data, noise=PROBE)
     assert "base frame: 3 freedoms" in result.gauge[0]
     found, wanted = (delta_printer(one).printer for one in (result.identified, truth))
     assert abs(found.radius - wanted.radius) < 1e-8
@@ -116,15 +116,15 @@ def test_what_heights_tell_is_forecast() -> None:
     assert forecast.rank.rank == 9
     assert forecast.gauge.shape[1] == 3
     data = probed(mechanism, mechanism, PROBE)
-    result = pincal.calibrate(mechanism, data, method="latent", noise=PROBE)
+    result = pincal.calibrate(mechanism, data, noise=PROBE)
     arms = [leg.std[2] for leg in result.legs]  # the others depend on where the frame is put
     np.testing.assert_allclose(arms, forecast.std[2::4], rtol=0.02)
     pair = next(one for one in result.weak if one.first == "leg_1.radius")
     assert pair.second == "leg_1.arm"
     assert pair.correlation > 0.95
-    held = pincal.calibrate(mechanism, data, method="latent", noise=PROBE, fixed=["arm"])
+    held = pincal.calibrate(mechanism, data, noise=PROBE, fixed=["arm"])
     assert held.legs[0].std[0] == pytest.approx(pair.known[0], rel=0.02)
-    held = pincal.calibrate(mechanism, data, method="latent", noise=PROBE, fixed=["radius"])
+    held = pincal.calibrate(mechanism, data, noise=PROBE, fixed=["radius"])
     assert held.legs[0].std[2] == pytest.approx(pair.known[1], rel=0.02)
 
 
@@ -155,7 +155,7 @@ def test_ties_are_tested_free_of_frames() -> None:
     """
     mechanism, truth = pincal.load_mechanism("linear_delta"), drawn(4)
     data = probed(mechanism, truth, PROBE)
-    tied = pincal.calibrate(mechanism, data, method="latent", noise=PROBE, tied=["radius"])
+    tied = pincal.calibrate(mechanism, data, noise=PROBE, tied=["radius"])
     assert tied.ties == ()
     assert tied.reduced_chi2 < 2.0
     radii = [leg.identified[0] for leg in tied.legs]
@@ -165,7 +165,7 @@ def test_ties_are_tested_free_of_frames() -> None:
     )
     longer = truth.with_parameters({"leg_1": {"arm": 0.343}})
     data = probed(mechanism, longer, PROBE)
-    tied = pincal.calibrate(mechanism, data, method="latent", noise=PROBE, tied=["arm"], rough=True)
+    tied = pincal.calibrate(mechanism, data, noise=PROBE, tied=["arm"], rough=True)
     assert tied.ties[0].restrictions == 2
     assert not tied.ties[0].holds
 
@@ -181,7 +181,7 @@ def test_standard_errors_of_probing_are_the_spread_of_200_runs() -> None:
     found, predicted = [], []
     for seed in range(200):
         data = probed(mechanism, truth, PROBE, seed)
-        result = pincal.calibrate(mechanism, data, method="latent", noise=PROBE)
+        result = pincal.calibrate(mechanism, data, noise=PROBE)
         assert result.converged
         found.append([leg.identified for leg in result.legs])
         predicted.append([leg.std for leg in result.legs])

@@ -26,7 +26,7 @@ def calibrated(kind: str, seed: int, **moved: np.ndarray) -> pincal.CalibrationR
     matrices = mechanism.platform.transforms(data.poses).as_matrix()
     seen = moved.get("base", np.eye(4)) @ matrices @ moved.get("target", np.eye(4))
     data = replace(data, poses=mechanism.platform.from_matrices(seen))
-    return pincal.calibrate(mechanism, data, noise=NOISE, method="together", poses="all")
+    return pincal.calibrate(mechanism, data, noise=NOISE, poses="all")
 
 
 def motion(kind: str) -> np.ndarray:

@@ -69,7 +69,6 @@ def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, s
     result = pincal.calibrate(
         mechanism,
         fit,
-        method="latent",
         noise=NOISE,
         setup=SETUP,
         rough=True,
@@ -97,7 +96,7 @@ def test_the_joint_that_stood_still_is_refused(
     """Without leave to hold them, directions that the rows do not tell are refused by name."""
     assert np.ptp(data.readings[:, 0]) == 0.0
     with pytest.raises(pincal.ObservabilityError, match=r"q_S_x.*hold-undetermined"):
-        pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=SETUP, rough=True)
+        pincal.calibrate(mechanism, data, noise=NOISE, setup=SETUP, rough=True)
 
 
 @pytest.mark.slow
@@ -125,7 +124,6 @@ def test_ten_splits(side: str, framed: bool) -> None:
         result = pincal.calibrate(
             mechanism,
             seen.rows(rows),
-            method="latent",
             noise=NOISE,
             setup=SETUP if framed else None,
             rough=True,

@@ -104,7 +104,7 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
     truth = pincal.disturb(mechanism, 1e-3, seed=1)
     poses = pincal.sample_workspace(mechanism, 90, seed=0)
     data = pincal.simulate(mechanism, truth, pincal.Plan(poses[:50]), NOISE, seed=2).measurements
-    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, setup=setup)
+    result = pincal.calibrate(mechanism, data, noise=NOISE, setup=setup)
     dof = result.degrees_of_freedom if result.noise_source == "estimated" else None
     found = platform_error(
         result.identified,
@@ -113,7 +113,7 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
         frames=result.frames_moved,
         degrees_of_freedom=dof,
     )
-    expected = pincal.expected_error(result, poses)
+    expected = result.expected_error(poses)
     assert found.position == pytest.approx(expected.position, rel=1e-9)
     assert found.orientation == pytest.approx(expected.orientation, rel=1e-9)
     errors = errors_at(result, poses)
@@ -129,7 +129,7 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     mechanism = pincal.load_mechanism("3RRR")
     poses = pincal.sample_workspace(mechanism, 80, seed=0)
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses[:7]), NOISE).measurements
-    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE, hold_undetermined=True)
+    result = pincal.calibrate(mechanism, data, noise=NOISE, hold_undetermined=True)
     assert result.undetermined_directions is not None
     held = Unidentified(result.undetermined_directions, result.nominal)
     found = platform_error(result.identified, result.covariance, poses, held, result.frames_moved)
@@ -140,7 +140,7 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     np.testing.assert_allclose(found.sizes[known], errors.after[known], rtol=1e-9)
     assert found.where_determined == pytest.approx(errors.mean_after(), rel=1e-9, nan_ok=True)
     assert found.limit == pytest.approx(errors.limit, rel=1e-9, nan_ok=True)
-    assert pincal.expected_error(result, poses).position == found.position
+    assert result.expected_error(poses).position == found.position
 
 
 def test_closing_twists_are_the_misses_of_the_platform() -> None:

@@ -16,8 +16,8 @@ from measured import put
 from numpy.typing import NDArray
 
 import pincal
-from pincal.identification import plausibility
-from pincal.identification.plausibility import check_copies, check_noise, check_plausible
+from pincal.calibration import plausibility
+from pincal.calibration.plausibility import check_copies, check_noise, check_plausible
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import close
 
@@ -430,7 +430,7 @@ def test_repeated_measurements_are_no_copies() -> None:
 
 @pytest.mark.parametrize(
     ("method", "poses", "counts"),
-    [("per-leg", "own", False), ("per-leg", "all", True), ("latent", "own", True)],
+    [("per-leg", "own", False), ("per-leg", "all", True), ("all-legs", "own", True)],
 )
 def test_copies_for_several_legs_count_once(method: Any, poses: Any, counts: bool) -> None:
     """Rows copied to each leg's set are refused where every row serves every leg.

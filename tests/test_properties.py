@@ -34,7 +34,7 @@ NOISE = Noise(position=1e-5, orientation=1e-5, reading=1e-6)
 SAME = 1e-5  # of a standard error; the fit ends where its steps are below 1e-7 of one
 PROPERTIES: dict[str, Property] = {}
 SEEDS = st.integers(0, 2**32 - 1)
-METHODS = st.sampled_from(["per-leg", "together", "latent"])
+METHODS = st.sampled_from(["per-leg", "all-legs"])
 
 
 def holds(function: Property) -> Property:

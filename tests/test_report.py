@@ -24,8 +24,8 @@ from marks import some_slow
 from rich.console import Console
 
 import pincal
-from pincal.identification.result_files import as_json
-from pincal.identification.robust import Outlier
+from pincal.calibration.result_files import as_json
+from pincal.estimation.robust import Outlier
 from pincal.show.calibration import (
     calibration_summary,
     legs_table,
@@ -80,7 +80,7 @@ def planar() -> tuple[pincal.CalibrationResult, pincal.Measurements, Report]:
 def hexapod() -> Report:
     """Report of a 6-UPS, all legs together."""
     mechanism, data = measured("6UPS", 30)
-    result = pincal.calibrate(mechanism, data, noise=NOISE, method="together")
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
     errors = errors_at(result, data.poses)  # at poses at hand: to sample the workspace takes long
     return Report(Findings(result, data, data.poses, errors), Origin("", (), (), DATE))
 
@@ -93,7 +93,7 @@ def cables() -> Report:
     poses = data.poses + np.array([0.5, -0.3, 0.1])
     poses[::3, 2] = np.nan
     data, setup = replace(data, poses=poses), pincal.Setup(unknown_frame=True)
-    result = pincal.calibrate(mechanism, data, noise=noise, method="latent", setup=setup)
+    result = pincal.calibrate(mechanism, data, noise=noise, setup=setup)
     return pincal.report(result, data, setup=setup, date=DATE)
 
 
@@ -105,7 +105,7 @@ def test_the_first_section_answers(planar: Any) -> None:
     assert [head.text_content() for head in first.iter("h2")] == QUESTIONS
     poses = report.found.errors.poses
     before = pincal.accuracy(result.nominal, result.identified, poses)
-    after = pincal.expected_error(result, poses)
+    after = result.expected_error(poses)
     shown = [[float(cell.text) for cell in row.iter("td")] for row in first.xpath(".//tbody/tr")]
     sizes = [[1e3 * one.position, 1e3 * one.orientation] for one in (before, after)]
     np.testing.assert_allclose(shown, np.transpose(sizes), rtol=6e-3)
@@ -361,7 +361,7 @@ def test_exact_readings_are_no_proof() -> None:
     poses = data.poses.copy()
     poses[:, 2] = np.nan
     data = replace(data, poses=poses)
-    result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 0.0), method="latent")
+    result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 0.0))
     page = page_of(pincal.report(result, data))
     first = page.get_element_by_id("answers").text_content()
     (x, y) = result.observed
@@ -452,7 +452,7 @@ def test_unknown_frames(cables: Report) -> None:
     """Errors leave out motions of the frames; poses measured elsewhere are shown in the base."""
     found, result = cables.found, cables.found.result
     assert found.errors is not None
-    expected = pincal.expected_error(result, found.errors.poses)
+    expected = result.expected_error(found.errors.poses)
     assert found.errors.mean_after()[0] == pytest.approx(expected.position, rel=1e-9)
     before = pincal.accuracy(result.nominal, result.identified, found.errors.poses)
     assert found.errors.mean_before()[0] < before.position
@@ -491,7 +491,7 @@ def test_errors_where_poses_are_out_of_reach(planar: Any) -> None:
     assert np.isnan(found.before[3]).all()
     assert np.isnan(found.after[3]).all()
     assert found.mean_after()[0] == pytest.approx(
-        pincal.expected_error(result, data.poses[:3]).position
+        result.expected_error(data.poses[:3]).position
     )
 
 

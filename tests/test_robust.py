@@ -12,9 +12,9 @@ from measured import EXACT, NOISE, error, machine, put, workspace
 from scipy.stats import chi2
 
 import pincal
-from pincal.identification.losses import LOSSES, robust_scale
+from pincal.estimation.losses import LOSSES, robust_scale
 
-METHODS = ["per-leg", "together", "latent"]
+METHODS = ["per-leg", "all-legs"]
 
 
 def spoiled(data: pincal.Measurements, seed: int, sigma: float) -> tuple:
@@ -30,11 +30,11 @@ def spoiled(data: pincal.Measurements, seed: int, sigma: float) -> tuple:
 @pytest.mark.parametrize(
     ("loss", "method"),
     [
-        ("reject", "together"),
+        ("reject", "all-legs"),
         *(
             pytest.param(loss, method, marks=pytest.mark.slow)
             for loss, method in product(["reject", "tukey", "cauchy"], METHODS)
-            if (loss, method) != ("reject", "together")
+            if (loss, method) != ("reject", "all-legs")
         ),
     ],
 )
@@ -70,11 +70,11 @@ def test_rejected_rows_really_leave_the_fit() -> None:
     """The result equals that of the other rows alone, bit by bit of ten digits."""
     mechanism, _, data = machine("3RRR", 60)
     bad, rows = spoiled(data, 0, 1e-4)
-    result = pincal.calibrate(mechanism, bad, method="latent", noise=NOISE, loss="reject")
+    result = pincal.calibrate(mechanism, bad, noise=NOISE, loss="reject")
     assert {one.row for one in result.outliers} == rows
     assert all(one.weight == 0.0 for one in result.outliers)
     kept = np.setdiff1d(np.arange(len(data)), list(rows))
-    alone = pincal.calibrate(mechanism, bad.rows(kept), method="latent", noise=NOISE)
+    alone = pincal.calibrate(mechanism, bad.rows(kept), noise=NOISE)
     for one, two in zip(result.legs, alone.legs, strict=True):
         np.testing.assert_allclose(one.identified, two.identified, atol=1e-10)
         np.testing.assert_allclose(one.std, two.std, rtol=1e-6)
@@ -88,7 +88,7 @@ def test_a_wrong_reading_is_named() -> None:
     mechanism, _, data = machine("6UPS", 60)
     data = put(data, "readings", np.s_[7, 2], data.readings[7, 2] + (5e-3))
     for noise in (NOISE, None):
-        result = pincal.calibrate(mechanism, data, method="latent", noise=noise, loss="tukey")
+        result = pincal.calibrate(mechanism, data, noise=noise, loss="tukey")
         worst = result.outliers[0]
         assert worst.row == 7
         if noise:
@@ -134,11 +134,11 @@ def test_without_a_loss_outliers_are_warned_of() -> None:
     """The plain fit keeps them, says which rows do not fit, and what to do."""
     mechanism, _, data = machine("3RRR", 60)
     data = put(data, "poses", np.s_[4, 0], data.poses[4, 0] + 0.01)
-    result = pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
     assert result.outliers[0].row == 4
     assert result.outliers[0].weight == 1.0
     for noise in (NOISE, None):  # also by the scale that is estimated; the pose gives way a little
-        found = pincal.calibrate(mechanism, data, method="latent", noise=noise)
+        found = pincal.calibrate(mechanism, data, noise=noise)
         said = re.fullmatch(r"measured x off by ([\d.]+) σ", found.outliers[0].why)
         assert said
         assert found.noise
@@ -183,7 +183,6 @@ def test_standard_errors_of_robust_fits_equal_the_spread(loss: str) -> None:
         result = pincal.calibrate(
             mechanism,
             data,
-            method="latent",
             noise=NOISE,
             loss=loss,  # type: ignore[arg-type]
         )
@@ -201,7 +200,7 @@ def test_noise_of_repeated_rows_is_found() -> None:
     rng = np.random.default_rng(0)
     shake = np.array([1e-4, 1e-4, 3e-4]) * rng.standard_normal(many.poses.shape)
     same = replace(many, poses=many.poses + shake)
-    result = pincal.calibrate(mechanism, same, method="together", poses="all")
+    result = pincal.calibrate(mechanism, same, poses="all")
     assert result.noise_source == "repeats"
     assert result.noise is not None
     assert result.noise.position == pytest.approx(1e-4, rel=0.2)
@@ -209,11 +208,11 @@ def test_noise_of_repeated_rows_is_found() -> None:
     assert result.noise.reading < 1e-15
     readings = many.readings + 5e-5 * rng.standard_normal(many.readings.shape)
     named = replace(same, readings=readings, places=tuple(f"p{i}" for i in rows))
-    result = pincal.calibrate(mechanism, named, method="latent")
+    result = pincal.calibrate(mechanism, named)
     assert result.noise is not None
     assert result.noise.reading == pytest.approx(5e-5, rel=0.2)
     assert 0.5 < result.reduced_chi2 < 1.6
-    few = pincal.calibrate(mechanism, same.rows(np.r_[0:2, 5:50:1]), method="together", poses="all")
+    few = pincal.calibrate(mechanism, same.rows(np.r_[0:2, 5:50:1]), poses="all")
     assert few.noise_source == "repeats"
     none = pincal.calibrate(mechanism, machine("3RRR", 30)[2])
     assert none.noise_source == "estimated"
@@ -290,7 +289,7 @@ def test_ties_are_tested_by_one_estimator() -> None:
     mechanism, _, data = machine("3RRR", 40)
     found = [
         pincal.calibrate(mechanism, data, method=method, poses="all", noise=noise, tied=("l", "ob"))
-        for method in ("per-leg", "together")
+        for method in ("per-leg", "all-legs")
         for noise in (NOISE, None)
     ]
     for one, two in zip(found[:2], found[2:], strict=True):
@@ -326,9 +325,9 @@ def test_priors_determine_what_measurements_do_not() -> None:
     poses[:, :2] = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 2))
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), EXACT).measurements
     with pytest.raises(pincal.ObservabilityError, match="move together"):
-        pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+        pincal.calibrate(mechanism, data, noise=NOISE)
     result = pincal.calibrate(
-        mechanism, data, method="latent", noise=NOISE, priors={"ob": 1e-3, "beta_b": 1e-3}
+        mechanism, data, noise=NOISE, priors={"ob": 1e-3, "beta_b": 1e-3}
     )
     assert result.converged
     assert result.legs[0].std[4] == pytest.approx(1e-3, rel=1e-3)
@@ -345,7 +344,7 @@ def test_priors_determine_what_measurements_do_not() -> None:
         ({"priors": {"l": 0.0}}, "expected a standard deviation above 0"),
         ({"loss": "none at all"}, "unknown loss"),
         ({"method": "best"}, "unknown method"),
-        ({"method": "latent", "residual": "joint"}, "closure residual"),
+        ({"residual": "joint"}, "closure residual"),
         ({"priors": {"l": 1e-18}}, "the prior of 'l' is 1e-18; expected a standard deviation"),
     ],
 )
@@ -358,7 +357,7 @@ def test_wrong_choices_are_named(options: dict, message: str) -> None:
 
 def test_the_probability_of_a_listed_row() -> None:
     """Of 20,000 good rows one in a thousand is listed, whatever its number of equations."""
-    from pincal.identification.losses import outlying
+    from pincal.estimation.losses import outlying
 
     for k in (1, 4):
         squares = chi2.rvs(k, size=20_000, random_state=0)

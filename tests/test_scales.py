@@ -16,7 +16,7 @@ from pincal.identification.scales import redundancies
 def warned(noise: pincal.Noise, seed: int) -> list[str]:
     """Return what a latent fit of a 3-RRR says about unequal noise, none given."""
     mechanism, _, data = machine("3RRR", 60, noise, seed)
-    result = pincal.calibrate(mechanism, data, method="latent")
+    result = pincal.calibrate(mechanism, data)
     return [text for text in result.warnings if "equal noise was assumed" in text]
 
 

@@ -246,7 +246,7 @@ def test_mapped_poses_are_symmetrically_observable(
         np.testing.assert_allclose(diagonal, diagonals[0], rtol=1e-9)
 
 
-@pytest.mark.parametrize("method", ["per-leg", "together"])
+@pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 @pytest.mark.parametrize("residual", ["closure", "joint"])
 def test_clean_data_recover_all_48_parameters(
     hexapod: pincal.Mechanism, selection: pincal.Selection, method: str, residual: str

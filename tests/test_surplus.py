@@ -88,7 +88,7 @@ def test_group_and_equations(mechanism: pincal.Mechanism) -> None:
     assert (mechanism.constraints, mechanism.redundant, mechanism.by_readings) == (6, False, True)
 
 
-@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+@pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 def test_clean_data_recover_all_parameters(
     mechanism: pincal.Mechanism, plan: pincal.Plan, method: str
 ) -> None:
@@ -106,12 +106,12 @@ def test_surplus_equations_add_information(mechanism: pincal.Mechanism, plan: pi
     few = pincal.Plan(plan.poses[:6], readings=plan.readings[:6])
     truth = pincal.disturb(mechanism, 1e-3, seed=2)
     data = pincal.simulate(mechanism, truth, few, pincal.Noise(0, 0, 0)).measurements
-    result = pincal.calibrate(mechanism, data, noise=NOISE, method="together", poses="all")
+    result = pincal.calibrate(mechanism, data, noise=NOISE, poses="all")
     np.testing.assert_allclose(result.identified.legs[0].nominal, truth.legs[0].nominal, atol=1e-7)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["together", "latent"])
+@pytest.mark.parametrize("method", ["all-legs", "all-legs"])
 def test_standard_errors_are_the_spread(
     mechanism: pincal.Mechanism, plan: pincal.Plan, method: str
 ) -> None:

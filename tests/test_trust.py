@@ -19,10 +19,10 @@ FRAME = pincal.Setup(unknown_frame=True)
 @pytest.mark.parametrize(
     ("known", "method"),
     some_slow(
-        product([True, False], ["per-leg", "together", "latent"]),
-        (True, "together"),
-        (True, "latent"),
-        (False, "latent"),
+        product([True, False], ["per-leg", "all-legs"]),
+        (True, "all-legs"),
+        (True, "all-legs"),
+        (False, "all-legs"),
     ),
 )
 def test_held_out_rows_miss_as_expected(method: str, known: bool) -> None:
@@ -46,7 +46,7 @@ def test_held_out_rows_of_an_unknown_frame() -> None:
     """Frames are those of the fit: errors are as expected there too, for each estimator."""
     mechanism, _, data = machine("3RRR", 60)
     moved = seen_from_elsewhere(mechanism, data)
-    for method in ("latent", "per-leg"):
+    for method in ("all-legs", "per-leg"):
         found = pincal.validate(
             mechanism, moved, method=method, poses="all", noise=NOISE, setup=FRAME, folds=3
         )
@@ -90,7 +90,7 @@ def test_drift_is_told() -> None:
 
 def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:
     """Rows of one pose are never on both sides; too many folds are refused."""
-    from pincal.identification.validation import _folds
+    from pincal.calibration.validation import _folds
 
     mechanism, _, data = machine("3RRR", 12)
     places = tuple(f"p{i // 3}" for i in range(len(data)))
@@ -101,7 +101,7 @@ def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:
     assert sorted(folds[:6].tolist()) == sorted(folds[6:12].tolist()) == [0, 0, 1, 1, 2, 2]
     for count in (1, 13):
         with pytest.raises(pincal.MeasurementError, match="at least two folds"):
-            pincal.validate(mechanism, data, folds=count, method="latent")
+            pincal.validate(mechanism, data, folds=count)
 
 
 def test_runs_that_agree_and_runs_that_do_not() -> None:
@@ -115,7 +115,7 @@ def test_runs_that_agree_and_runs_that_do_not() -> None:
             for run in range(3)
         ]
         data = joined(parts)
-        found = pincal.compare_runs(mechanism, data, method="latent", noise=NOISE)
+        found = pincal.compare_runs(mechanism, data, noise=NOISE)
         assert found.runs == ("run 0", "run 1", "run 2")
         assert found.consistent
         assert found.warnings == ()
@@ -123,7 +123,7 @@ def test_runs_that_agree_and_runs_that_do_not() -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
     bent = truth.with_parameters({"leg_2": {"OA": truth.leg("leg_2").nominal[2] + 1e-3}})
     parts[1] = pincal.simulate(mechanism, bent, plan, NOISE, 99).measurements
-    found = pincal.compare_runs(mechanism, joined(parts), method="latent", noise=NOISE)
+    found = pincal.compare_runs(mechanism, joined(parts), noise=NOISE)
     assert not found.consistent
     assert found.ratio > 3
     assert "something changed between runs" in found.warnings[0]
@@ -163,7 +163,7 @@ def joined(parts: list[pincal.Measurements]) -> pincal.Measurements:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["per-leg", "together"])
+@pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 def test_standard_errors_in_an_unknown_frame(method: str) -> None:
     """Parameters, frame and platform over 40 data sets: errors are as large as is said.
 
@@ -182,7 +182,7 @@ def test_standard_errors_in_an_unknown_frame(method: str) -> None:
         said.append(np.concatenate([leg.std for leg in result.legs]))
         outer.append([(p.identified, p.std) for p in result.external])
         known = pincal.calibrate(mechanism, data, **options)  # type: ignore[arg-type]
-        expected = pincal.expected_error(known, clean.poses).position
+        expected = known.expected_error(clean.poses).position
         errors.append((pincal.accuracy(known.identified, truth, clean.poses).position, expected))
     ratios = np.mean(said, axis=0) / np.std(found, axis=0)
     assert abs(ratios.mean() - 1) < 0.1

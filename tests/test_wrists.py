@@ -76,7 +76,7 @@ def test_readings_poses_and_margins_are_those_of_balls(
         np.testing.assert_allclose(there.type2[both], here.type2[both], atol=1e-9)
 
 
-@pytest.mark.parametrize("method", ["per-leg", "together", "latent"])
+@pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 def test_parameters_come_back(
     wrists: pincal.Mechanism, poses: np.ndarray, method: str, tmp_path: Path
 ) -> None:

@@ -255,8 +255,8 @@ class CalibrationResult:
     @cached_property
     def weak(self) -> tuple[WeakPair, ...]:
         """Pairs of parameters that are weakly determined, the weakest first."""
-        names = [(leg.name, p.name) for leg in self.legs for p in leg.parameters]
-        return weak_pairs(names, self.covariance, self.gauge_directions)
+        ids = [p.id for leg in self.legs for p in leg.parameters]
+        return weak_pairs(ids, self.covariance, self.gauge_directions)
 
     @property
     def excess(self) -> float:
