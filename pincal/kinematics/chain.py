@@ -50,7 +50,9 @@ class Chain:
 
     @cached_property
     def _wanted(self) -> Array:
-        return self.forest.wanted(np.concatenate((self.from_joints, self.from_parameters), axis=1).T)
+        return self.forest.wanted(
+            np.concatenate((self.from_joints, self.from_parameters), axis=1).T
+        )
 
 
 @lru_cache(maxsize=256)

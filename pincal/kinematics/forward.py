@@ -19,8 +19,8 @@ from pincal.errors import MechanismError
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
-from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.inverse import CHUNK, close, sensor_law
+from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.mechanism import Mechanism
@@ -146,7 +146,9 @@ def _solve(
     return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
 
 
-def placed_by_arm(mechanism: Mechanism, legs: Sequence[LegClosure], readings: Array) -> Array | None:
+def placed_by_arm(
+    mechanism: Mechanism, legs: Sequence[LegClosure], readings: Array
+) -> Array | None:
     """Return the poses that follow from a leg whose every joint is read, shape (N, 4, 4).
 
     None if there is no such leg, or it ends in a point.
@@ -167,7 +169,7 @@ def _joints_near(leg: LegClosure, matrices: Array) -> Array:
 
 
 def _in_mode(leg: LegClosure, joints: Array, matrices: Array, rows: NDArray[np.intp]) -> Closure:
-    """Return a leg's closure at rows; a line that a step turned over gets the joints of its mode again."""
+    """Return a leg's closure at rows; a line that a step turned over is put back in its mode."""
     closure = leg.evaluate(joints[rows], matrices[rows])
     left = rows[~in_home_mode(leg, closure)]
     if not (len(left) and is_line(leg)):
