@@ -83,7 +83,7 @@ def test_against_pinocchio_alone(
         "Jacobians of three legs at 30,000 poses, inverse kinematics included, over "
         "Pinocchio alone for the same joint columns",
         own / alone,
-        "<= 5",
+        "<= 3",
     )
     benchmark.extra_info["ratio"] = own / alone
     benchmark(identification_jacobians, mechanism, transforms)

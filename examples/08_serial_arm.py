@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.kinematics.collision import free_of_collision
+from pincal.kinematics.readers import free_of_collision
 
 # Any URDF will do; this one comes with the package example-robot-data.
 urdf = next(str(f.locate()) for f in files("example-robot-data") if f.name == "ur10_robot.urdf")

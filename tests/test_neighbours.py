@@ -36,10 +36,10 @@ from pincal.formats.serial import serial_arm
 from pincal.formats.tree_mjcf import mjcf
 from pincal.formats.tree_of import tree_of
 from pincal.formats.tree_urdf import loops_urdf, loops_yaml
+from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import closed_form, pointing_slide
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.independent import independent
 from pincal.kinematics.reach import reach_of
 from pincal.model.leg import Leg
 from pincal.model.links import link_placements

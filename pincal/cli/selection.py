@@ -39,9 +39,9 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.collision import free_of_collision
 from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.inverse import sensor_law
+from pincal.kinematics.readers import free_of_collision
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup

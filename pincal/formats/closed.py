@@ -20,8 +20,7 @@ from pincal.formats.drawn import check_drawn
 from pincal.formats.graph import Way, ways_of
 from pincal.formats.limbs import Limb, limb, point_platform, poses_at_zero
 from pincal.formats.tree import Tree, listed
-from pincal.kinematics.assembly import assembled
-from pincal.kinematics.independent import independent
+from pincal.kinematics.assembly import assembled, independent
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along, placement_of

@@ -2,7 +2,7 @@
 
 Each joint's placement on its parent link, and the tool's on the last one, has six small
 displacements as parameters; with base and tool unknown that is one set more than there are joints.
-What of it measurements cannot tell is found when they are planned or made.
+Which of them are not observable is found when measurements are planned or made.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         description: Of the mechanism.
 
     Raises:
-        MechanismError: no joint moves; names that cannot be told apart.
+        MechanismError: no joint moves; names that are alike.
     """
     moving = [joint for joint in joints if joint.kind != "fixed"]
     if not moving:

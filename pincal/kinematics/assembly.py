@@ -1,8 +1,10 @@
-"""A home configuration in which all legs close, near one in which they need not.
+"""What other programs' files do not say: a home in which all legs close, parameters that count.
 
-Files of neighbours say how bodies hang together, and at which joint positions they were drawn; that
-the loops are closed there is not said. Newton's method on the platform's pose and all joints
-takes the shortest steps that close them.
+Files say how bodies hang together, and at which joint positions they were drawn, not that the loops
+are closed there. Newton's method on the platform's pose and all joints takes the shortest steps
+that close them. A passive joint's zero, or a shift along a joint's axis that the next placement has
+too, changes nothing: over random configurations the closure's derivatives by such parameters
+depend on those by others. Of the parameters in order, those that add to the rank are kept.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.batches import ROUNDING
+from pincal.kinematics.closure import LegClosure, joint_range, largest_size
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.model.platform_kind import PlatformKind
@@ -22,8 +25,9 @@ from pincal.model.platform_kind import PlatformKind
 Array = NDArray[np.float64]
 _STEPS = 100
 _LARGEST = 0.3  # of the size, and [rad]
-_SMALL = 1e-12  # of the size
 _CLOSED = 1e-10  # of the size
+_CONFIGURATIONS = 120
+_DEPENDS = 1e-7  # of a column, what others leave of it
 
 
 def assembled(legs: Sequence[Leg], kind: str | PlatformKind) -> tuple[tuple[Leg, ...], Platform]:
@@ -46,7 +50,7 @@ def assembled(legs: Sequence[Leg], kind: str | PlatformKind) -> tuple[tuple[Leg,
         parts = [one.evaluate(q, pose) for one, q in zip(closures, joints, strict=True)]
         gaps = np.concatenate([part.gap[0] for part in parts])
         gap = float(np.abs(gaps).max())
-        if gap <= _SMALL * size:
+        if gap <= ROUNDING * size:
             break
         widths = [len(leg.moving) for leg in legs]
         J = np.zeros((len(gaps), free.dof + sum(widths)))
@@ -115,3 +119,49 @@ def _turn(tips: Array, points: Array, space: int) -> Array:
     u, _, vt = np.linalg.svd(points.T @ tips)
     straight = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(vt.T @ u.T))) or 1.0])
     return vt.T @ straight @ u.T
+
+
+def independent(leg: Leg, platform: Platform, order: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of parameters that are independent of those before them.
+
+    Args:
+        leg: The leg, at nominal parameters.
+        platform: Of its mechanism.
+        order: Names of all its parameters, those to keep rather first.
+    """
+    closure = LegClosure(leg, platform)
+    rng = np.random.default_rng(0)
+    joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))
+    part = closure.evaluate(joints, _turned_at_random(closure, joints, rng))
+    rows = part.project(part.parameter)
+    rows = rows.reshape(-1, rows.shape[2])
+    size = closure.size or 1.0
+    scale = np.array([1.0 if leg.units[name] == "m" else 1.0 / size for name in order])
+    columns = rows[:, [leg.parameter_names.index(name) for name in order]] * scale
+    columns = columns[np.isfinite(columns).all(axis=1)]
+    kept: list[str] = []
+    basis: list[Array] = []
+    for name, column in zip(order, columns.T, strict=True):
+        rest = column.copy()
+        for _ in range(2):  # twice is enough: Gram-Schmidt's rounding errors are gone
+            for q in basis:
+                rest -= (q @ rest) * q
+        if np.linalg.norm(rest) > _DEPENDS * np.sqrt(len(column)):
+            basis.append(rest / np.linalg.norm(rest))
+            kept.append(name)
+    return tuple(kept)
+
+
+def _turned_at_random(closure: LegClosure, joints: Array, rng: np.random.Generator) -> Array:
+    """Return poses in which the platform is where the leg puts it, turned at random."""
+    platform = closure.platform
+    if closure.leg.closes == "frame":
+        return closure.frame(joints)
+    matrices = np.tile(np.eye(4), (len(joints), 1, 1))
+    if platform.kind == "spatial":
+        matrices[:, :3, :3] = Rotation.random(len(joints), rng=rng).as_matrix()
+    elif platform.kind == "planar":
+        turns = np.outer(rng.uniform(-np.pi, np.pi, len(joints)), (0.0, 0.0, 1.0))
+        matrices[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
+    matrices[:, :3, 3] = closure.tips(joints) - closure.targets(matrices)
+    return matrices

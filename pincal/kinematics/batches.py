@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
-_SERIES = float(np.finfo(float).eps) ** 0.25  # angle whose fourth power is rounding error, [rad]
+#: Part of a mechanism's size, and angle [rad], that rounding errors may reach.
+ROUNDING = 1e-12
+_SERIES = float(np.finfo(float).eps) ** 0.25  # fourth root of rounding errors, [rad]
 
 
 def product(a: Array, b: Array) -> Array:
@@ -74,6 +76,19 @@ def left_null(matrix: Array) -> Array:
     with np.errstate(invalid="ignore"):
         q[np.linalg.det(both) < 0.0, :, -1] *= -1.0
     return q[:, :, p:]
+
+
+def applied(matrices: Array, vectors: Array) -> Array:
+    """Return T v of poses T, shape (N, 4, 4), and vectors (4, k), shape (3, k, N).
+
+    One product of matrices: the poses' entries, in a row, times what each vector takes of them.
+    """
+    k = vectors.shape[1]
+    takes = np.zeros((3, k, 3, 4))
+    for row in range(3):
+        takes[row, :, row] = vectors.T
+    entries = matrices.reshape(-1, 16)[:, :12]
+    return (takes.reshape(3 * k, 12) @ entries.T).reshape(3, k, -1)
 
 
 def cross(a: Array, b: Array) -> Array:

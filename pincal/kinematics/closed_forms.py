@@ -17,13 +17,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.kinematics.batches import ROUNDING
 from pincal.kinematics.closure import LegClosure
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 #: Joint positions (N, n_joints) that take the tip to targets (N, 3), and which are in reach.
 ClosedForm = Callable[[LegClosure, Array], tuple[Array, Mask]]
-_EXACT = 1e-12  # of the leg's size
 
 
 @lru_cache(maxsize=256)
@@ -101,7 +101,7 @@ class SlideGeometry:
     """Of the pointing joint, base frame, shape (3,), [m]."""
     pointing: Pointing
     shift: float
-    """How far beyond the centre the slide is at zero, [m]."""
+    """How far past the centre the slide is at zero, [m]."""
     forth: float
     """Sign of the slide's distance from the centre at home."""
 
@@ -222,10 +222,10 @@ def _points(closure: LegClosure, rod: bool) -> bool:
     missed = np.abs(axes[:3].T - np.cross(axes[3:].T, start)).max()
     skew = [] if closure.platform.space == 2 else [axes[3:, 0] @ axes[3:, 1]]
     skew += [] if rod else [axes[3:, -1] @ arm]
-    small = _EXACT * closure.size
+    small = ROUNDING * closure.size
     lever = columns[:3, 0] - np.cross(columns[3:, 0], arm)  # of a rod's drive
     degenerate = rod and min(np.linalg.norm(arm), np.linalg.norm(lever)) <= small
-    return bool(missed <= small and np.abs(skew).max(initial=0.0) <= _EXACT and not degenerate)
+    return bool(missed <= small and np.abs(skew).max(initial=0.0) <= ROUNDING and not degenerate)
 
 
 def _in_space(closure: LegClosure, vectors: Array) -> Array:

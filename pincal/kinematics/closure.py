@@ -19,7 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.kinematics.batches import cross, inverse_left_jacobian, left_null, turn_between
+from pincal.kinematics.batches import (
+    applied,
+    cross,
+    inverse_left_jacobian,
+    left_null,
+    turn_between,
+)
 from pincal.kinematics.batches import least_squares as least_squares
 from pincal.kinematics.batches import point_velocity as point_velocity
 from pincal.kinematics.batches import product as product
@@ -161,7 +167,7 @@ class LegClosure:
 
     def _placed(self, matrices: Array) -> Array:
         """Return the platform point in the base frame, shape (3, N), [m]."""
-        return _applied(matrices, np.append(self._b, 1.0)[:, None])[:, 0]
+        return applied(matrices, np.append(self._b, 1.0)[:, None])[:, 0]
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
@@ -184,7 +190,7 @@ class LegClosure:
         moved, parameter = np.split(columns, [joints.shape[1]], axis=1)
         if len(self._by_point):
             speeds = np.concatenate((self._db[:3], np.zeros((1, len(self._by_point)))))
-            parameter[:, self._by_point] -= _applied(matrices, speeds)[:m]
+            parameter[:, self._by_point] -= applied(matrices, speeds)[:m]
         rows = [
             part.transpose(2, 0, 1)
             for part in (moved[:, self.leg.active], moved[:, self.leg.passive], parameter)
@@ -202,9 +208,12 @@ class LegClosure:
                 by_joints[:, :, n:],
             )
             rows = [np.concatenate(both, axis=1) for both in zip(rows, parts, strict=True)]
+        active, passive, parameter = rows
         return Closure(
             gap,
-            *rows,
+            active,
+            passive,
+            parameter,
             make_pose=lambda: self._by_pose(matrices, error),
             drive_twists=lambda: self._drive_twists(motion),
         )
@@ -229,7 +238,7 @@ class LegClosure:
 
     def _by_pose(self, matrices: Array, error: Array | None) -> Array:
         """Return ∂c/∂x, shape (N, m, dof), given the turn's error if there is one, (N, 3)."""
-        arm = _applied(matrices, np.append(self._b, 0.0)[:, None])[:, 0].T
+        arm = applied(matrices, np.append(self._b, 0.0)[:, None])[:, 0].T
         twist_rows = self.platform.twist_rows
         pose = -point_velocity(arm, twist_rows)[:, : self.platform.space]
         if error is None:
@@ -281,31 +290,16 @@ def _padded(rows: Array) -> Array:
     return np.concatenate((rows, np.zeros((3 - len(rows), rows.shape[1])))).T
 
 
-def _applied(matrices: Array, vectors: Array) -> Array:
-    """Return T v of poses T, shape (N, 4, 4), and vectors (4, k), shape (3, k, N).
-
-    One product of matrices: the poses' entries, in a row, times what each vector takes of them.
-    """
-    k = vectors.shape[1]
-    takes = np.zeros((3, k, 3, 4))
-    for row in range(3):
-        takes[row, :, row] = vectors.T
-    entries = matrices.reshape(-1, 16)[:, :12]
-    return (takes.reshape(3 * k, 12) @ entries.T).reshape(3, k, -1)
-
-
-def largest_size(legs: Iterable[Leg], platform: Platform) -> float:
+def largest_size(legs: Iterable[Leg], _: Platform | None = None) -> float:
     """Return the length of the longest stretched leg, [m]: the scale of a mechanism."""
     return max(leg.size for leg in legs)
 
 
-def joint_range(leg: Leg) -> Array:
-    """Return the ends of each moving joint's range, shape (2, n_joints): limits, or a full turn."""
-    ends = [
-        (joint.lower, joint.upper) if joint.limited else (joint.home - np.pi, joint.home + np.pi)
-        for joint in leg.moving
-    ]
-    return np.array(ends).T
+def joint_range(leg: Leg) -> tuple[Array, Array]:
+    """Return the ends of each moving joint's range, (n_joints,): limits, or a turn about home."""
+    free = np.array([not joint.limited for joint in leg.moving])
+    low, high = np.array([(joint.lower, joint.upper) for joint in leg.moving]).T
+    return np.where(free, leg.home - np.pi, low), np.where(free, leg.home + np.pi, high)
 
 
 @lru_cache(maxsize=64)

@@ -1,4 +1,4 @@
-"""All legs at planned configurations: by poses, or by readings where these do not follow from poses.
+"""All legs at planned configurations: by poses, or by readings that do not follow from them.
 
 Most mechanisms are planned by poses, and inverse kinematics gives the readings. The readings of a
 serial arm do not follow from its pose, and legs with fewer joints than their closure has rows reach
@@ -53,7 +53,7 @@ class Legs:
 
 
 def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
-    """Return a plan, with readings only where they do not follow from poses; or one of bare poses."""
+    """Return a plan, with readings only where they do not follow from poses; or of poses."""
     if not isinstance(planned, Plan):
         return Plan(np.asarray(planned, dtype=np.float64))
     return Plan(planned.poses, planned.sets, planned.readings if mechanism.by_readings else None)

@@ -112,7 +112,9 @@ class Forest:
         padded[:count, :n] = configurations
         out = np.empty((6, blocks, self.copies * self.width))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        for target, q in zip(out.swapaxes(0, 1), padded.reshape(blocks, -1), strict=True):
+        for target, q in zip(
+            out.swapaxes(0, 1), padded.reshape(blocks, self.copies * self.width), strict=True
+        ):
             target[:] = evaluate(model, data, q)
         return out.reshape(6, blocks * self.copies, self.width)[:, :count]
 

@@ -169,7 +169,7 @@ def _joints_near(leg: LegClosure, matrices: Array) -> Array:
 
 
 def _in_mode(leg: LegClosure, joints: Array, matrices: Array, rows: NDArray[np.intp]) -> Closure:
-    """Return a leg's closure at rows; a line that a step turned over gets the joints of its mode again."""
+    """Return a leg's closure at rows; a line that a step turned over is put back in its mode."""
     closure = leg.evaluate(joints[rows], matrices[rows])
     left = rows[~in_home_mode(leg, closure)]
     if not (len(left) and is_line(leg)):

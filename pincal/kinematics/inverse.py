@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MechanismError
-from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.batches import ROUNDING, least_squares, product
 from pincal.kinematics.closed_forms import closed_form, wrapped
 from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
 from pincal.kinematics.starts import in_home_mode, start_joints
@@ -30,7 +30,6 @@ CHUNK = 4096
 _NEWTON_STEPS = 15
 _ATTEMPTS = 6
 _LARGEST_LAST_STEP = 1e-4  # [rad] and [m], where the gap is already small
-_EDGE = 1e-12  # [rad], at limits
 _LISTED = 10  # poses on a printed page
 _SMALL = 1e-11  # of the leg's size: the step after that reaches rounding error
 
@@ -53,8 +52,8 @@ def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
     closure = leg.evaluate(joints, matrices)
     closed = possible & _small(leg, closure)
     step = _newton_step(leg, closure)
-    trusted = (np.abs(step) <= _LARGEST_LAST_STEP).all(axis=1)  # not at a singularity
-    joints = np.where((closed & ~trusted)[:, None], joints, joints + step)
+    last = (np.abs(step) <= _LARGEST_LAST_STEP).all(axis=1)  # not at a singularity
+    joints = np.where((closed & ~last)[:, None], joints, joints + step)
     if not (closed | ~possible).all():
         joints, closed = _search(leg, matrices, joints, closed, possible)
         closure = leg.evaluate(np.where(closed[:, None], joints, leg.leg.home), matrices)
@@ -69,9 +68,9 @@ def _within_limits(leg: LegClosure, joints: Array) -> Array:
         if joint.kind == "revolute" and joint.limited:
             own = joints[:, place]
             with np.errstate(invalid="ignore"):  # where the leg does not close
-                turned = joint.lower + (own - joint.lower + _EDGE) % (2 * np.pi) - _EDGE
-                outside = (own < joint.lower - _EDGE) | (own > joint.upper + _EDGE)
-                fits = outside & (turned <= joint.upper + _EDGE)
+                turned = joint.lower + (own - joint.lower + ROUNDING) % (2 * np.pi) - ROUNDING
+                outside = (own < joint.lower - ROUNDING) | (own > joint.upper + ROUNDING)
+                fits = outside & (turned <= joint.upper + ROUNDING)
             joints[:, place] = np.where(fits, turned, own)
     return joints
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.kinematics.batches import ROUNDING
 from pincal.kinematics.closed_forms import (
     closed_form,
     driven_rod,
@@ -23,7 +24,6 @@ from pincal.kinematics.closure import LegClosure
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-SLACK = 1e-12  # of the leg's size, and [rad]: mirrored poses differ by rounding errors
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _rod(closure: LegClosure, least_type1: float) -> Reach:
     """Return the ring of a dyad: |cos of the elbow| ≤ √(1 − margin²); else a shell around it all.
 
     In space a drive turns its rod's joint in one plane only, and a line has two ends: what is
-    beyond the shell is out of reach, what is within need not be in reach.
+    outside the shell is out of reach, what is within need not be in reach.
     """
     rod, leg = rod_geometry(closure), closure.leg
     line = leg.moving[0].kind == "prismatic"
@@ -144,27 +144,27 @@ def _slide(closure: LegClosure, least_type1: float) -> Reach:
     ends = (slide.lower + form.shift, slide.upper + form.shift)
     low, high = sorted(form.forth * end for end in ends)
     planes: list[Array] = []
-    exact = least_type1 <= 1.0 - SLACK  # a slide along the leg always has full grip
+    exact = least_type1 <= 1.0 - ROUNDING  # a slide along the leg always has full grip
     if closure.leg.active != [len(second) + 1]:  # not so where another joint is driven
         exact &= least_type1 == 0.0
     if first.limited:
         # with C, S = r cos q₁, r sin q₁: sin(q₁ − lower) ≥ 0 and sin(upper − q₁) ≥ 0
-        exact &= first.upper - first.lower <= np.pi + SLACK
+        exact &= first.upper - first.lower <= np.pi + ROUNDING
         C = pointing.side * form.forth * pointing.e3
         S = -pointing.side * form.forth * pointing.e2
         planes = [
             S * np.cos(first.lower) - C * np.sin(first.lower),
             C * np.sin(first.upper) - S * np.cos(first.upper),
         ]
-        if np.allclose(planes[0], planes[1], rtol=0.0, atol=SLACK):
+        if np.allclose(planes[0], planes[1], rtol=0.0, atol=ROUNDING):
             planes = planes[:1]
     for joint in second:
         if joint.limited:  # q₂ + δ lies within ± π/2 of the side's middle, modulo full turns
             middle = 0.0 if pointing.side > 0 else np.pi
             centre = (joint.lower + joint.upper) / 2 + pointing.delta
             middle += 2 * np.pi * np.round((centre - middle) / (2 * np.pi))
-            exact &= joint.lower + pointing.delta <= middle - np.pi / 2 + SLACK
-            exact &= joint.upper + pointing.delta >= middle + np.pi / 2 - SLACK
+            exact &= joint.lower + pointing.delta <= middle - np.pi / 2 + ROUNDING
+            exact &= joint.upper + pointing.delta >= middle + np.pi / 2 - ROUNDING
     return _reach(closure, form.centre, (low, high), planes if exact else [], exact)
 
 
@@ -176,7 +176,7 @@ def _reach(
     exact: bool,
 ) -> Reach:
     """Return a reach with slack for rounding errors."""
-    slack = SLACK * closure.size
+    slack = ROUNDING * closure.size
     point = closure.targets(np.eye(4)[None])[0]
     if closure.platform.space == 2:
         centre = np.array([centre[0], centre[1], point[2]])  # heights do not count

@@ -3,7 +3,7 @@
 Type 1 (a leg loses the grip of its drive): |Nᵀ ∂c/∂θ| over the lever of the drive; at a
 planar dyad the sine of the elbow angle. Type 2 (the platform gains a freedom): the
 determinant of the legs' constraint lines, unit directions, moments over the platform's
-radius. Its sign is relative to the home pose: negative poses lie beyond a type-2
+radius. Its sign is relative to the home pose: negative poses lie across a type-2
 singularity, in another assembly mode.
 """
 

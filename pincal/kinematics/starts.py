@@ -48,7 +48,7 @@ def start_joints(
 
 @lru_cache(maxsize=64)
 def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
-    """Return sampled tips of the leg in its mode, their joints, and how far it reaches beyond."""
+    """Return sampled tips of the leg in its mode, their joints, and how far around it reaches."""
     closure = LegClosure(leg, platform)
     rng = np.random.default_rng(0)
     joints = rng.uniform(*joint_range(leg), (_SAMPLES, len(leg.moving)))

@@ -41,12 +41,12 @@ class Break:
     """How far the quantity is off, [m] or [rad]; None where it is no number."""
 
     def __str__(self) -> str:
-        """Return the break in words."""
+        """Return the break as a sentence."""
         much = "differs" if self.deviation is None else f"is off by {self.deviation:.4g}"
         return f"{self.element}: {self.quantity} of {self.leg} {much}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SymmetryGroup:
     """Elements that leave a mechanism as it is, and where they carry its legs."""
 
@@ -88,7 +88,7 @@ class SymmetryGroup:
     def equivariance(self, poses: Poses) -> float:
         """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5).
 
-        The identity carries nothing; nor need poses tell readings there.
+        The identity carries nothing; readings need not follow from poses then.
 
         Args:
             poses: N poses that the mechanism reaches.
@@ -103,8 +103,13 @@ class SymmetryGroup:
             worst = max(worst, float(np.abs(after[:, list(permutation)] - before).max()))
         return worst
 
+    def __repr__(self) -> str:
+        """Return the group in a line."""
+        count = len(self.elements)
+        return f"SymmetryGroup: {self.name} of {self.mechanism.name}, {count} element(s)"
+
     def __str__(self) -> str:
-        """Return the group in words."""
+        """Return a page: the elements, and what breaks the others."""
         kind = "rotations" if not any(e.reflection for e in self.elements) else "elements"
         lines = [f"{len(self.elements)} {kind}: {', '.join(str(e) for e in self.elements)}"]
         return "\n".join(lines + [f"  broken: {b}" for b in self.breaks])
@@ -197,7 +202,7 @@ def _permutation(
             if i not in permutation
         }
         fitting = [i for i, difference in differences.items() if difference is None]
-        if not fitting:  # of legs in the same place, the first tells
+        if not fitting:  # of legs in the same place, the first is named
             index = int(near[0])
             difference = differences.get(index) or _difference(
                 carried, legs[index], mechanism, tolerance

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.symmetry.detect import SymmetryGroup
+from pincal.symmetry.elements import SAME
 
 Array = NDArray[np.float64]
-_SAME = 1e-9  # [rad], of azimuths on the domain's edge
 
 
 def in_domain(group: SymmetryGroup, positions: Array) -> NDArray[np.bool_]:
@@ -16,7 +16,7 @@ def in_domain(group: SymmetryGroup, positions: Array) -> NDArray[np.bool_]:
 
     The one that begins at a mirror plane, or at azimuth 0 where there are rotations only, and
     goes round until an element carries it onto itself. Images of a position in the
-    domain lie at its azimuth from there or beyond.
+    domain lie at its azimuth from there or further round.
 
     Args:
         group: The group, of isometries about the base's z axis.
@@ -29,5 +29,5 @@ def in_domain(group: SymmetryGroup, positions: Array) -> NDArray[np.bool_]:
         for element in group.elements
     ]
     begin = min((angle % np.pi for angle in mirrors), default=0.0)
-    around = [(image - begin + _SAME) % (2 * np.pi) for image in images]  # the identity first
-    return np.asarray(around[0] <= np.min(around, axis=0) + 2 * _SAME)
+    around = [(image - begin + SAME) % (2 * np.pi) for image in images]  # the identity first
+    return np.asarray(around[0] <= np.min(around, axis=0) + 2 * SAME)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
-_SAME = 1e-9  # [rad]
+#: Angles, [rad], and positions relative to their extent that differ by rounding errors only.
+SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Element:
 
     def equals(self, other: Element) -> bool:
         """Return whether two elements are the same but for rounding errors."""
-        same = abs(wrapped(self.angle - other.angle)) <= _SAME
+        same = abs(wrapped(self.angle - other.angle)) <= SAME
         return self.reflection == other.reflection and same
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
@@ -60,7 +61,7 @@ class Element:
         return platform.from_matrices(matrices)
 
     def __str__(self) -> str:
-        """Return the element in words."""
+        """Return the element's name."""
         degrees = np.degrees(self.angle)
         if self.reflection:
             return f"mirror at azimuth {degrees / 2 % 180.0:.4g}°"

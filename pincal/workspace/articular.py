@@ -51,6 +51,7 @@ def equal_sums(readings: Array) -> Array:
     Args:
         readings: Shape (N, n_legs); three legs give the plane of the paper.
     """
+    readings = np.asarray(readings, dtype=np.float64)
     n = readings.shape[1]
     turn = 2 * np.pi * np.arange(n) / n
     axes = np.stack((np.cos(turn), np.sin(turn))) * np.sqrt(2 / n)
@@ -76,6 +77,7 @@ def articular_symmetry(
         MechanismError: a mechanism whose forward kinematics is not determined.
     """
     platform, group = mechanism.platform, symmetry_group(mechanism)
+    poses = platform.coordinates_of(poses)
     readings = articular_space(mechanism, poses)
     spread = np.ptp(platform.twists_between(poses[:1].repeat(len(poses), 0), poses), axis=0)
     aside = np.random.default_rng(seed).normal(size=poses.shape) * _ASIDE * spread

@@ -13,8 +13,10 @@ from pincal.files.tables import UNITS
 
 Array = NDArray[np.float64]
 _AXIS = re.compile(r"^\s*(\w+)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*=\s*(.+?)\s*$")
-_MOST = 10_000_000  # values of one axis
-_FIT = 1e-6  # of a step, by which the upper limit may miss the last value
+#: Values of one axis, samples or poses.
+MOST = 10_000_000
+FIT = 1e-6
+"""Part of a step by which values may be off: written by hand, they are rounded."""
 #: Units of all axes that a grid may have.
 DIMENSIONS = {
     **dict.fromkeys(("x", "y", "z", "radius"), "m"),
@@ -25,7 +27,7 @@ DIMENSIONS = {
 TURNING = ("bearing", "phi", "azimuth", "torsion", "yaw", "roll")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Axis:
     """Values of one coordinate."""
 
@@ -46,6 +48,11 @@ class Axis:
             raise WorkspaceError("axis 'radius' has negative values")
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
+
+    def __repr__(self) -> str:
+        """Return the axis in a line."""
+        first, last, unit = self.values[0], self.values[-1], DIMENSIONS[self.name]
+        return f"Axis: {self.name} from {first:.6g} to {last:.6g} {unit}, {len(self.values)} values"
 
     @property
     def step(self) -> float:
@@ -73,11 +80,11 @@ class Axis:
             )
         if step <= 0.0:
             raise WorkspaceError(f"axis {name!r}: the step is {step:g}; expected more than 0")
-        if (high - low) / step > _MOST:
-            raise WorkspaceError(f"axis {name!r} has more than {_MOST:,} values; a larger step")
-        count = int(np.floor((high - low) / step + _FIT)) + 1
+        if (high - low) / step > MOST:
+            raise WorkspaceError(f"axis {name!r} has more than {MOST:,} values; a larger step")
+        count = int(np.floor((high - low) / step + FIT)) + 1
         last = low + (count - 1) * step
-        if abs(high - last) <= _FIT * step:
+        if abs(high - last) <= FIT * step:
             last = high
         values = np.linspace(low, last, count)
         if name in TURNING and count > 1 and np.isclose(last - low, 2 * np.pi, rtol=1e-9):

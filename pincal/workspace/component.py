@@ -1,6 +1,6 @@
 """The part of a workspace that is connected to the home pose.
 
-Beyond a singularity the margins may hold again, in an aspect that the machine cannot
+Across a singularity the margins may hold again, in an aspect that the machine cannot
 enter. Sampled poses are joined to their neighbours where the midpoint counts too; what
 hangs together with home is the part that can be driven to, and other poses belong where
 their nearest sampled pose does.

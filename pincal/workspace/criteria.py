@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.kinematics.batches import ROUNDING
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.inverse import CHUNK, close, matrix_chunks
-from pincal.kinematics.reach import SLACK, Reach, reach_of
+from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import drive_margins, home_determinant, platform_margin
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -91,16 +92,16 @@ class Criteria:
         closed = [close(leg, matrices) for leg in self._legs]
         with np.errstate(invalid="ignore"):
             for leg, one in zip(self._legs, closed, strict=True):
-                slack = SLACK * max(1.0, leg.size)
+                slack = ROUNDING * max(1.0, leg.size)
                 inside &= one.reached
                 for joint, value in zip(leg.leg.moving, one.joints.T, strict=True):
                     if joint.limited:
                         inside &= (value >= joint.lower - slack) & (value <= joint.upper + slack)
             closures = [one.closure for one in closed]
-            least = max(self.least.type1 - SLACK, _GRIP)
+            least = max(self.least.type1 - ROUNDING, _GRIP)
             inside &= (drive_margins(closures) >= least).all(axis=1)
             if self._type2 > -np.inf:
-                inside &= platform_margin(self.mechanism, closures) >= self._type2 - SLACK
+                inside &= platform_margin(self.mechanism, closures) >= self._type2 - ROUNDING
         return inside
 
 

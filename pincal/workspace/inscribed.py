@@ -10,6 +10,7 @@ bound.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,13 +23,12 @@ from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]
-_BISECTIONS = 14  # to 1e-4 of a step
 _ROUNDS = 60
-_NEAR = 1e-4  # of the radius: how near to the bound is near enough
+_NEAR = 1e-4  # of the radius, how near to the bound is enough; of a step, on the boundary
 _RIM_POSITIONS = {2: 500, 3: 2000}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Inscribed:
     """Largest circle (in a plane) or ball (in space) in which every position asked counts."""
 
@@ -40,6 +40,12 @@ class Inscribed:
     """Radius that no circle free of the boundary points exceeds, [m]."""
     at_edge: bool
     """Whether it touches the edge of the grid: the workspace may hold a larger one."""
+
+    def __repr__(self) -> str:
+        """Return the circle or ball in a line."""
+        where = ", ".join(f"{value:.6g}" for value in self.centre)
+        edge = "; it touches the edge of the grid" if self.at_edge else ""
+        return f"Inscribed: radius {self.radius:.6g} m, centre ({where}) m{edge}"
 
 
 def largest_inscribed(workspace: Workspace) -> Inscribed:
@@ -107,7 +113,7 @@ def _pairs(workspace: Workspace, grid: Grid) -> tuple[Array, Array]:
 
 def _bisected(workspace: Workspace, inner: Array, outer: Array) -> Array:
     """Return points between positions that count and others that do not, shape (M, 3)."""
-    for _ in range(_BISECTIONS):
+    for _ in range(math.ceil(-math.log2(_NEAR))):
         middle = (inner + outer) / 2
         counts = workspace.test(middle)[:, None]
         inner, outer = np.where(counts, middle, inner), np.where(counts, outer, middle)

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_propagation
 
-from pincal.workspace.positions import Grid, Indices
+from pincal.workspace.positions import BLOCK, Grid, Indices
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_BLOCK = 1 << 18
 
 
 def edges(grid: Grid, inside: Mask) -> Indices:
@@ -31,7 +30,7 @@ def edges(grid: Grid, inside: Mask) -> Indices:
 
 
 def at_edge(grid: Grid, inside: Mask) -> Array:
-    """Return where positions that count end the grid, half a step beyond, shape (M, 3), [m]."""
+    """Return where positions that count end the grid, half a step outside, shape (M, 3), [m]."""
     cells = inside.reshape(grid.shape)
     found = [np.empty((0, 3))]
     for place, axis in enumerate(grid.axes):
@@ -94,8 +93,8 @@ def _extent(grid: Grid, cells: Mask, place: int) -> slice:
 def _nearest(grid: Grid, inside: Mask, home: Array) -> int:
     """Return the number of the position that counts and is nearest to home."""
     best, least = 0, np.inf
-    for begin in range(0, len(inside), _BLOCK):
-        index = begin + np.flatnonzero(inside[begin : begin + _BLOCK])
+    for begin in range(0, len(inside), BLOCK):
+        index = begin + np.flatnonzero(inside[begin : begin + BLOCK])
         if len(index):
             away = np.linalg.norm(grid.at(index) - home, axis=1)
             place = int(np.argmin(away))

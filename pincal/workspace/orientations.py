@@ -14,23 +14,27 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import WorkspaceError
 from pincal.model.orientation import WAYS, rotation_of
 from pincal.model.platform import Platform
-from pincal.symmetry.elements import Element
+from pincal.symmetry.elements import SAME, Element
 from pincal.workspace.axes import Axis
 
 Array = NDArray[np.float64]
-_SAME = 1e-9  # between unit quaternions
 _MOST = 1_000_000
 _PLANE_STEP = np.radians(5.0)
 _SPACE_STEP = np.radians(30.0)
 _SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Orientations:
     """Distinct orientations ``R_base_platform``."""
 
     quaternions: Array
     """Unit quaternions, scalar last and not negative, shape (O, 4)."""
+
+    def __repr__(self) -> str:
+        """Return the set in a line."""
+        most = np.degrees(self.rotations.magnitude().max(initial=0.0))
+        return f"Orientations: {len(self)}, turned by {most:.4g}° at most"
 
     def __len__(self) -> int:
         return len(self.quaternions)
@@ -110,12 +114,12 @@ class Orientations:
         return self._has(images)
 
     def _has(self, quaternions: Array) -> bool:
-        away, _ = self._tree.query(quaternions, distance_upper_bound=_SAME)
+        away, _ = self._tree.query(quaternions, distance_upper_bound=SAME)
         return bool(np.isfinite(away).all())
 
     @cached_property
     def _tree(self) -> KDTree:
-        upright = self.quaternions[:, 3] <= _SAME  # half a turn is written in two ways
+        upright = self.quaternions[:, 3] <= SAME  # half a turn is written in two ways
         return KDTree(np.concatenate((self.quaternions, -self.quaternions[upright])))
 
 

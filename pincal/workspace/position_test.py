@@ -15,10 +15,10 @@ from pincal.kinematics.reach import Turned
 from pincal.model.mechanism import Mechanism
 from pincal.workspace.criteria import Criteria, Margins, criteria_of
 from pincal.workspace.orientations import Orientations
+from pincal.workspace.positions import BLOCK
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_BLOCK = 1 << 17  # pairs of position and orientation in memory at a time
 _FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
 
 
@@ -46,7 +46,7 @@ class PositionTest:
 
     def __call__(self, positions: Array) -> Mask:
         """Return which positions, shape (N, 3), count."""
-        size = max(1, _BLOCK // len(self.orientations))
+        size = max(1, BLOCK // len(self.orientations))
         inside = np.empty(len(positions), dtype=bool)
         decide = self._all if self.every else self._any
         for begin in range(0, len(positions), size):

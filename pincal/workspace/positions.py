@@ -2,7 +2,7 @@
 
 Neither is ever held whole: positions are made from their numbers. An element of the
 mechanism's group that maps the set onto itself makes one position of each orbit enough;
-the lowest number of an orbit stands for it, so that these form a fundamental domain.
+the lowest number of an orbit represents it, so that these form a fundamental domain.
 """
 
 from __future__ import annotations
@@ -17,18 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.symmetry.elements import Element
-from pincal.workspace.axes import Axis
+from pincal.symmetry.elements import SAME, Element
+from pincal.workspace.axes import FIT, MOST, Axis
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 #: Takes numbers of positions to those of their images.
 Carrier: TypeAlias = Callable[[Indices], Indices]
 POSITION_AXES = ("x", "y", "radius", "bearing", "z")
-_SAME = 1e-9  # of an axis' size
-_EVEN = 1e-6  # of a step
 _MOST = 1_000_000_000  # positions of a grid, a byte each
-_MOST_SAMPLES = 10_000_000
+BLOCK = 1 << 17
+"""Positions, or pairs of position and orientation, in memory at a time."""
 
 
 class Positions(Protocol):
@@ -46,13 +45,13 @@ class Positions(Protocol):
         """Return positions by number, shape (N, 3), [m]."""
 
     def measures(self, index: Indices) -> Array:
-        """Return the length, area or volume that each position stands for, shape (N,)."""
+        """Return the length, area or volume that each position represents, shape (N,)."""
 
     def carrier(self, element: Element) -> Carrier | None:
         """Return what an element does to the numbers, or None if the set does not map."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Grid:
     """Grid of positions: ``x, y`` or ``radius, bearing``, and ``z``."""
 
@@ -67,18 +66,23 @@ class Grid:
             )
         for axis in self.axes:
             steps = np.diff(axis.values)
-            if len(steps) and np.ptp(steps) > _EVEN * axis.step:
+            if len(steps) and np.ptp(steps) > FIT * axis.step:
                 raise WorkspaceError(
                     f"axis {axis.name!r} of positions is not evenly spaced; each value stands for "
                     "a cell of one step"
                 )
-            if axis.name == "bearing" and axis.step * len(axis.values) > 2 * np.pi * (1 + _EVEN):
+            if axis.name == "bearing" and axis.step * len(axis.values) > 2 * np.pi * (1 + FIT):
                 raise WorkspaceError(
                     "axis 'bearing' goes round more than once, or its step does not divide the "
                     "full turn; expected for example 'bearing [deg]=0:360:5'"
                 )
         if self.size > _MOST:
             raise WorkspaceError(f"a grid of {self.size:.3g} positions; at most {_MOST:.0e}")
+
+    def __repr__(self) -> str:
+        """Return the grid in a line."""
+        axes = ", ".join(repr(axis).removeprefix("Axis: ") for axis in self.axes)
+        return f"Grid: {self.size:,} positions; {axes}"
 
     @classmethod
     def of(cls, *axes: str | Axis) -> Grid:
@@ -145,7 +149,7 @@ class Grid:
             images = [first.values, turned]
         else:
             Q = element.matrix.round()
-            if np.abs(element.matrix - Q).max() > _SAME:  # only quarter turns and such
+            if np.abs(element.matrix - Q).max() > SAME:  # only quarter turns and such
                 return None
             swap = bool(Q[0, 0] == 0.0)
             a, b = (Q[0, 1], Q[1, 0]) if swap else (Q[0, 0], Q[1, 1])
@@ -179,14 +183,14 @@ def _match(axis: Axis, images: Array) -> Indices | None:
     if len(images) != len(values):
         return None
     if np.isfinite(period):
-        images = values[0] + (images - values[0] + _SAME) % period - _SAME
-    index = np.searchsorted(values, images - _SAME * max(1.0, float(np.abs(values).max())))
+        images = values[0] + (images - values[0] + SAME) % period - SAME
+    index = np.searchsorted(values, images - SAME * max(1.0, float(np.abs(values).max())))
     index = np.minimum(index, len(values) - 1)
     size = float(np.ptp(values)) or 1.0
-    return index if np.abs(values[index] - images).max() <= 4 * _SAME * max(1.0, size) else None
+    return index if np.abs(values[index] - images).max() <= 4 * SAME * max(1.0, size) else None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Samples:
     """Random positions, evenly in a cylinder about z; whole orbits of a group at a time."""
 
@@ -203,12 +207,20 @@ class Samples:
     def __post_init__(self) -> None:
         finite = np.isfinite([self.radius, *self.height]).all()
         ordered = self.radius > 0.0 and self.height[0] <= self.height[1]
-        if not (1 <= self.count <= _MOST_SAMPLES and finite and ordered and self.elements):
+        if not (1 <= self.count <= MOST and finite and ordered and self.elements):
             raise WorkspaceError(
                 f"{self.count} samples in a cylinder of radius {self.radius:g}, height "
-                f"{self.height[0]:g} to {self.height[1]:g}: expected 1 to {_MOST_SAMPLES:,}, a "
+                f"{self.height[0]:g} to {self.height[1]:g}: expected 1 to {MOST:,}, a "
                 "positive radius, and the lower end first"
             )
+
+    def __repr__(self) -> str:
+        """Return the samples in a line."""
+        low, high = self.height
+        return (
+            f"Samples: {self.size:,} positions in a cylinder of radius {self.radius:.6g} m, height "
+            f"{low:.6g} to {high:.6g} m, seed {self.seed}"
+        )
 
     @property
     def size(self) -> int:

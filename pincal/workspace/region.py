@@ -20,21 +20,27 @@ from pincal.files.tables import write_table
 from pincal.kinematics.singularity import margins
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import Element
+from pincal.symmetry.elements import SAME, Element
 from pincal.workspace.chunks import run
 from pincal.workspace.criteria import Margins, refuse_readings
 from pincal.workspace.neighbours import at_edge, edges, part_around
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.position_test import PositionTest
-from pincal.workspace.positions import Carrier, Grid, Indices, Positions, Samples, representatives
+from pincal.workspace.positions import (
+    BLOCK,
+    Carrier,
+    Grid,
+    Indices,
+    Positions,
+    Samples,
+    representatives,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
 _CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
 _CLOSED = 1 << 18  # where loops are closed
-_POSITIONS = 1 << 17  # positions looked at at a time, at most
-_EXACT = 1e-9  # tolerance of symmetry: elements must not change what counts
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ class Workspace:
 
     @cached_property
     def cut(self) -> bool:
-        """Whether positions that count lie at the edge of the grid: there may be more beyond."""
+        """Whether positions that count lie at the edge of the grid: there may be more outside."""
         return isinstance(self.asked, Grid) and len(at_edge(self.asked, self.inside)) > 0
 
     @cached_property
@@ -113,7 +119,7 @@ class Workspace:
         """Area [m²] or volume [m³]; a length [m] on a line."""
         parts = (
             self.asked.measures(begin + np.flatnonzero(self.inside[begin:end])).sum()
-            for begin, end in _chunks(len(self.inside), _POSITIONS)
+            for begin, end in _chunks(len(self.inside), BLOCK)
         )
         return float(sum(parts))
 
@@ -165,7 +171,7 @@ class Workspace:
 
     def _column(self, place: int) -> Iterator[float]:
         """Yield one coordinate of the positions that count, a bounded number at a time."""
-        for begin, end in _chunks(len(self.inside), _POSITIONS):
+        for begin, end in _chunks(len(self.inside), BLOCK):
             index = begin + np.flatnonzero(self.inside[begin:end])
             yield from self.asked.at(index)[:, place].tolist()
 
@@ -202,7 +208,7 @@ def compute_workspace(
 ) -> Workspace:
     """Return the positions that a platform reaches in one orientation, some, or all of a set.
 
-    Positions count one by one, those of an aspect beyond a singularity too where margins allow
+    Positions count one by one, those of an aspect across a singularity too where margins allow
     for it: see ``connected`` and ``Workspace.apart``.
 
     Args:
@@ -232,7 +238,7 @@ def compute_workspace(
     refuse_readings(mechanism)
     every = kind != "reachable"
     least = least or Margins()
-    group = symmetry_group(mechanism, _EXACT).elements
+    group = symmetry_group(mechanism, SAME).elements
     elements: tuple[Element, ...] = (Element(0.0),)
     if symmetry:
         kept = _keep_side(mechanism, group, least)
@@ -241,7 +247,7 @@ def compute_workspace(
     task = _Task(PositionTest(mechanism, asked, every, least), positions, elements)
     task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
     most = _CHUNK if task.test.in_closed_form else min(_CHUNK, _CLOSED)
-    size = max(1, min(_POSITIONS, most // len(asked)))
+    size = max(1, min(BLOCK, most // len(asked)))
     inside, computed = np.zeros(positions.size, dtype=bool), 0
     for done, (chunk, bits) in enumerate(
         run(task, list(_chunks(positions.size, size)), jobs, scheduler), 1
@@ -250,7 +256,7 @@ def compute_workspace(
         inside[slice(*chunk)] = np.unpackbits(packed, count=chunk[1] - chunk[0])
         if progress:
             progress(min(done * size, positions.size))
-    for begin, end in _chunks(positions.size, _POSITIONS):
+    for begin, end in _chunks(positions.size, BLOCK):
         index = np.arange(begin, end)
         lowest = task.lowest(index)
         computed += int(np.count_nonzero(lowest == index))

@@ -19,6 +19,7 @@ from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.singularity import margins
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.workspace.axes import MOST
 from pincal.workspace.box import reach_box
 from pincal.workspace.component import HomeComponent
 from pincal.workspace.criteria import Margins, in_workspace
@@ -29,7 +30,6 @@ _BATCH = 16_384
 _PILOT = 1_500  # accepted poses from which the box is tightened and connected
 _WIDEN = 0.1  # of the box around the accepted poses, on each side
 _MOST = 400  # batches without enough poses before giving up
-_MOST_POSES = 10_000_000
 
 
 def sample_configurations(
@@ -39,7 +39,7 @@ def sample_configurations(
     least: Margins | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Plan:
-    """Return configurations of a mechanism: poses, and readings where these do not follow from them.
+    """Return configurations: poses, and readings where these do not follow from poses.
 
     Readings are spread evenly between the limits of the active joints, and poses are those of
     forward kinematics; other mechanisms have the poses of ``sample_workspace``.
@@ -82,9 +82,10 @@ def sample_configurations(
 
 def _reading_limits(mechanism: Mechanism) -> tuple[Array, Array]:
     """Return least and largest readings within the limits of the active joints."""
-    ends = []
-    for leg in nominal_legs(mechanism):
-        ends.append(sensor_law(leg).reading(joint_range(leg.leg)[:, leg.leg.active]))
+    ends = [
+        sensor_law(leg).reading(np.array(joint_range(leg.leg))[:, leg.leg.active])
+        for leg in nominal_legs(mechanism)
+    ]
     both = np.concatenate(ends, axis=1)
     return both.min(axis=0), both.max(axis=0)
 
@@ -136,9 +137,9 @@ def _check_count(count: int) -> None:
     Raises:
         WorkspaceError: none, or too many.
     """
-    if not 1 <= count <= _MOST_POSES:
+    if not 1 <= count <= MOST:
         raise WorkspaceError(
-            f"the number of poses is {count}; expected at least 1 and at most {_MOST_POSES:,}"
+            f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
         )
 
 
