@@ -61,7 +61,7 @@ def at_one_orientation(poses: np.ndarray) -> np.ndarray:
 
 
 def test_constant_orientation_leaves_named_parameters(candidates: dict[str, np.ndarray]) -> None:
-    """3-RRR poses all at phi = 0 cannot tell base point from platform point."""
+    """3-RRR poses all at phi = 0 do not separate base point and platform point."""
     mechanism = pincal.load_mechanism("3RRR")
     poses = at_one_orientation(candidates["3RRR"][:200])
     C = pincal.identification_jacobian(mechanism, "leg_1", poses)
