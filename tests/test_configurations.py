@@ -29,14 +29,14 @@ def information(
     setup: pincal.Setup,
     noise: pincal.Noise = NOISE,
 ) -> np.ndarray:
-    """Return the information of each configuration, in what all of them tell, (N, r, r)."""
+    """Return the information of each configuration, in what all of them determine, (N, r, r)."""
     rows, _, _ = information_rows(mechanism, legs_at(mechanism, plan), noise, measured, setup)
     flat = rows.reshape(-1, rows.shape[2])
     lengths = np.linalg.norm(flat, axis=0)
     lengths[lengths == 0.0] = 1.0
     _, s, axes = np.linalg.svd(flat / lengths, full_matrices=False)
-    told = (rows / lengths) @ axes[s > 1e-9 * s[0]].T
-    return told.transpose(0, 2, 1) @ told
+    kept = (rows / lengths) @ axes[s > 1e-9 * s[0]].T
+    return kept.transpose(0, 2, 1) @ kept
 
 
 def log_det(every: np.ndarray, chosen: list[int]) -> float:
@@ -77,7 +77,7 @@ def test_small_choices_are_the_best(noise: pincal.Noise, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("points", [False, True])
 def test_choices_beat_chance(points: bool) -> None:
-    """Thirty of 400 configurations tell more than any of 200 random plans; none is taken twice."""
+    """Thirty of 400 configurations say more than any of 200 random plans; none is taken twice."""
     mechanism = loaded("ur10")
     plan = pincal.sample_configurations(mechanism, 400, 0)
     measured = ("x", "y", "z", *(() if points else ("rx", "ry", "rz")))
@@ -100,7 +100,7 @@ def test_choices_beat_chance(points: bool) -> None:
 
 
 def test_too_few_are_refused() -> None:
-    """Fewer equations than unknowns that can be told: the least number is named."""
+    """Fewer equations than unknowns that can be identified: the least number is named."""
     mechanism = loaded("ur10")
     plan = pincal.sample_configurations(mechanism, 60, 0)
     with pytest.raises(pincal.ObservabilityError, match="at least 5"):

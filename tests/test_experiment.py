@@ -61,7 +61,7 @@ def at_one_orientation(poses: np.ndarray) -> np.ndarray:
 
 
 def test_constant_orientation_leaves_named_parameters(candidates: dict[str, np.ndarray]) -> None:
-    """3-RRR poses all at phi = 0 cannot tell base point from platform point."""
+    """3-RRR poses all at phi = 0 do not separate base point and platform point."""
     mechanism = pincal.load_mechanism("3RRR")
     poses = at_one_orientation(candidates["3RRR"][:200])
     C = pincal.identification_jacobian(mechanism, "leg_1", poses)
@@ -393,3 +393,12 @@ def test_wrong_options_of_a_selection_are_refused(mechanism: pincal.Mechanism) -
         pincal.select_poses(mechanism, poses, 12, sead=1)
     with pytest.raises(pincal.MeasurementError, match="a residual has no noise at all"):
         pincal.select_poses(mechanism, poses, 12, noise=pincal.Noise(0.0, 0.0, 0.0))
+
+
+def test_orbits_of_which_one_has_most_of_the_weight() -> None:
+    """Three rows of one orbit for four parameters: others stay in the search, which ends."""
+    mechanism = pincal.load_mechanism("linear_delta")
+    poses = pincal.sample_workspace(mechanism, 1500, seed=0)
+    found = pincal.select_poses(mechanism, poses, 24, "orbits", starts=1)
+    assert len(found.plan.poses) == 72
+    assert 0.85 < found.efficiency <= 1.0

@@ -70,9 +70,9 @@ def test_information_equals_that_of_latent_poses(
         assert values[n_lost - 1] < 1e-2 * values[n_lost]  # what differences leave of zero
         kept = axes[:, ~lost] / scale[:, None]
         variance = (kept**2 / values[~lost]).sum(axis=1)
-        told = np.isfinite(found.std)
-        assert told.any()
-        np.testing.assert_allclose(found.std[told], np.sqrt(variance[told]), rtol=1e-2)
+        finite = np.isfinite(found.std)
+        assert finite.any()
+        np.testing.assert_allclose(found.std[finite], np.sqrt(variance[finite]), rtol=1e-2)
 
 
 @pytest.mark.parametrize("name", ["5R", "3RRR", "6UPS", "4cable"])
@@ -115,7 +115,7 @@ def test_each_leg_alone_gives_the_covariance_of_the_default(name: str, dealt: bo
 
 
 def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
-    """The bound is that of; the default's larger error stands beside it."""
+    """The bound is that of the default; the larger error of each leg alone is beside it."""
     mechanism = pincal.load_mechanism("5R")
     poses = workspace("5R", 30)
     plan = pincal.Plan(poses, ("leg_1", "leg_2") * 15)

@@ -111,7 +111,7 @@ def test_more_exact_conditions_than_freedoms_contradict() -> None:
     with pytest.raises(NoNoiseError):
         white_rows(B, exact)
     exact[3, 2] = 1e-9 * S[3, 2]
-    assert np.isfinite(white_rows(B, exact).whitener).all()
+    assert np.isfinite(white_rows(B, exact).by_noise).all()
     with pytest.raises(NoNoiseError):
         white_rows(B, B @ np.ones((8, 2, 6)))
     with pytest.raises(NoNoiseError):

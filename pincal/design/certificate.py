@@ -102,7 +102,9 @@ def _multiplicative(rows: Array) -> Array:
     for _ in range(60):
         weights = weights * _variance(rows, weights)
         weights /= weights.sum()
-    weights[weights < 0.05 * weights.max()] = 0.0
+    small = weights < 0.05 * weights.max()
+    if np.linalg.matrix_rank(rows[~small].reshape(-1, rows.shape[2])) == rows.shape[2]:
+        weights[small] = 0.0
     return weights / weights.sum()
 
 

@@ -37,8 +37,10 @@ class NoNoiseError(ValueError):
 class WhiteRows:
     """Rows of N poses, freed of them and whitened, and the way back to the poses."""
 
-    whitener: Array
-    """L⁻¹Nᵀ, shape (N, m, k), m = k - dof."""
+    reduced: Array
+    """V⁻¹Nᵀ of L = V D, shape (N, m, k), m = k - dof."""
+    scale: Array
+    """D, by which rows are divided last, shape (N, m, 1)."""
     range: Array
     """Orthonormal basis Q of the range of B, shape (N, k, dof)."""
     triangle: Array
@@ -48,7 +50,12 @@ class WhiteRows:
 
     def __call__(self, rows: Array) -> Array:
         """Return rows freed of the pose and whitened, shape (N, m, n), from shape (N, k, n)."""
-        return np.asarray(self.whitener @ rows)
+        return np.asarray(self.reduced @ rows) / self.scale
+
+    @property
+    def whitener(self) -> Array:
+        """L⁻¹Nᵀ, shape (N, m, k)."""
+        return self.reduced / self.scale
 
     @cached_property
     def by_noise(self) -> Array:
@@ -91,10 +98,9 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     whole = np.asarray(np.isfinite(both).all(axis=(1, 2)))
     if not whole.all():
         some = white_rows(pose[whole], noise[whole])
-        whitener, basis, triangle = (
-            _spread(part, whole) for part in (some.whitener, some.range, some.triangle)
-        )
-        return WhiteRows(whitener, basis, triangle, noise)
+        parts = (some.reduced, some.scale, some.range, some.triangle)
+        reduced, scale, basis, triangle = (_spread(part, whole) for part in parts)
+        return WhiteRows(reduced, scale, basis, triangle, noise)
     dof = pose.shape[2]
     Q, R = _complete(pose)
     N = Q[:, :, dof:].transpose(0, 2, 1)
@@ -104,15 +110,15 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     most = product(np.abs(N), np.abs(noise)).sum(axis=2)  # of what may have cancelled
     if not (size > ROUNDING * most).all():
         raise NoNoiseError
-    scale = size[:, :, None]
-    return WhiteRows(solve(L / scale, N / scale), Q[:, :, :dof], R[:, :dof], noise)
+    V = L / size[:, None]  # of unit diagonal: its determinant does not underflow
+    return WhiteRows(solve(V, N), size[:, :, None], Q[:, :, :dof], R[:, :dof], noise)
 
 
 def _root(rows: Array) -> Array:
     """Return a triangular L with L Lᵀ = A Aᵀ of rows A, shapes (N, m, s) and (N, m, m)."""
     count, m, s = rows.shape
     if m == 1:
-        return np.linalg.norm(rows, axis=2, keepdims=True)
+        return np.sqrt(rows @ rows.transpose(0, 2, 1))
     L = np.zeros((count, m, m))  # fewer kinds of noise than rows: some of these have none
     if m and s:
         R = np.asarray(np.linalg.qr(rows.transpose(0, 2, 1), mode="r"))

@@ -158,10 +158,11 @@ def _turned_at_random(closure: LegClosure, joints: Array, rng: np.random.Generat
     if closure.leg.closes == "frame":
         return closure.frame(joints)
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-    if platform.kind == "spatial":
+    if platform.turns == 3:
         matrices[:, :3, :3] = Rotation.random(len(joints), rng=rng).as_matrix()
-    elif platform.kind == "planar":
-        turns = np.outer(rng.uniform(-np.pi, np.pi, len(joints)), (0.0, 0.0, 1.0))
+    elif platform.turns == 1:
+        axis = np.eye(3)[platform.twist_rows[-1] - 3]
+        turns = np.outer(rng.uniform(-np.pi, np.pi, len(joints)), axis)
         matrices[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
     matrices[:, :3, 3] = closure.tips(joints) - closure.targets(matrices)
     return matrices
