@@ -1,13 +1,12 @@
 """Calibrate a delta printer by touching its bed, and write the parameters for Klipper."""
 
-from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import pincal
-from pincal.formats.delta import delta_printer
-from pincal.formats.klipper import write_klipper
 
 printer = pincal.load_mechanism("linear_delta")
 noise = pincal.Noise(position=2e-5)  # of a probed height [m]
@@ -31,8 +30,8 @@ data = pincal.simulate(printer, truth, pincal.Plan(disc(41)), noise, seed=1).mea
 data.poses[:, :2] = np.nan  # a probe tells the height alone
 
 weak = pincal.forecast(printer, disc(41), noise, measured=["z"]).weak[0]
-names = " and ".join(" of ".join(one[::-1]) for one in (weak.first, weak.second))
-print(f"{names} are weakly told apart: correlation {weak.correlation:.3f}")
+names = " and ".join(".".join(one) for one in (weak.first, weak.second))
+print(f"{names} are weakly determined: correlation {weak.correlation:.3f}")
 alone, known = (1e3 * pair[0] for pair in (weak.std, weak.known))
 print(f"the radius within {alone:.2f} mm, {known:.2f} mm if rods were known")
 
@@ -41,7 +40,9 @@ result = pincal.calibrate(
     printer, data, method="latent", noise=noise, tied=["radius"], priors={"arm": 1e-4}
 )
 print(result)
-Path("calibrated.cfg").write_text(write_klipper(delta_printer(result.identified)))
+result.save("07_result", force=True)
+export = ["export", "07_result", "-o", "calibrated.cfg", "--force", "--quiet"]
+subprocess.run([sys.executable, "-m", "pincal", *export], check=True)
 
 bed = disc(2000)
 figure = Figure(figsize=(9, 4), layout="constrained")

@@ -36,6 +36,7 @@ from pincal.identification.runs import compare_runs
 from pincal.identification.trust import RunConsistency, Validation
 from pincal.identification.validation import validate
 from pincal.kinematics.arm import load_arm
+from pincal.kinematics.collision import free_of_collision
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse
@@ -133,6 +134,7 @@ __all__ = [
     "expected_error",
     "forecast",
     "forward",
+    "free_of_collision",
     "generate",
     "identifiability",
     "identification_jacobian",
