@@ -3,7 +3,6 @@
 from matplotlib.figure import Figure
 
 import pincal
-from pincal.show.plots import draw_mechanism
 
 mechanism = pincal.load_mechanism("3RRR")
 for leg in mechanism.legs:
@@ -25,6 +24,6 @@ print("symmetry:", pincal.symmetry_group(mechanism))
 
 figure = Figure(figsize=(10, 5), layout="constrained")
 for axes, pose in zip(figure.subplots(1, 2), poses[:2], strict=True):
-    draw_mechanism(axes, mechanism, pose).set_title(f"pose {pose}")
+    pincal.picture(mechanism, [pose]).draw(axes).set_title(f"pose {pose}")
 figure.savefig("01_mechanism.png", dpi=120)
 print("wrote 01_mechanism.png")

@@ -1,9 +1,9 @@
 """Choose the poses to measure: by symmetry, and by orbits in which each pose serves every leg."""
 
+import numpy as np
 from matplotlib.figure import Figure
 
 import pincal
-from pincal.show.plots import draw_mechanism, draw_observability, draw_poses
 
 mechanism = pincal.load_mechanism("3RRR")
 candidates = pincal.sample_workspace(mechanism, 30_000, seed=0)
@@ -21,10 +21,23 @@ pincal.write_poses("02_plan.csv", mechanism, selection.plan, force=True)
 
 figure = Figure(figsize=(15, 4.6), layout="constrained")
 left, middle, right = figure.subplots(1, 3)
-draw_mechanism(left, mechanism).set_title("3-RRR at home")
-draw_poses(middle, mechanism, selection.plan, candidates).set_title(
-    "24 poses for leg 1, carried to legs 2 and 3"
-)
-draw_observability(right, mechanism, selection).set_title("observability is symmetric")
+pincal.picture(mechanism).draw(left).set_title("3-RRR at home")
+middle.plot(*candidates[:, :2].T, ",", color="0.8")
+plan, names = selection.plan, mechanism.legs[0].parameter_names
+for index, (leg, marker, hatch) in enumerate(
+    zip(selection.legs, "o^s", ("", "//", ".."), strict=True)
+):
+    colour = ("#0072B2", "#D55E00", "#009E73")[index]
+    own = plan.poses[[chosen == leg.leg for chosen in plan.sets]]
+    middle.plot(*own[:, :2].T, marker, color=colour, ms=4, label=leg.leg)
+    middle.quiver(*own[:, :2].T, np.cos(own[:, 2]), np.sin(own[:, 2]), color=colour, width=2e-3)
+    places = np.arange(len(names)) + 0.27 * (index - 1)
+    right.bar(places, leg.r_diagonal, 0.27, color=colour, hatch=hatch, ec="white", label=leg.leg)
+middle.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+middle.set_title("24 poses for leg 1, carried to legs 2 and 3")
+middle.legend()
+right.set_xticks(range(len(names)), names)
+right.set(ylabel="observability |R_ii| [rad/unit]", title="observability is symmetric")
+right.legend()
 figure.savefig("02_poses.png", dpi=120)
 print("wrote 02_plan.csv and 02_poses.png")

@@ -3,7 +3,6 @@
 from matplotlib.figure import Figure
 
 import pincal
-from pincal.show.plots import draw_changes
 
 mechanism = pincal.load_mechanism("5R")
 noise = pincal.Noise(position=1e-4, reading=2e-5)  # [m], [rad]
@@ -27,6 +26,14 @@ calibrated = pincal.load_mechanism("03_result/mechanism")
 print("calibrated mechanism saved and loaded alike:", calibrated == result.identified)
 
 figure = Figure(figsize=(7, 4), layout="constrained")
-draw_changes(figure.subplots(), result).set_title("5R: what the calibration changed")
+axes = figure.subplots()
+for leg, marker in zip(result.legs, "o^", strict=True):
+    change = [1e3 * (p.identified - p.nominal) for p in leg.parameters]
+    half = [1e3 * (p.high - p.low) / 2 for p in leg.parameters]
+    names = [f"{p.name}\n[10⁻³ {p.unit}]" for p in leg.parameters]
+    axes.errorbar(names, change, half, fmt=marker, capsize=4, label=leg.name)
+axes.axhline(0.0, color="0.5", lw=0.8)
+axes.set(ylabel="identified − nominal, ± 95 %", title="5R: what the calibration changed")
+axes.legend()
 figure.savefig("03_changes.png", dpi=120)
 print("wrote 03_result and 03_changes.png")

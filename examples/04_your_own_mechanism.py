@@ -6,7 +6,6 @@ from matplotlib.figure import Figure
 
 import pincal
 from pincal import Joint, Placement, placed, polar
-from pincal.show.plots import draw_mechanism
 
 # Nominal parameters of leg 1: lengths in m, angles in rad.
 parameters = {
@@ -48,6 +47,6 @@ selection = pincal.select_poses(mechanism, candidates, 12)
 print(f"{len(selection.plan.poses)} poses, efficiency {selection.efficiency:.3f}")
 
 figure = Figure(figsize=(5, 5), layout="constrained")
-draw_mechanism(figure.subplots(), mechanism).set_title("3-RPR")
+pincal.picture(mechanism).draw(figure.subplots()).set_title("3-RPR")
 figure.savefig("04_mechanism.png", dpi=120)
 print("wrote 04_3RPR and 04_mechanism.png")

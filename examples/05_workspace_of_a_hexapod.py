@@ -1,7 +1,8 @@
 """Where a hexapod reaches every tilt up to 20 degrees, from a sixth of the work."""
 
+from matplotlib.figure import Figure
+
 import pincal
-from pincal.show.workspace_plots import workspace_figure
 
 mechanism = pincal.load_mechanism("6UPS")
 # Each value stands for a cell around it: radii begin half a step from the axis.
@@ -17,4 +18,13 @@ print(", ".join(str(element) for element in workspace.elements))
 ball = pincal.largest_inscribed(workspace)
 print(f"largest ball inside: radius {ball.radius:.3f} m at z = {ball.centre[2]:.3f} m")
 workspace.save("workspace_of_a_hexapod.csv", force=True)
-workspace_figure(workspace, ball).savefig("workspace_of_a_hexapod.png", dpi=80)
+
+figure = Figure(figsize=(7, 6), layout="constrained")
+axes = figure.add_subplot(projection="3d")
+x, y, z = workspace.positions.T
+half = y >= 0.0  # cut open
+axes.scatter(x[half], y[half], z[half], c=z[half], s=3, alpha=0.3)
+axes.plot(*ball.centre, "r*", ms=14, label="centre of the largest ball")
+axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", aspect="equal")
+axes.legend()
+figure.savefig("workspace_of_a_hexapod.png", dpi=80)

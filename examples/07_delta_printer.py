@@ -1,13 +1,12 @@
 """Calibrate a delta printer by touching its bed, and write the parameters for Klipper."""
 
-from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import pincal
-from pincal.formats.delta import delta_printer
-from pincal.formats.klipper import write_klipper
 
 printer = pincal.load_mechanism("linear_delta")
 noise = pincal.Noise(position=2e-5)  # of a probed height [m]
@@ -40,7 +39,9 @@ result = pincal.calibrate(
     printer, data, noise=noise, tied=["radius"], priors={"arm": 1e-4}
 )
 print(result)
-Path("calibrated.cfg").write_text(write_klipper(delta_printer(result.identified)))
+result.save("07_result", force=True)
+export = ["export", "07_result", "-o", "calibrated.cfg", "--force", "--quiet"]
+subprocess.run([sys.executable, "-m", "pincal", *export], check=True)
 
 bed = disc(2000)
 figure = Figure(figsize=(9, 4), layout="constrained")

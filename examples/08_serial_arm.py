@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.kinematics.readers import free_of_collision
 
 # Any URDF will do; this one comes with the package example-robot-data.
 urdf = next(str(f.locate()) for f in files("example-robot-data") if f.name == "ur10_robot.urdf")
@@ -25,7 +24,7 @@ def reflector(model: pincal.Mechanism, readings: np.ndarray) -> np.ndarray:
 
 
 offered = pincal.sample_configurations(arm, 1000, seed=0)
-free = free_of_collision(urdf, arm.reading_names, offered.readings)
+free = pincal.free_of_collision(urdf, arm.reading_names, offered.readings)
 offered = pincal.Plan(offered.poses[free], readings=offered.readings[free])
 choice = pincal.select_configurations(
     arm, offered, 40, noise=noise, measured=["x", "y", "z"], setup=setup, starts=5

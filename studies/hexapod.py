@@ -73,7 +73,7 @@ def run(study: Study) -> None:
         ),
         (
             f"{first} (144 poses) against {COMMON}, position",
-            "(beyond the paper)",
+            "(not in the paper)",
             f"error of the common ones {times}",
             verdict,
         ),

@@ -160,7 +160,7 @@ def compared(first: tuple[float, float], second: tuple[float, float], draws: int
     """Return in a phrase whether a first mean is smaller than a second, by standard errors."""
     apart = (second[0] - first[0]) / np.hypot(first[1], second[1])
     if abs(apart) < 2.0:
-        return f"not told apart by {draws} draws ({apart:+.1f} standard errors)"
+        return f"not clearly different over {draws} draws ({apart:+.1f} standard errors)"
     return f"{'smaller' if apart > 0 else 'larger'} by {abs(apart):.1f} standard errors"
 
 
@@ -176,5 +176,5 @@ def paired(first: Array, second: Array) -> tuple[str, str]:
     ratio = float(np.exp(logs.mean()))
     times = f"{ratio:.2f} ± {ratio * half:.2f} times as large"
     if abs(logs.mean()) <= half:
-        return times, f"not told apart by {len(logs)} machines"
+        return times, f"not clearly different over {len(logs)} machines"
     return times, "better" if logs.mean() > 0 else "worse"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+
+import pincal
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
@@ -23,6 +26,19 @@ def test_example_runs(path: Path, tmp_path: Path) -> None:
     assert run.returncode == 0, run.stderr
     assert list(tmp_path.glob("*.png"))
     assert len(path.read_text().splitlines()) < 60
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_uses_the_public_api_alone(path: Path) -> None:
+    """It imports pincal's top, where every name is in ``__all__``."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            assert not any(one.name.startswith("pincal.") for one in node.names)
+        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("pincal"):
+            assert node.module == "pincal"
+            assert {one.name for one in node.names} <= set(pincal.__all__)
+        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "pincal":
+            assert node.attr in pincal.__all__
 
 
 @pytest.mark.slow
