@@ -545,7 +545,7 @@ def test_noise_at_its_limits_is_borne(noise: Noise, method: Any) -> None:
     try:
         result = pincal.calibrate(mechanism, data, noise=noise, method=method)
     except pincal.ObservabilityError as error:  # readings all but exact, and off by 1e44 of that
-        assert (method, noise.reading) == ("latent", 1e-50)  # noqa: PT017
+        assert (method, noise.reading) == ("latent", 1e-50)
         assert "by their noise only" in str(error)  # noqa: PT017
         return
     assert np.isfinite(result.reduced_chi2)

@@ -244,7 +244,7 @@ def test_legs_share_no_platform_point_with_parameters() -> None:
         for leg in five.legs
     )
     home = tuple(c - p for c, p in zip(five.platform.home, placement.xyz, strict=False))
-    with pytest.raises(MechanismError, match="leg_1 and leg_2 share .* 'end_effector'"):
+    with pytest.raises(MechanismError, match=r"leg_1 and leg_2 share .* 'end_effector'"):
         replace(five, legs=legs, platform=pincal.Platform("point", home))
 
 
