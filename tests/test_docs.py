@@ -178,3 +178,12 @@ def test_no_licence_binds_users(dependencies: dict[str, Any]) -> None:
     assert len(licences) > 40
     bound = {name: text for name, text in licences.items() if not text.startswith(FREE)}
     assert not bound
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/glossary.md", "docs/testing.md"])
+def test_files_that_pages_name_are_there(page: str) -> None:
+    """Every module and folder of the repository that a page sends its reader to exists."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:pincal|tests|tools)/[\w/.]*)`", text))
+    assert named
+    assert not {name for name in named if not (ROOT / name).exists()}

@@ -234,8 +234,8 @@ def test_platform_loads_elsewhere_with_its_points(sample: pincal.Mechanism, tmp_
     assert all(link.visuals for link in robot.robot.links)
 
 
-def test_legs_may_share_a_platform_point_with_parameters(tmp_path: Path) -> None:
-    """Legs on one point, each with parameters of it, are refused by name or load equal."""
+def test_legs_share_no_platform_point_with_parameters() -> None:
+    """Legs on one point, each with parameters of it, are refused by name."""
     five, values = pincal.load_mechanism("5R"), {"r": 0.1, "azimuth": 0.5}
     placement = pincal.placed(values, pincal.polar("r", "azimuth"))
     point = pincal.Joint("end_effector", "fixed", placement)
@@ -244,24 +244,15 @@ def test_legs_may_share_a_platform_point_with_parameters(tmp_path: Path) -> None
         for leg in five.legs
     )
     home = tuple(c - p for c, p in zip(five.platform.home, placement.xyz, strict=False))
-    try:
-        shared = replace(five, legs=legs, platform=pincal.Platform("point", home))
-    except MechanismError as error:
-        assert "'end_effector'" in str(error)  # noqa: PT017
-        return
-    mechanism = pincal.disturb(shared, 1e-3, 0)
-    assert pincal.load_mechanism(mechanism.save(tmp_path / "m")) == mechanism
+    with pytest.raises(MechanismError, match=r"leg_1 and leg_2 share .* 'end_effector'"):
+        replace(five, legs=legs, platform=pincal.Platform("point", home))
 
 
 def test_leg_names_do_not_collide_with_the_platforms_file(folder: Path) -> None:
-    """A leg called 'platform' is refused, or saved so that it loads equal."""
+    """A leg called 'platform' is refused."""
     edit(folder, (YAML, "- name: leg_1", "- name: platform"))
-    try:
-        mechanism = pincal.load_mechanism(folder)
-    except MechanismError as error:
-        assert "'platform'" in str(error)  # noqa: PT017
-        return
-    assert pincal.load_mechanism(mechanism.save(folder.parent / "m")) == mechanism
+    with pytest.raises(MechanismError, match="'platform' names the platform's file"):
+        pincal.load_mechanism(folder)
 
 
 AXIS = '<axis xyz="0.0 0.0 1.0"/>'

@@ -9,7 +9,7 @@ stand in ``studies/`` or ``pincal/studies/`` and have rows of their own:
   such as ``_NEAR = 1e-6``, ``SIZES = (3, 4)`` or ``1 << 12``; not booleans, 0 and 1 alone, and
   defaults of dataclass fields, which are arguments;
 - *public names*: those in ``pincal.__all__``;
-- *words to leave*: uses of ``WORDS`` in file names, names, comments and texts, as parts of names too
+- *words to leave*: uses of ``WORDS`` in file names, names, comments and texts, parts of names too
   (``is_told``); a form of a word is another word (``tells`` is not ``tell``).
 """
 
