@@ -73,12 +73,14 @@ def measurements(folder: Path, mechanism: str, plan: str) -> Path:
 
 
 def combinations() -> list[object]:
-    """Return every combination that is to work."""
-    every = [("3RRR", *one) for one in product(PLANS, METHODS, FRAMES, TARGETS)]
-    every += [
-        ("5R", "default", method, frame, "origin") for method, frame in product(METHODS, FRAMES)
-    ]
-    every += [("6UPS", "default", *one) for one in product(METHODS, FRAMES, TARGETS)]
+    """Return what is tried: of the first plan all, of the other ones and machines the corners."""
+    every = [("3RRR", "default", *one) for one in product(METHODS, FRAMES, TARGETS)]
+    ends = (("base", "origin"), ("tracker", "target"), ("tracker", "origin"))
+    others = [plan for plan in PLANS if plan != "default"]
+    chosen = ("default", "per leg", "latent")
+    every += [("3RRR", plan, m, *end) for plan, m, end in product(others, chosen, ends)]
+    every += [("5R", "default", method, "tracker", "origin") for method in METHODS]
+    every += [("6UPS", "default", method, "tracker", "target") for method in METHODS]
     found = []
     for one in every:
         _, plan, method, _, _ = one
