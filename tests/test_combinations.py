@@ -37,8 +37,6 @@ TARGETS = {"origin": (), "target": ("--unknown-target",)}
 #: What is tried in every run, the rest in the slow one.
 QUICK = {
     ("3RRR", "default", "default", "tracker", "origin"),  # the three commands of the first page
-    ("3RRR", "default", "together", "tracker", "target"),
-    ("3RRR", "orbits", "default", "tracker", "target"),
     ("3RRR", "for positions", "latent", "tracker", "origin"),
 }
 
@@ -80,7 +78,7 @@ def combinations() -> list[object]:
     chosen = ("default", "per leg", "latent")
     every += [("3RRR", plan, m, *end) for plan, m, end in product(others, chosen, ends)]
     every += [("5R", "default", method, "tracker", "origin") for method in METHODS]
-    every += [("6UPS", "default", method, "tracker", "target") for method in METHODS]
+    every += [("6UPS", "default", method, "tracker", "target") for method in ("default", "latent")]
     found = []
     for one in every:
         _, plan, method, _, _ = one
