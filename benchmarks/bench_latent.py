@@ -1,29 +1,30 @@
-"""Ratios of the latent-pose estimator: linear in poses, and against SciPy's sparse solver.
+"""Ratios of calibration with all poses unknown: linear in poses, and against SciPy's sparse solver.
 
-Both solve the same problem from the same start, with the same residuals and derivatives.
+SciPy gets the same rows, from the same start, with closed forms of readings and their derivatives.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import coo_matrix, csr_matrix
+from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.identification.calibrate import calibration_task
-from pincal.identification.latent import LatentPoses
-from pincal.identification.latent_fit import latent_problem
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from conftest import in_turn
+from cramer_rao import values_of
 
+Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
 
 
@@ -42,52 +43,91 @@ def measured(count: int) -> tuple[pincal.Mechanism, pincal.Measurements]:
 
 
 def calibrated(mechanism: pincal.Mechanism, data: pincal.Measurements) -> pincal.CalibrationResult:
-    """Return the calibration with latent poses."""
+    """Return the calibration with all poses unknown."""
     return pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
 
 
-def by_scipy(problem: LatentPoses, parameters: np.ndarray) -> OptimizeResult:
-    """Return SciPy's solution: all poses among its unknowns, the Jacobian sparse."""
-    start = problem.start(parameters)
-    n, (count, dof) = len(parameters), (len(start.matrices), 6)
-    platform = problem.residuals[0].platform
-    rows, _ = problem.rows(start)
-    k = rows.value.shape[1]
-    line = np.arange(count * k).reshape(count, k)
-    at = [
-        (
-            np.repeat(line[:, i], columns.stop - columns.start),
-            np.tile(np.arange(columns.start, columns.stop), count),
-        )
-        for i, columns in enumerate(problem.columns)
-    ]
-    at.append(
-        (
-            np.repeat(line.ravel(), dof),
-            (n + np.arange(count)[:, None, None] * dof + np.arange(dof)).repeat(k, axis=1).ravel(),
-        )
-    )
-    where = tuple(np.concatenate(part) for part in zip(*at, strict=True))
+def _spherical(radius: float, polar: float, azimuth: float) -> tuple[Array, Array]:
+    """Return a point in spherical coordinates, (3,), and its derivatives by these, (3, 3)."""
+    (s, c), (sa, ca) = (np.sin(polar), np.cos(polar)), (np.sin(azimuth), np.cos(azimuth))
+    unit = np.array([s * ca, s * sa, c])
+    polars, azimuths = np.array([c * ca, c * sa, -s]), np.array([-s * sa, s * ca, 0.0])
+    return radius * unit, np.stack((unit, radius * polars, radius * azimuths), axis=1)
 
-    def state(values: np.ndarray) -> object:
-        moved = platform.displaced(start.matrices, values[n:].reshape(count, dof))
-        return problem.rows(replace(start, parameters=values[:n], matrices=moved))[0]
 
-    def residual(values: np.ndarray) -> np.ndarray:
-        return state(values).value.ravel()  # type: ignore[attr-defined]
+@dataclass(frozen=True)
+class Hexapod:
+    """A 6-UPS in closed form: eight parameters a leg, then a twist for each measured pose."""
 
-    def jacobian(values: np.ndarray) -> csr_matrix:
-        found = state(values)
-        legs = [
-            found.parameter[:, i, columns].ravel()  # type: ignore[attr-defined]
-            for i, columns in enumerate(problem.columns)
+    positions: Array
+    """Measured, shape (N, 3), [m]."""
+    rotations: Rotation
+    """Measured, length N."""
+    readings: Array
+    """Shape (N, 6), [m]."""
+
+    def __call__(self, values: Array) -> tuple[Array, csr_matrix]:
+        """Return residuals in standard deviations, readings first, and the sparse Jacobian."""
+        N = len(self.positions)
+        parameters, twists = values[:48].reshape(6, 8), values[48:].reshape(N, 6)
+        points = self.positions + twists[:, :3]
+        turns = Rotation.from_rotvec(twists[:, 3:])
+        R = (turns * self.rotations).as_matrix()
+        left = _left(twists[:, 3:])
+        off, own, of_pose = np.empty((N, 6)), np.empty((N, 6, 8)), np.empty((N, 6, 6))
+        for leg, p in enumerate(parameters):
+            A, dA = _spherical(*p[:3])
+            b, db = _spherical(*p[3:6])
+            arm = R @ b
+            line = points + arm - A
+            length = np.linalg.norm(line, axis=1)
+            u, k = line / length[:, None], p[6]
+            reading = (length - p[7]) / k
+            off[:, leg] = reading - self.readings[:, leg]
+            own[:, leg, :3] = -u @ dA / k
+            own[:, leg, 3:6] = np.einsum("ni,nij,jk->nk", u, R, db) / k
+            own[:, leg, 6] = -reading / k
+            own[:, leg, 7] = -1.0 / k
+            of_pose[:, leg, :3] = u / k
+            of_pose[:, leg, 3:] = np.einsum("ni,nij->nj", np.cross(arm, u), left) / k
+        value = np.concatenate((off.ravel() / NOISE.reading, twists.ravel() / NOISE.position))
+        row = np.arange(6 * N).reshape(N, 6, 1)
+        columns = 8 * np.arange(6)[:, None] + np.arange(8)
+        poses = 48 + 6 * np.arange(N)[:, None, None] + np.arange(6)
+        parts = [
+            (own / NOISE.reading, row, columns),
+            (of_pose / NOISE.reading, row, poses),
+            (np.full(6 * N, 1.0 / NOISE.position), 6 * N + row.ravel(), 48 + row.ravel()),
         ]
-        entries = np.concatenate([*legs, found.pose.ravel()])  # type: ignore[attr-defined]
-        return coo_matrix((entries, where), shape=(count * k, len(values))).tocsr()
+        entries, rows, cols = (
+            np.concatenate([np.broadcast_to(part[i], part[0].shape).ravel() for part in parts])
+            for i in range(3)
+        )
+        return value, coo_matrix((entries, (rows, cols)), shape=(12 * N, 48 + 6 * N)).tocsr()
 
-    first = np.concatenate((start.parameters, np.zeros(count * dof)))
+
+def _left(v: Array) -> Array:
+    """Return the left Jacobians of small rotation vectors, to third order, shape (N, 3, 3)."""
+    cross = np.cross(v[:, None, :], np.eye(3)).transpose(0, 2, 1)
+    return np.eye(3) + cross / 2 + cross @ cross / 6
+
+
+def by_scipy(mechanism: pincal.Mechanism, data: pincal.Measurements) -> OptimizeResult:
+    """Return SciPy's solution: all poses among its unknowns, the Jacobian sparse."""
+    matrices = mechanism.platform.transforms(data.poses).as_matrix()
+    rotations = Rotation.from_matrix(matrices[:, :3, :3])
+    problem = Hexapod(matrices[:, :3, 3], rotations, data.readings)
+    nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
+    first = np.concatenate((nominal, np.zeros(6 * len(data))))
     tight = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-10)
-    return least_squares(residual, first, jac=jacobian, x_scale="jac", tr_solver="lsmr", **tight)
+    return least_squares(
+        lambda values: problem(values)[0],
+        first,
+        jac=lambda values: problem(values)[1],
+        x_scale="jac",
+        tr_solver="lsmr",
+        **tight,
+    )
 
 
 @pytest.mark.parametrize("many", [10_000])
@@ -105,15 +145,13 @@ def test_against_a_sparse_solver(many: int, ratios: Callable[[str, float, str], 
     begin = perf_counter()
     result = calibrated(mechanism, data)
     own = perf_counter() - begin
-    task = calibration_task(mechanism, data, method="latent", noise=NOISE)
     begin = perf_counter()
-    problem, unknowns = latent_problem(task)
-    other = by_scipy(problem, unknowns.start)
+    other = by_scipy(mechanism, data)
     theirs = perf_counter() - begin
-    identified = np.concatenate([leg.identified for leg in result.legs])
-    std = np.concatenate([leg.std for leg in result.legs])
-    off = np.abs((other.x[: len(identified)] - identified) / std).max()
+    values, std, *_ = values_of(result)
+    off = np.abs((other.x[: len(values)] - values) / std).max()
     print(f"\nSciPy: {other.message} after {other.nfev} evaluations, {off:.2g} standard errors off")
+    assert off < 0.1
     ratios(
         "latent poses, 6-UPS, 10,000 poses: SciPy least_squares (sparse) over pincal",
         theirs / own,
