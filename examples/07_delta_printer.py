@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import pincal
-from pincal.formats.delta import delta_printer
-from pincal.formats.klipper import write_klipper
+from pincal.formats.printers.delta import delta_printer
+from pincal.formats.printers.klipper import write_klipper
 
 printer = pincal.load_mechanism("linear_delta")
 noise = pincal.Noise(position=2e-5)  # of a probed height [m]

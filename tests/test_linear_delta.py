@@ -11,7 +11,7 @@ from measured import put
 
 import pincal
 from pincal.estimation.weak import weakly_told
-from pincal.formats.delta import delta_printer
+from pincal.formats.printers.delta import delta_printer
 
 PROBE = pincal.Noise(2e-5, 0.0, 0.0)  # of heights [m]
 

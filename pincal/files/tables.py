@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import MeasurementError
 from pincal.files.input import plain_number, read_text, why_no_number
 from pincal.files.output import writing
 from pincal.model.checks import LARGEST, must_be
@@ -185,12 +185,12 @@ def dataframe(columns: Mapping[str, Iterable[float] | Iterable[str]]) -> Any:
     """Return columns (header to values, SI) as a pandas DataFrame.
 
     Raises:
-        PincalError: pandas is not installed.
+        MeasurementError: pandas is not installed.
     """
     try:
         import pandas
     except ImportError as error:
-        raise PincalError(
+        raise MeasurementError(
             "a DataFrame needs the package pandas: python -m pip install 'pincal[pandas]'"
         ) from error
     return pandas.DataFrame({name: list(values) for name, values in columns.items()})

@@ -35,7 +35,7 @@ def array_of(
         values: An array, or lists of numbers.
         shape: Expected, numbers where the size is known, letters where it is free.
         what: The thing's name, which heads the message.
-        error: Raised if it is no array of numbers, or of another shape.
+        error_type: Raised if it is no array of numbers, or of another shape.
     """
     wanted = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
     if isinstance(values, str | bytes | Mapping) or values is None:

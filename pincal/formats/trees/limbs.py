@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.formats.graph import Pass
-from pincal.formats.tree import Tree, turns
+from pincal.formats.trees.graph import Pass
+from pincal.formats.trees.tree import Tree, turns
 from pincal.model.leg import Joint
 from pincal.model.placement import Placement, placement_of
 

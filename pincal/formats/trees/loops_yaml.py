@@ -24,7 +24,7 @@ from pincal.files.schema import Number
 from pincal.files.urdf import link_of, read_joint
 from pincal.files.xml import read_xml
 from pincal.files.yaml_reading import meant, read_yaml
-from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns
+from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns
 
 _TURNED = {"SPHERICAL": "xyz", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 

@@ -11,7 +11,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Edge, Loop, Tree, listed
+from pincal.formats.trees.tree import Edge, Loop, Tree, listed
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Tree
+from pincal.formats.trees.tree import Tree
 from pincal.kinematics.assembly import opening
 from pincal.kinematics.closure import largest_size
 from pincal.model.leg import Leg

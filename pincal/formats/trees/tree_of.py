@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, turns
+from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, turns
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Joint, Leg

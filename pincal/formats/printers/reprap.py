@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.input import lines_of, plain_number, read_text
-from pincal.formats.delta import DeltaPrinter, Expressed, noted
+from pincal.formats.printers.delta import DeltaPrinter, Expressed, noted
 
 Array = NDArray[np.float64]
 _ANGLES = (210.0, 330.0, 90.0)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.input import lines_of, plain_number, read_text
-from pincal.formats.delta import DeltaPrinter, Expressed, Three, noted
+from pincal.formats.printers.delta import DeltaPrinter, Expressed, Three, noted
 from pincal.model.checks import LARGEST
 
 Array = NDArray[np.float64]
