@@ -65,7 +65,7 @@ class Table:
         return tuple(self.lines) if self.counted == "line" else None
 
     def where(self, row: int) -> str:
-        """Return where a row stands: file and line."""
+        """Return where a row is: file and line."""
         return f"{self.path}, {self.counted} {self.lines[row]}"
 
     def __contains__(self, column: str) -> bool:
@@ -105,7 +105,7 @@ class Table:
         """Return the numbers of a column as they stand, shape (N,).
 
         Raises:
-            MeasurementError: a cell is not a finite number, or beyond ``LARGEST``.
+            MeasurementError: a cell is not a finite number, or above ``LARGEST``.
         """
         values = np.array([plain_number(cell) for cell in self.text[column]])
         empty = np.array([blank and not cell.strip() for cell in self.text[column]])

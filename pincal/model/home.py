@@ -12,15 +12,15 @@ from pincal.model.links import link_placements
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
-_ROUGH = 0.1  # of the leg's size: beyond it, a home is wrong rather than rough
+_ROUGH = 0.1  # of the leg's size: a home that misses by more is wrong
 
 
 def check_home(leg: Leg, platform: Platform) -> None:
     """Raise if the home positions of a leg leave it wide open at the platform's home pose.
 
     Raises:
-        MechanismError: it does not close within a tenth of its size; angles beyond a full turn
-            are asked about.
+        MechanismError: it does not close within a tenth of its size; of an angle of more
+            than a full turn it asks whether it is degrees.
     """
     gap, turn = _apart(leg, platform)
     if max(gap, leg.size * turn) <= _ROUGH * leg.size:
@@ -40,11 +40,11 @@ def check_home(leg: Leg, platform: Platform) -> None:
         )
         if unit == "rad"
     }
-    beyond = {name: value for name, value in angles.items() if abs(value) > 2 * np.pi}
+    large = {name: value for name, value in angles.items() if abs(value) > 2 * np.pi}
     asked = "".join(
         f". {name} is {value:g} at home: radians are expected; is this degrees "
         f"({np.radians(value):.6g} rad)?"
-        for name, value in list(beyond.items())[:1]
+        for name, value in list(large.items())[:1]
     )
     raise MechanismError(
         f"{leg.name} does not close at home: {said}. Correct 'home' of {leg.name} or of the "

@@ -114,7 +114,7 @@ class Expressed:
     gains: Three
     """By how much each carriage moves for a reading of one."""
     remarks: tuple[str, ...]
-    """What has no counterpart in the parameters, in words."""
+    """What has no counterpart in the parameters, as sentences."""
 
 
 def noted(remarks: Sequence[str], mark: str) -> list[str]:

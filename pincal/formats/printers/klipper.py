@@ -41,7 +41,7 @@ class KlipperFile:
     readings: Array
     """Ways of the carriages down from their endstops there, shape (N, 3), [m]."""
     remarks: tuple[str, ...]
-    """What was in the file and could not be used, in words."""
+    """What was in the file and could not be used, as sentences."""
 
 
 def read_klipper(path: str | Path) -> KlipperFile:
@@ -186,7 +186,7 @@ class _Config:
                 yield from self._lines(one, (*above, path.resolve()))
 
     def _included(self, path: Path, name: str) -> list[Path]:
-        """Return the files that a name or pattern stands for, none outside the first file's folder.
+        """Return the files that a name or pattern means, none outside the first file's folder.
 
         Patterns do not lead upwards, where there may be much to search.
         """
@@ -255,7 +255,7 @@ class _Config:
         """Return the way of a carriage for a step, [mm] (``klippy/stepper.py``).
 
         Raises:
-            MechanismError: options that do not tell it.
+            MechanismError: options that do not determine it.
         """
         if "rotation_distance" not in (known := self.options(stepper)) and "step_distance" in known:
             return self.number(stepper, "step_distance")  # before 2021

@@ -1,7 +1,7 @@
 """A tree with loops becomes a mechanism: legs, platform, drives, and the parameters of its joints.
 
 Every joint that moves, the tip and the platform's point may be displaced in all directions; of
-these displacements each leg keeps those that its closure can tell apart (``independent``).
+these displacements each leg keeps those that its closure can distinguish (``independent``).
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ _SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
 
 
 def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism, tuple[str, ...]]:
-    """Return the mechanism of a tree with loops, and what was left out of it, in words.
+    """Return the mechanism of a tree with loops, and sentences on what was left out of it.
 
     Args:
         tree: Links, joints and loops.
         platform: Link whose frame is the platform's; the one in which the legs meet if not given.
 
     Raises:
-        MechanismError: legs, platform and drives cannot be told apart; the loops do not close.
+        MechanismError: legs, platform and drives cannot be distinguished; the loops do not close.
     """
     platform = platform or tree.platform
     if platform is not None:
@@ -184,7 +184,7 @@ def _in_plane(one: Limb, normal: Array, C_platform: Array) -> Limb:
 
 
 def _turned_platform(one: Limb, C_platform: Array) -> Limb:
-    """Return a leg whose platform point is told in a platform frame that is turned."""
+    """Return a leg whose platform point is given in a platform frame that is turned."""
     if one.point is None or np.array_equal(C_platform, np.eye(3)):
         return one
     origin = one.point.placement.origin()
@@ -281,7 +281,7 @@ def _apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
 
 
 def _reduced(leg: Leg, platform: Platform) -> Leg:
-    """Return a leg with the parameters that its closure can tell apart; shifts come first."""
+    """Return a leg with the parameters that its closure can distinguish; shifts come first."""
     order = sorted(leg.parameter_names, key=lambda name: leg.units[name] != "m")
     kept = set(independent(leg, platform, tuple(order)))
 

@@ -42,7 +42,7 @@ def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
 
 
 def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
-    """Return by how much loops are open as drawn and how far joints were moved, in words.
+    """Return by how much loops are open as drawn and how far joints were moved, as sentences.
 
     And whether that is more than rounding.
     """

@@ -102,7 +102,7 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
 def _edges(
     element: etree._Element, parent: str, child: str, urdf: Path, replaced: Mapping[str, str]
 ) -> tuple[Edge, ...]:
-    """Return the edges that a <joint> stands for."""
+    """Return the edges that a <joint> means."""
     name, floating = str(element.get("name")), element.get("type") == "floating"
     axes = "XYZxyz" if floating else _TURNED.get(replaced.get(name, ""), "")
     if not axes and name not in replaced:

@@ -25,7 +25,7 @@ BASE, PLATFORM = "base", "platform"
 
 
 def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
-    """Return the tree of a mechanism at its nominal parameters, and what it cannot hold, in words.
+    """Return the tree of a mechanism at nominal parameters, and sentences on what it cannot hold.
 
     Joints keep their names if all legs' differ; else they are ``leg_joint``. Home closes the loops
     if it can.
