@@ -12,7 +12,8 @@ from pincal.model.links import link_placements
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
-_ROUGH = 0.1  # of the leg's size: a home that misses by more is wrong
+ROUGH = 0.1
+"""Of the size: what is drawn and misses by more is wrong, not rough."""
 
 
 def check_home(leg: Leg, platform: Platform) -> None:
@@ -23,14 +24,14 @@ def check_home(leg: Leg, platform: Platform) -> None:
             than a full turn it asks whether it is degrees.
     """
     gap, turn = _apart(leg, platform)
-    if max(gap, leg.size * turn) <= _ROUGH * leg.size:
+    if max(gap, leg.size * turn) <= ROUGH * leg.size:
         return
     said = (
         f"its tip is {gap:.2g} m from the platform's point {leg.point.name!r}, the leg is "
         f"{leg.size:.2g} m long; expected a tenth of that at most"
         if gap >= leg.size * turn
         else f"its tip is turned by {turn:.2g} rad against the platform's frame "
-        f"{leg.point.name!r}; expected {_ROUGH:g} rad at most"
+        f"{leg.point.name!r}; expected {ROUGH:g} rad at most"
     )
     angles = {f"{joint.name} of {leg.name}": joint.home for joint in leg.moving if joint.turns}
     angles |= {

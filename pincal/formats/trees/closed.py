@@ -22,6 +22,7 @@ from pincal.formats.trees.limbs import Limb, limb, point_platform, poses_at_zero
 from pincal.formats.trees.tree import Tree, listed
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.independent import independent
+from pincal.model.checks import EXACT
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along, placement_of
@@ -29,7 +30,6 @@ from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 
 Array = NDArray[np.float64]
-_PARALLEL = 1e-9
 _FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3): "spatial"}
 _SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
 
@@ -73,7 +73,7 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
             C_platform = np.eye(3) if normal is None else _onto(at.T @ normal)
     if normal is not None:
         limbs = tuple(_in_plane(one, normal, C_platform) for one in limbs)
-        if abs(normal[2]) < 1.0 - _PARALLEL:
+        if abs(normal[2]) < 1.0 - EXACT:
             remarks.append("planar, but not across z: the base frame was turned to have z across")
     elif not np.array_equal(C_platform, np.eye(3)):
         limbs = tuple(_turned_platform(one, C_platform) for one in limbs)
@@ -141,8 +141,8 @@ def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
     if not turning:
         return None
     normal = turning[0]
-    parallel = all(np.linalg.norm(np.cross(normal, axis)) < _PARALLEL for axis in turning)
-    if not (parallel and all(abs(normal @ axis) < _PARALLEL for axis in sliding)):
+    parallel = all(np.linalg.norm(np.cross(normal, axis)) < EXACT for axis in turning)
+    if not (parallel and all(abs(normal @ axis) < EXACT for axis in sliding)):
         return None
     largest = normal[np.argmax(np.abs(normal))]
     return np.asarray(normal * np.sign(largest))
@@ -150,9 +150,9 @@ def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
 
 def _onto(normal: Array) -> Array:
     """Return the smallest turn of z onto a unit vector, shape (3, 3)."""
-    if normal[2] > 1.0 - _PARALLEL:
+    if normal[2] > 1.0 - EXACT:
         return np.eye(3)
-    if normal[2] < _PARALLEL - 1.0:
+    if normal[2] < EXACT - 1.0:
         return np.diag([1.0, -1.0, -1.0])
     axis = np.cross((0.0, 0.0, 1.0), normal)
     angle = np.arctan2(np.linalg.norm(axis), normal[2])
@@ -161,7 +161,7 @@ def _onto(normal: Array) -> Array:
 
 def _along(normal: Array) -> Array:
     """Return the smallest turn of z, or of -z, onto a unit vector."""
-    return np.eye(3) if abs(normal[2]) > 1.0 - _PARALLEL else _onto(normal)
+    return np.eye(3) if abs(normal[2]) > 1.0 - EXACT else _onto(normal)
 
 
 def _in_plane(one: Limb, normal: Array, C_platform: Array) -> Limb:
