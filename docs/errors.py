@@ -184,7 +184,7 @@ def public() -> dict[str, object]:
     """Return what people call from Python, and of the readers of formats what commands call."""
     found = {name: getattr(pincal, name) for name in pincal.__all__}
     reached = [one for own in commands().values() for one in own]
-    for module in pkgutil.iter_modules(formats.__path__, "pincal.formats."):
+    for module in pkgutil.walk_packages(formats.__path__, "pincal.formats."):
         imported = importlib.import_module(module.name)
         found |= {
             f"{module.name.removeprefix('pincal.')}.{name}": what

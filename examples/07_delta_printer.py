@@ -7,6 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import pincal
+<<<<<<< HEAD
+=======
+from pincal.formats.printers.delta import delta_printer
+from pincal.formats.printers.klipper import write_klipper
+>>>>>>> models
 
 printer = pincal.load_mechanism("linear_delta")
 noise = pincal.Noise(position=2e-5)  # of a probed height [m]

@@ -44,7 +44,7 @@ from pincal.kinematics.singularity import margins
 from pincal.model.leg import Joint, Leg
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import Parameter, Parameters
+from pincal.model.parameter import Parameter
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical
 from pincal.model.platform import Platform
 from pincal.model.platform_kind import PlatformKind
@@ -104,7 +104,6 @@ __all__ = [
     "Options",
     "Orientations",
     "Parameter",
-    "Parameters",
     "Picture",
     "PincalError",
     "Placement",

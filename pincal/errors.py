@@ -15,7 +15,7 @@ class MechanismError(PincalError, ValueError):
     """A mechanism, leg, URDF or mechanism.yaml that cannot be used.
 
     Causes: a file that says something else than it should, or that disagrees with another one;
-    numbers that are none, or beyond 1e12; poses or parameters of a wrong shape; a leg that does
+    numbers that are none, or above 1e12; poses or parameters of a wrong shape; a leg that does
     not close at home. So too a printer's configuration that is not of a delta.
 
     What to do: correct the place that the message names (file and line, or leg and joint);
@@ -39,11 +39,12 @@ class MeasurementError(PincalError, ValueError):
 class ObservabilityError(PincalError, ValueError):
     """Poses that leave a parameter, or a combination of parameters, undetermined.
 
-    Causes: too few poses, or poses too much alike; parameters that no pose can tell apart with
+    Causes: too few poses, or poses too much alike; parameters that no pose can distinguish by
     what is measured.
 
-    What to do: choose poses by ``pincal select``, ask ``pincal identifiability`` what they tell,
-    measure more of the pose, or fix, tie or give a prior to a parameter that the message names.
+    What to do: choose poses by ``pincal select``, ask ``pincal identifiability`` what they
+    determine, measure more of the pose, or fix, tie or give a prior to a parameter that the
+    message names.
     """
 
 

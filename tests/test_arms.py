@@ -227,8 +227,7 @@ def test_order_of_rows_does_not_matter() -> None:
     data = measured_by("ur10", phi, 40, 0)
     other = data.rows(np.random.default_rng(0).permutation(40))
     one, two = (
-        pincal.calibrate(mechanism, d, noise=NOISE).legs[0].identified
-        for d in (data, other)
+        pincal.calibrate(mechanism, d, noise=NOISE).legs[0].identified for d in (data, other)
     )
     np.testing.assert_allclose(one, two, atol=1e-12)
 

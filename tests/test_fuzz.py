@@ -22,10 +22,10 @@ from test_formats import CONFIG
 
 import pincal
 from pincal.errors import PincalError
-from pincal.formats.delta import DeltaPrinter, Expressed
 from pincal.formats.figaroh import read_figaroh
-from pincal.formats.klipper import read_klipper, write_klipper
-from pincal.formats.reprap import read_reprap, write_reprap
+from pincal.formats.printers.delta import DeltaPrinter, Expressed
+from pincal.formats.printers.klipper import read_klipper, write_klipper
+from pincal.formats.printers.reprap import read_reprap, write_reprap
 
 PLANE, SPACE = pincal.load_mechanism("3RRR"), pincal.load_mechanism("6UPS")
 HEIGHTS = """\

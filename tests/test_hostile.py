@@ -17,8 +17,8 @@ from pincal.errors import FileError, MeasurementError, MechanismError, PincalErr
 from pincal.files import tables as table
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.tables import read_table
-from pincal.formats.klipper import read_klipper
-from pincal.formats.reprap import read_reprap
+from pincal.formats.printers.klipper import read_klipper
+from pincal.formats.printers.reprap import read_reprap
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
 THREE = pincal.load_mechanism("3RRR")

@@ -27,9 +27,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.estimation.gauge import find_gauge
 from pincal.estimation.observation import Observation
 from pincal.identification.calibrate import calibration_task
-from pincal.estimation.gauge import find_gauge
 from pincal.identification.latent_fit import latent_problem
 from pincal.kinematics.closure import largest_size
 
@@ -187,9 +187,7 @@ def test_single_coordinates_and_rows_with_nothing_measured() -> None:
     data = put(data, "poses", np.s_[10:, 1], np.nan)
     data = put(data, "poses", np.s_[30:, 2], np.nan)
     data = put(data, "poses", np.s_[-5:], np.nan)
-    result = pincal.calibrate(
-        mechanism, data, noise=pincal.Noise(1e-4, 1e-4, 1e-5)
-    )
+    result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 1e-4, 1e-5))
     assert error(result, truth) < 1e-8
     assert result.estimated_poses is not None
     np.testing.assert_allclose(result.estimated_poses, poses, atol=1e-8)
@@ -570,9 +568,7 @@ def test_a_single_tilt_is_a_measurement() -> None:
     mechanism, truth, data = machine("6UPS", noise=EXACT)
     poses = data.poses.copy()
     data = put(data, "poses", np.s_[:, [3, 5]], np.nan)
-    result = pincal.calibrate(
-        mechanism, data, noise=pincal.Noise(1e-4, 1e-4, 1e-5)
-    )
+    result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 1e-4, 1e-5))
     position, orientation = platform_accuracy(result.identified, truth, poses)
     assert position < 1e-8
     assert orientation < 1e-8

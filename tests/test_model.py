@@ -283,6 +283,7 @@ def test_a_kind_of_ones_own_is_identified_and_kept(tmp_path: Path) -> None:
     [
         lambda: pincal.load_mechanism(3),
         lambda: pincal.load_mechanism(None),
+        lambda: pincal.load_arm(3, "tool"),
         lambda: pincal.read_measurements(None, THREE),
         lambda: pincal.read_measurements("m.csv", "3RRR"),
         lambda: pincal.read_measurements("m.csv", THREE, "setup.yaml"),

@@ -490,9 +490,7 @@ def test_errors_where_poses_are_out_of_reach(planar: Any) -> None:
     found = errors_at(result, far)
     assert np.isnan(found.before[3]).all()
     assert np.isnan(found.after[3]).all()
-    assert found.mean_after()[0] == pytest.approx(
-        result.expected_error(data.poses[:3]).position
-    )
+    assert found.mean_after()[0] == pytest.approx(result.expected_error(data.poses[:3]).position)
 
 
 @pytest.fixture

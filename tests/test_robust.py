@@ -326,9 +326,7 @@ def test_priors_determine_what_measurements_do_not() -> None:
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), EXACT).measurements
     with pytest.raises(pincal.ObservabilityError, match="move together"):
         pincal.calibrate(mechanism, data, noise=NOISE)
-    result = pincal.calibrate(
-        mechanism, data, noise=NOISE, priors={"ob": 1e-3, "beta_b": 1e-3}
-    )
+    result = pincal.calibrate(mechanism, data, noise=NOISE, priors={"ob": 1e-3, "beta_b": 1e-3})
     assert result.converged
     assert result.legs[0].std[4] == pytest.approx(1e-3, rel=1e-3)
 

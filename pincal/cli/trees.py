@@ -11,15 +11,15 @@ from pincal.errors import FileError, MechanismError
 from pincal.files.mechanism_folders import save_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.urdf import turns_beyond
-from pincal.formats.calibrated_urdf import calibrated_urdf
-from pincal.formats.closed import closed_mechanism
-from pincal.formats.drawn import closing_in_words
-from pincal.formats.loops_yaml import read_loops
-from pincal.formats.mjcf import read_mjcf
-from pincal.formats.serial import serial_arm
-from pincal.formats.tree_mjcf import mjcf
-from pincal.formats.tree_of import tree_of, unwritten
-from pincal.formats.tree_urdf import loops_urdf, loops_yaml
+from pincal.formats.trees.calibrated_urdf import calibrated_urdf
+from pincal.formats.trees.closed import closed_mechanism
+from pincal.formats.trees.drawn import closing_in_words
+from pincal.formats.trees.loops_yaml import read_loops
+from pincal.formats.trees.mjcf import read_mjcf
+from pincal.formats.trees.serial import serial_arm
+from pincal.formats.trees.tree_mjcf import mjcf
+from pincal.formats.trees.tree_of import tree_of, unwritten
+from pincal.formats.trees.tree_urdf import loops_urdf, loops_yaml
 from pincal.kinematics.arm import load_arm
 from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism

@@ -85,7 +85,7 @@ def as_measurements(
 
 
 def as_setup(given: Setup | str | Path | None) -> Setup:
-    """Return a setup that is given as such or by its file; without one, the plain one.
+    """Return a setup that is given as such or by its file; without one, the default.
 
     Raises:
         FileError: the file is missing or cannot be read.

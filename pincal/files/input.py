@@ -96,12 +96,12 @@ def plain_number(text: str) -> float:
 
 
 def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
-    """Return why a text is no number that can be used, in words.
+    """Return why a text is no number that can be used.
 
     Args:
-        text: What stands where a number should; ``plain_number`` is NaN, or beyond ``LARGEST``.
+        text: What is written for a number; ``plain_number`` is NaN, or above ``LARGEST``.
         units: In which numbers are expected there.
-        place: In words that follow the text.
+        place: Where it is; follows the text.
     """
     named = f"{text[:100]!r}{place}"
     if abs(plain_number(text)) > LARGEST:

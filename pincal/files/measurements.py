@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.tables import UNITS, Table, read_table
+from pincal.files.columns import Source, table_for
+from pincal.files.tables import Table
 from pincal.model.checks import must_be
 from pincal.model.measurements import EVERY_LEG, Measurements, Plan
 from pincal.model.mechanism import Mechanism
@@ -19,15 +16,12 @@ from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
-Source = Any  # a path, or a pandas DataFrame
-_log = logging.getLogger(__name__)
-_LISTED = 12  # names in a message
 
 
 def read_poses(path: Source, mechanism: Mechanism, *, partial: bool = False) -> Plan:
     """Return the poses of a CSV file, with its ``set`` column if there is one.
 
-    And with the readings, of a mechanism whose poses do not tell them.
+    And with the readings, of a mechanism whose poses do not determine them.
 
     Args:
         path: The file, or a pandas DataFrame with the same headers.
@@ -38,7 +32,7 @@ def read_poses(path: Source, mechanism: Mechanism, *, partial: bool = False) -> 
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
-    table = _read(path, mechanism)
+    table = table_for(path, mechanism)
     readings = None
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
         readings = _readings(table, mechanism)
@@ -53,7 +47,7 @@ def read_readings(path: Source, mechanism: Mechanism) -> Array:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
-    return _readings(_read(path, mechanism), mechanism)
+    return _readings(table_for(path, mechanism), mechanism)
 
 
 def read_measurements(
@@ -74,7 +68,7 @@ def read_measurements(
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
-    table = _read(path, mechanism, more)
+    table = table_for(path, mechanism, more)
     if missing := [name for name in setup.distances if name not in table]:
         raise MeasurementError(
             f"{table.path}: no column {missing[0]!r}, a distance that the setup names; expected "
@@ -111,73 +105,16 @@ def read_measurements(
         places=_names(table, "pose"),
         lines=table.file_lines,
     )
-    told = [data.poses, *(values[:, None] for values in extra.values())]
-    blank = np.isnan(np.column_stack([*told, data.readings])).all(axis=1)
+    measured = [data.poses, *(values[:, None] for values in extra.values())]
+    blank = np.isnan(np.column_stack([*measured, data.readings])).all(axis=1)
     if blank.any():
         raise MeasurementError(
             f"{table.where(int(np.argmax(blank)))}: nothing was measured and "
             "nothing read; remove the row"
         )
-    if not any(np.isfinite(values).any() for values in told) and not partial:
+    if not any(np.isfinite(values).any() for values in measured) and not partial:
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return data
-
-
-def _read(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
-    """Return a table; a column whose header is nearly that of a known one is refused.
-
-    Columns without a meaning are logged.
-    """
-    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
-    table = read_table(path)
-    units = _known(mechanism, more or {})
-    for column, own in table.units.items():
-        meant = [name for name in units if name not in table and _nearly(column, name, units[name])]
-        if column not in units and meant:
-            name, unit = meant[0], own or _unit_in(column, meant[0], units[meant[0]])
-            written = f"{column} [{own}]" if own else column
-            raise MeasurementError(
-                f"{table.path}: column {written!r} is not understood; write "
-                f"{f'{name} [{unit}]' if unit else name!r}"
-            )
-    unused = [name for name in table.units if name not in units]
-    if unused:
-        names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
-        names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)
-        _log.info("%s: columns not used: %s", table.path, ", ".join(names))
-    return table
-
-
-def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
-    """Return the columns that mean something, with their units; empty for names."""
-    platform = mechanism.platform
-    units = dict(zip(platform.freedoms, platform.units, strict=True))
-    units |= dict(zip(platform.coordinates, platform.units, strict=True))
-    units |= {name: unit for names, unit in WAYS.values() for name in names}
-    units |= dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-    units |= more
-    units |= {f"sigma_{name}": unit for name, unit in units.items()}
-    return {"set": "", "run": "", "pose": "", **units}
-
-
-def _nearly(column: str, name: str, unit: str) -> bool:
-    """Return whether a column is meant by name, but in other case, or with its unit otherwise."""
-    bare = column.lower()
-    return bare == name.lower() or (
-        bare.startswith(name.lower()) and _unit_in(column, name, unit) is not None
-    )
-
-
-def _unit_in(column: str, name: str, dimension: str) -> str | None:
-    """Return the unit that follows a name as in ``x (mm)``, ``x_mm``, ``x/mm``.
-
-    That of the dimension where the brackets say another one, or nothing.
-    """
-    rest = column[len(name) :]
-    inner = rest.strip(" _/-(){}<>")
-    if inner in UNITS and UNITS[inner][0] == dimension and inner != rest:
-        return inner
-    return (dimension or "") if rest.strip().startswith("(") or not rest else None
 
 
 def _way(table: Table) -> str | None:
@@ -203,10 +140,10 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     platform = mechanism.platform
     way = _way(table) if platform.turns == 3 else None
     places = platform.coordinates[: platform.lengths]
-    told = [name for name in places if name in table]
-    if not partial and told and len(told) < len(places):
+    present = [name for name in places if name in table]
+    if not partial and present and len(present) < len(places):
         raise MeasurementError(
-            f"{table.path}: of {', '.join(places)} only {', '.join(told)}; add the others"
+            f"{table.path}: of {', '.join(places)} only {', '.join(present)}; add the others"
         )
 
     def numbers(name: str, unit: str) -> Array:

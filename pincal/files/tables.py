@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import MeasurementError
 from pincal.files.input import plain_number, read_text, why_no_number
 from pincal.files.output import writing
 from pincal.model.checks import LARGEST, must_be
@@ -65,7 +65,7 @@ class Table:
         return tuple(self.lines) if self.counted == "line" else None
 
     def where(self, row: int) -> str:
-        """Return where a row stands: file and line."""
+        """Return where a row is: file and line."""
         return f"{self.path}, {self.counted} {self.lines[row]}"
 
     def __contains__(self, column: str) -> bool:
@@ -105,7 +105,7 @@ class Table:
         """Return the numbers of a column as they stand, shape (N,).
 
         Raises:
-            MeasurementError: a cell is not a finite number, or beyond ``LARGEST``.
+            MeasurementError: a cell is not a finite number, or above ``LARGEST``.
         """
         values = np.array([plain_number(cell) for cell in self.text[column]])
         empty = np.array([blank and not cell.strip() for cell in self.text[column]])
@@ -185,12 +185,12 @@ def dataframe(columns: Mapping[str, Iterable[float] | Iterable[str]]) -> Any:
     """Return columns (header to values, SI) as a pandas DataFrame.
 
     Raises:
-        PincalError: pandas is not installed.
+        MeasurementError: pandas is not installed.
     """
     try:
         import pandas
     except ImportError as error:
-        raise PincalError(
+        raise MeasurementError(
             "a DataFrame needs the package pandas: python -m pip install 'pincal[pandas]'"
         ) from error
     return pandas.DataFrame({name: list(values) for name, values in columns.items()})

@@ -172,7 +172,7 @@ def read_joint(element: etree._Element, path: Path) -> Joint:
 
 
 def turns_beyond(path: Path) -> tuple[str, ...]:
-    """Return in words the origins of a URDF whose rpy exceeds a full turn: degrees, perhaps.
+    """Return the origins of a URDF whose rpy exceeds a full turn, with file and line: degrees?
 
     Raises:
         FileError: the file is missing or cannot be read.

@@ -199,7 +199,7 @@ def _form_in(annotation: Any) -> type[BaseModel] | None:
 
 
 def _line_of(node: yaml.Node | None, place: tuple[int | str, ...]) -> int:
-    """Return the line, from 1, of what stands at a place, or around it."""
+    """Return the line, from 1, of what is at a place, or around it."""
     line = 1
     for part in place:
         if isinstance(node, yaml.MappingNode):

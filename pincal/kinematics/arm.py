@@ -16,6 +16,7 @@ import numpy as np
 from pincal.errors import MechanismError
 from pincal.files.urdf import read_path
 from pincal.kinematics.closure import LegClosure
+from pincal.model.checks import must_be
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along
@@ -38,7 +39,7 @@ def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
         FileError: the file is missing or cannot be read.
         MechanismError: not well-formed, or no chain of joints from base to tip.
     """
-    path = Path(path)
+    path = Path(must_be(path, (str, Path), "a URDF file", MechanismError))
     joints = read_path(path, tip, base)
     try:
         return arm(re.sub(r"\W", "_", path.stem), joints, f"Serial arm to {tip} of {path.name}.")

@@ -14,6 +14,8 @@ from pincal.errors import PincalError
 Array = NDArray[np.float64]
 LARGEST = 1e12
 """Size of a mechanism's numbers, [m] or [rad]: larger ones are slips, their squares overflow."""
+EXACT = 1e-9
+"""Of lengths relative to the size, and of unit vectors: what agrees so far is equal."""
 
 
 def described(value: object) -> str:
@@ -35,7 +37,7 @@ def array_of(
         values: An array, or lists of numbers.
         shape: Expected, numbers where the size is known, letters where it is free.
         what: The thing's name, which heads the message.
-        error: Raised if it is no array of numbers, or of another shape.
+        error_type: Raised if it is no array of numbers, or of another shape.
     """
     wanted = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
     if isinstance(values, str | bytes | Mapping) or values is None:

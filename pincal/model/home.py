@@ -12,25 +12,26 @@ from pincal.model.links import link_placements
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
-_ROUGH = 0.1  # of the leg's size: beyond it, a home is wrong rather than rough
+ROUGH = 0.1
+"""Of the size: what is drawn and misses by more is wrong, not rough."""
 
 
 def check_home(leg: Leg, platform: Platform) -> None:
     """Raise if the home positions of a leg leave it wide open at the platform's home pose.
 
     Raises:
-        MechanismError: it does not close within a tenth of its size; angles beyond a full turn
-            are asked about.
+        MechanismError: it does not close within a tenth of its size; of an angle of more
+            than a full turn it asks whether it is degrees.
     """
     gap, turn = _apart(leg, platform)
-    if max(gap, leg.size * turn) <= _ROUGH * leg.size:
+    if max(gap, leg.size * turn) <= ROUGH * leg.size:
         return
     said = (
         f"its tip is {gap:.2g} m from the platform's point {leg.point.name!r}, the leg is "
         f"{leg.size:.2g} m long; expected a tenth of that at most"
         if gap >= leg.size * turn
         else f"its tip is turned by {turn:.2g} rad against the platform's frame "
-        f"{leg.point.name!r}; expected {_ROUGH:g} rad at most"
+        f"{leg.point.name!r}; expected {ROUGH:g} rad at most"
     )
     angles = {f"{joint.name} of {leg.name}": joint.home for joint in leg.moving if joint.turns}
     angles |= {
@@ -40,11 +41,11 @@ def check_home(leg: Leg, platform: Platform) -> None:
         )
         if unit == "rad"
     }
-    beyond = {name: value for name, value in angles.items() if abs(value) > 2 * np.pi}
+    large = {name: value for name, value in angles.items() if abs(value) > 2 * np.pi}
     asked = "".join(
         f". {name} is {value:g} at home: radians are expected; is this degrees "
         f"({np.radians(value):.6g} rad)?"
-        for name, value in list(beyond.items())[:1]
+        for name, value in list(large.items())[:1]
     )
     raise MechanismError(
         f"{leg.name} does not close at home: {said}. Correct 'home' of {leg.name} or of the "

@@ -171,7 +171,7 @@ class Leg:
 
     @property
     def is_arm(self) -> bool:
-        """Whether the leg alone tells the platform's pose: it closes a frame, every joint read."""
+        """Whether the leg alone determines the pose: it closes a frame, every joint is read."""
         return self.closes == "frame" and not self.passive
 
     @cached_property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,7 @@ from pincal.errors import MeasurementError
 from pincal.model.checks import LARGEST, array_of, must_be, names_of, number_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import counted, one_line
-
-if TYPE_CHECKING:
-    from pincal.model.setup import Setup
+from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -61,9 +59,9 @@ class Plan:
     sets: tuple[str, ...] | None = None
     """Leg for which each pose was chosen, ``"all"`` for every leg; None if not said."""
     readings: Array | None = None
-    """Readings to command, shape (N, n_readings), where poses do not tell them."""
+    """Readings to command, shape (N, n_readings), where poses do not determine them."""
     lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
-    """Line of the file in which each row stands, if they were read from one."""
+    """Line of the file that holds each row, if they were read from one."""
 
     def __post_init__(self) -> None:
         poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
@@ -138,7 +136,7 @@ class Plan:
         return len(self.poses)
 
     def place(self, row: int) -> str:
-        """Return in words where a row stands: the line of its file, else its number."""
+        """Return where a row is: the line of its file, else its number."""
         return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
 
     def serves(self, leg: str) -> Mask:

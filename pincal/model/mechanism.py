@@ -16,7 +16,7 @@ from pincal.errors import MechanismError
 from pincal.model.checks import must_be
 from pincal.model.leg import Leg
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
-from pincal.model.overview import counted, one_line, page
+from pincal.model.overview import counted, one_line
 from pincal.model.parameter import Parameter, Parameters
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
     name for names, _ in WAYS.values() for name in names
 }
+
+_ROWS = 42  # of a printed table; those that follow are counted
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Mechanism:
         return one_line("Mechanism", repr(self.name), kind, *numbers)
 
     def __str__(self) -> str:
-        return page(self)
+        return _page(self)
 
     @cached_property
     def leg_names(self) -> tuple[str, ...]:
@@ -121,7 +123,7 @@ class Mechanism:
 
     @cached_property
     def by_readings(self) -> bool:
-        """Whether readings tell poses, and poses do not tell readings.
+        """Whether readings determine poses, and poses do not determine readings.
 
         Of serial arms, whose readings have many solutions, and of legs with fewer joints than
         their closure has rows, which reach a surface of poses only. Their poses are made by forward
@@ -201,6 +203,53 @@ class Mechanism:
         from pincal.files.mechanism_folders import save_mechanism
 
         return save_mechanism(self, folder, force=force)
+
+
+def _page(mechanism: Mechanism) -> str:
+    """Return a mechanism on a page: platform, legs, and a table of its nominal parameters."""
+    platform = mechanism.platform
+    home = zip(platform.coordinates, platform.home, platform.units, strict=True)
+    lines = [
+        f"{mechanism.name}{': ' * bool(mechanism.description)}{mechanism.description}",
+        f"platform {platform.kind}, at home "
+        + ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in home),
+        *_columns(
+            [
+                [
+                    leg.name,
+                    leg.joint_letters,
+                    f"reads {', '.join(leg.reading_names)}",
+                    f"closes a {leg.closes}",
+                ]
+                for leg in mechanism.legs
+            ]
+        ),
+        "",
+        f"nominal parameters, {len(mechanism.parameters)} in all:",
+    ]
+    units = {name: unit for leg in mechanism.legs for name, unit in leg.units.items()}
+    names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
+    legs = [leg.nominal_by_name for leg in mechanism.legs]
+    grid = [["", *mechanism.leg_names]]
+    grid += [
+        [f"{name} [{units[name]}]", *(f"{leg[name]:.6g}" if name in leg else "" for leg in legs)]
+        for name in names
+    ]
+    if len(legs) > len(names):
+        grid = [list(row) for row in zip(*grid, strict=True)]
+    table = _columns(grid)
+    lines += table[: _ROWS + 1]
+    lines += [f"… and {len(table) - _ROWS - 1} rows more"] * (len(table) > _ROWS + 1)
+    return "\n".join(lines)
+
+
+def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows of cells as lines whose cells stand below each other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
 
 
 def _check_planar(

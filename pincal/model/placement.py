@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.model.checks import EXACT
 from pincal.model.overview import one_line, triple
 
 Array = NDArray[np.float64]
@@ -33,7 +34,6 @@ KINDS: dict[str, tuple[str, ...]] = {
     "polar": ("m", "rad"),  # radius, azimuth about z: a point, orientation kept
     "spherical": ("m", "rad", "rad"),  # radius, angle from z, azimuth: a point
 }
-_TOLERANCE = 1e-9  # relative agreement between an origin and its coordinates
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class Placement:
             return rest
         expected = self.displacement(parameters)[:3, 3]
         scale = float(np.abs(np.stack((self.xyz, expected))).max())
-        if float(np.abs(rest[:3, 3]).max()) > _TOLERANCE * scale:
+        if float(np.abs(rest[:3, 3]).max()) > EXACT * scale:
             raise MechanismError(
                 f"{where}: the URDF origin is at {_numbers(self.xyz)} m, but its coordinates and "
                 f"nominal parameters put it at {_numbers(expected)} m. Make them agree, or write "

@@ -1,7 +1,7 @@
 """How a platform is measured: in which frame, at which points of it, from where.
 
 By default positions are those of the platform's origin in the robot's base frame. A tracker
-stands elsewhere, a reflector sits somewhere on the platform, a cable measures a distance.
+is elsewhere, a reflector sits somewhere on the platform, a cable measures a distance.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Setup:
     """What measured numbers mean."""
 
     unknown_frame: bool = False
-    """Whether the robot's base stands at an unknown place in the frame of the measurements."""
+    """Whether the place of the robot's base in the frame of the measurements is unknown."""
     targets: Mapping[str, Target] = field(default_factory=lambda: {ORIGIN: Target()})
     """``platform`` is the target of x, y, z; another target t of the columns t_x, t_y, t_z."""
     distances: Mapping[str, Distance] = field(default_factory=dict)

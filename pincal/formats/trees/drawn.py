@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Tree
+from pincal.formats.trees.tree import Tree
 from pincal.kinematics.assembly import opening
 from pincal.kinematics.closure import largest_size
+from pincal.model.home import ROUGH
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 
-_WIDE = 0.1  # of the size: no longer near the joint positions that the file draws
 _SMALL = 1e-6  # of the size: rounding of what is written
 
 
@@ -32,7 +32,7 @@ def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
         return
     gap = opening(legs, kind)
     size = largest_size(legs, Platform(kind, (0.0,) * Platform.dof_of(kind)))
-    if gap > _WIDE * size:
+    if gap > ROUGH * size:
         raise MechanismError(
             f"{tree.source}: the loops do not close near the joint positions that the file draws: "
             f"ends that should meet are {gap:.3g} m apart, and the longest leg is {size:.3g} m. "
@@ -42,7 +42,7 @@ def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
 
 
 def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
-    """Return by how much loops are open as drawn and how far joints were moved, in words.
+    """Return by how much loops are open as drawn and how far joints were moved, as sentences.
 
     And whether that is more than rounding.
     """

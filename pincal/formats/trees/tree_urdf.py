@@ -6,7 +6,7 @@ import numpy as np
 import yaml
 from lxml import etree
 
-from pincal.formats.tree import Edge, Tree
+from pincal.formats.trees.tree import Edge, Tree
 
 
 def loops_urdf(tree: Tree) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pincal.errors import MechanismError
 from pincal.files.urdf import link_of, read_joint
 from pincal.files.xml import read_xml
-from pincal.formats.tree import listed
+from pincal.formats.trees.tree import listed
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, placement_of

@@ -10,7 +10,7 @@ import numpy as np
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from pincal.formats.tree import Edge, Tree
+from pincal.formats.trees.tree import Edge, Tree
 from pincal.model.placement import Placement
 
 _TURNS = ("x", "y", "z")

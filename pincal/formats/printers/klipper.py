@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.input import lines_of, plain_number, read_text
-from pincal.formats.delta import DeltaPrinter, Expressed, Three, noted
+from pincal.formats.printers.delta import MM, DeltaPrinter, Expressed, Three, noted
 from pincal.model.checks import LARGEST
 
 Array = NDArray[np.float64]
 _SAVED = "#*# "  # begins the lines of SAVE_CONFIG
 _STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 _ANGLES = (210.0, 330.0, 90.0)  # where none are given [deg]
-_MM = 1e-3
 _LARGEST = 4 * 1024 * 1024  # bytes, of all files together
 _ONE_MORE = 4096  # bytes for which an included file counts at least
 
@@ -41,7 +40,7 @@ class KlipperFile:
     readings: Array
     """Ways of the carriages down from their endstops there, shape (N, 3), [m]."""
     remarks: tuple[str, ...]
-    """What was in the file and could not be used, in words."""
+    """What was in the file and could not be used, as sentences."""
 
 
 def read_klipper(path: str | Path) -> KlipperFile:
@@ -65,16 +64,16 @@ def read_klipper(path: str | Path) -> KlipperFile:
     printed = config.number("printer", "print_radius", np.nan)
     try:
         printer = DeltaPrinter(
-            radius=_MM * config.number("printer", "delta_radius"),
+            radius=MM * config.number("printer", "delta_radius"),
             angles=_three(
                 radians(config.number(name, "angle", usual))
                 for name, usual in zip(_STEPPERS, _ANGLES, strict=True)
             ),
-            arms=_three(_MM * config.number(name, "arm_length", arm) for name in _STEPPERS),
+            arms=_three(MM * config.number(name, "arm_length", arm) for name in _STEPPERS),
             endstops=_three(
-                _MM * config.number(name, "position_endstop", endstop) for name in _STEPPERS
+                MM * config.number(name, "position_endstop", endstop) for name in _STEPPERS
             ),
-            print_radius=_MM * printed if isfinite(printed) else None,
+            print_radius=MM * printed if isfinite(printed) else None,
         )
     except MechanismError as error:
         raise MechanismError(
@@ -92,7 +91,7 @@ def write_klipper(found: Expressed) -> str:
     lines = ["# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of"]
     lines += ["# the same options, above the SAVE_CONFIG block: there it wins over what is saved."]
     lines += noted(found.remarks, "#")
-    lines += ["[printer]", "kinematics: delta", f"delta_radius: {printer.radius / _MM:.6f}"]
+    lines += ["[printer]", "kinematics: delta", f"delta_radius: {printer.radius / MM:.6f}"]
     for name, angle, arm, endstop in zip(
         _STEPPERS, printer.angles, printer.arms, printer.endstops, strict=True
     ):
@@ -100,8 +99,8 @@ def write_klipper(found: Expressed) -> str:
             "",
             f"[{name}]",
             f"angle: {degrees(angle) % 360.0:.6f}",
-            f"arm_length: {arm / _MM:.6f}",
-            f"position_endstop: {endstop / _MM:.6f}",
+            f"arm_length: {arm / MM:.6f}",
+            f"position_endstop: {endstop / MM:.6f}",
         ]
     return "\n".join(lines) + "\n"
 
@@ -115,7 +114,7 @@ def _heights(config: _Config) -> tuple[Array, Array, tuple[str, ...]]:
             height = config.number("delta_calibrate", f"{kind}{number}", np.nan)
             if not isfinite(height):
                 break
-            heights.append(_MM * height)
+            heights.append(MM * height)
             steps.append(config.numbers("delta_calibrate", f"{kind}{number}_pos", 3))
     distances = [o for o in config.options("delta_calibrate") if o.startswith("distance")]
     count = sum(not option.endswith(("_pos1", "_pos2")) for option in distances)
@@ -127,7 +126,7 @@ def _heights(config: _Config) -> tuple[Array, Array, tuple[str, ...]]:
         )
     if not heights:
         return np.empty(0), np.empty((0, 3)), tuple(remarks)
-    ways = [_MM * config.way_per_step(name) for name in _STEPPERS]
+    ways = [MM * config.way_per_step(name) for name in _STEPPERS]
     readings = np.array(steps) * ways
     if not np.abs(np.column_stack((heights, readings))).max() <= LARGEST:
         raise MechanismError(
@@ -186,7 +185,7 @@ class _Config:
                 yield from self._lines(one, (*above, path.resolve()))
 
     def _included(self, path: Path, name: str) -> list[Path]:
-        """Return the files that a name or pattern stands for, none outside the first file's folder.
+        """Return the files that a name or pattern means, none outside the first file's folder.
 
         Patterns do not lead upwards, where there may be much to search.
         """
@@ -255,7 +254,7 @@ class _Config:
         """Return the way of a carriage for a step, [mm] (``klippy/stepper.py``).
 
         Raises:
-            MechanismError: options that do not tell it.
+            MechanismError: options that do not determine it.
         """
         if "rotation_distance" not in (known := self.options(stepper)) and "step_distance" in known:
             return self.number(stepper, "step_distance")  # before 2021

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, turns
+from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, turns
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Joint, Leg
@@ -25,7 +25,7 @@ BASE, PLATFORM = "base", "platform"
 
 
 def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
-    """Return the tree of a mechanism at its nominal parameters, and what it cannot hold, in words.
+    """Return the tree of a mechanism at nominal parameters, and sentences on what it cannot hold.
 
     Joints keep their names if all legs' differ; else they are ``leg_joint``. Home closes the loops
     if it can.

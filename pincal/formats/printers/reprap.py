@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.input import lines_of, plain_number, read_text
-from pincal.formats.delta import DeltaPrinter, Expressed, noted
+from pincal.formats.printers.delta import MM, DeltaPrinter, Expressed, noted
 
 Array = NDArray[np.float64]
 _ANGLES = (210.0, 330.0, 90.0)
-_MM = 1e-3
 _LARGEST = 4 * 1024 * 1024  # bytes
 _COMMENT = re.compile(r";.*|\([^)]*(?:\)|$)")
 _COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.I | re.A)
@@ -66,11 +65,11 @@ def read_reprap(path: str | Path) -> DeltaPrinter:
     ends = [value("665", "H") + value("666", letter) for letter in "XYZ"]
     try:
         return DeltaPrinter(
-            radius=_MM * value("665", "R"),
+            radius=MM * value("665", "R"),
             angles=(radians(angles[0]), radians(angles[1]), radians(angles[2])),
-            arms=(_MM * a, _MM * b, _MM * c),
-            endstops=(_MM * ends[0], _MM * ends[1], _MM * ends[2]),
-            print_radius=_MM * value("665", "B") or None,
+            arms=(MM * a, MM * b, MM * c),
+            endstops=(MM * ends[0], MM * ends[1], MM * ends[2]),
+            print_radius=MM * value("665", "B") or None,
         )
     except MechanismError as error:
         raise MechanismError(f"{path}: {error}") from error
@@ -106,16 +105,16 @@ def write_reprap(found: Expressed) -> str:
     as the printer has it.
     """
     printer = found.printer
-    endstops = np.array(printer.endstops) / _MM
+    endstops = np.array(printer.endstops) / MM
     height = round(float(endstops.mean()), 4)
-    arms = ":".join(f"{arm / _MM:.4f}" for arm in printer.arms)
+    arms = ":".join(f"{arm / MM:.4f}" for arm in printer.arms)
     turns = (np.degrees(printer.angles) - _ANGLES + 180.0) % 360.0 - 180.0
     angles = _lettered(turns)
     ends = _lettered(endstops - height)
     lines = ["; Delta kinematics, calibrated by pincal. Put it into config.g in the place of the"]
     lines += ["; same lines, and remove M665 and M666 from config-override.g, which would win."]
     lines += noted(found.remarks, ";")
-    lines += [f"M665 L{arms} R{printer.radius / _MM:.4f} H{height:.4f} {angles}"]
+    lines += [f"M665 L{arms} R{printer.radius / MM:.4f} H{height:.4f} {angles}"]
     lines += [f"M666 {ends} A0.00 B0.00"]
     return "\n".join(lines) + "\n"
 

@@ -11,7 +11,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Edge, Loop, Tree, listed
+from pincal.formats.trees.tree import Edge, Loop, Tree, listed
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def ways_of(tree: Tree, platform: str | None = None) -> Ways:
 
 
 def _bodies(tree: Tree) -> dict[str, str]:
-    """Return for each link the link that stands for its body: the first one of the tree."""
+    """Return for each link the link that represents its body: the first one of the tree."""
     body = {link: link for link in tree.links}
     rigid = [(edge.parent, edge.child) for edge in tree.edges if edge.joint.kind == "fixed"]
     rigid += [(one.first.link, one.second.link) for one in tree.loops if one.closes == "frame"]
@@ -190,5 +190,5 @@ def _walked(
 
 
 def _names(tree: Tree, body: dict[str, str], one: str) -> str:
-    """Return the links of a body in words."""
+    """Return the links of a body for a message."""
     return "/".join(repr(link) for link in tree.links if body[link] == one)

@@ -24,7 +24,7 @@ from pincal.files.schema import Number
 from pincal.files.urdf import link_of, read_joint
 from pincal.files.xml import read_xml
 from pincal.files.yaml_reading import meant, read_yaml
-from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns
+from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns
 
 _TURNED = {"SPHERICAL": "xyz", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 
@@ -102,7 +102,7 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
 def _edges(
     element: etree._Element, parent: str, child: str, urdf: Path, replaced: Mapping[str, str]
 ) -> tuple[Edge, ...]:
-    """Return the edges that a <joint> stands for."""
+    """Return the edges that a <joint> means."""
     name, floating = str(element.get("name")), element.get("type") == "floating"
     axes = "XYZxyz" if floating else _TURNED.get(replaced.get(name, ""), "")
     if not axes and name not in replaced:

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.formats.graph import Pass
-from pincal.formats.tree import Tree, turns
+from pincal.formats.trees.graph import Pass
+from pincal.formats.trees.tree import Tree, turns
+from pincal.model.checks import EXACT
 from pincal.model.leg import Joint
 from pincal.model.placement import Placement, placement_of
 
 Array = NDArray[np.float64]
-_EXACT = 1e-9  # of the size, and of unit vectors
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _meeting(origins: Array, axes: Array) -> Array | None:
     centre = np.linalg.solve(across.sum(axis=0), np.einsum("kij,kj->i", across, origins))
     missed = np.abs(np.einsum("kij,kj->ki", across, origins - centre)).max()
     size = float(np.abs(origins).max()) or 1.0
-    if missed > _EXACT * size:
+    if missed > EXACT * size:
         return None
     near = np.abs(origins[0] - centre).max() <= 1e-15 * size
     return np.asarray(origins[0] if near else centre)

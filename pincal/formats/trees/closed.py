@@ -1,7 +1,7 @@
 """A tree with loops becomes a mechanism: legs, platform, drives, and the parameters of its joints.
 
 Every joint that moves, the tip and the platform's point may be displaced in all directions; of
-these displacements each leg keeps those that its closure can tell apart (``independent``).
+these displacements each leg keeps those that its closure can distinguish (``independent``).
 """
 
 from __future__ import annotations
@@ -16,11 +16,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
+<<<<<<< HEAD:pincal/formats/closed.py
 from pincal.formats.drawn import check_drawn
 from pincal.formats.graph import Way, ways_of
 from pincal.formats.limbs import Limb, limb, point_platform, poses_at_zero
 from pincal.formats.tree import Tree, listed
 from pincal.kinematics.assembly import assembled, independent
+=======
+from pincal.formats.trees.drawn import check_drawn
+from pincal.formats.trees.graph import Way, ways_of
+from pincal.formats.trees.limbs import Limb, limb, point_platform, poses_at_zero
+from pincal.formats.trees.tree import Tree, listed
+from pincal.kinematics.assembly import assembled
+from pincal.kinematics.independent import independent
+from pincal.model.checks import EXACT
+>>>>>>> models:pincal/formats/trees/closed.py
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along, placement_of
@@ -28,20 +38,19 @@ from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 
 Array = NDArray[np.float64]
-_PARALLEL = 1e-9
 _FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3): "spatial"}
 _SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
 
 
 def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism, tuple[str, ...]]:
-    """Return the mechanism of a tree with loops, and what was left out of it, in words.
+    """Return the mechanism of a tree with loops, and sentences on what was left out of it.
 
     Args:
         tree: Links, joints and loops.
         platform: Link whose frame is the platform's; the one in which the legs meet if not given.
 
     Raises:
-        MechanismError: legs, platform and drives cannot be told apart; the loops do not close.
+        MechanismError: legs, platform and drives cannot be distinguished; the loops do not close.
     """
     platform = platform or tree.platform
     if platform is not None:
@@ -72,7 +81,7 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
             C_platform = np.eye(3) if normal is None else _onto(at.T @ normal)
     if normal is not None:
         limbs = tuple(_in_plane(one, normal, C_platform) for one in limbs)
-        if abs(normal[2]) < 1.0 - _PARALLEL:
+        if abs(normal[2]) < 1.0 - EXACT:
             remarks.append("planar, but not across z: the base frame was turned to have z across")
     elif not np.array_equal(C_platform, np.eye(3)):
         limbs = tuple(_turned_platform(one, C_platform) for one in limbs)
@@ -140,8 +149,8 @@ def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
     if not turning:
         return None
     normal = turning[0]
-    parallel = all(np.linalg.norm(np.cross(normal, axis)) < _PARALLEL for axis in turning)
-    if not (parallel and all(abs(normal @ axis) < _PARALLEL for axis in sliding)):
+    parallel = all(np.linalg.norm(np.cross(normal, axis)) < EXACT for axis in turning)
+    if not (parallel and all(abs(normal @ axis) < EXACT for axis in sliding)):
         return None
     largest = normal[np.argmax(np.abs(normal))]
     return np.asarray(normal * np.sign(largest))
@@ -149,9 +158,9 @@ def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
 
 def _onto(normal: Array) -> Array:
     """Return the smallest turn of z onto a unit vector, shape (3, 3)."""
-    if normal[2] > 1.0 - _PARALLEL:
+    if normal[2] > 1.0 - EXACT:
         return np.eye(3)
-    if normal[2] < _PARALLEL - 1.0:
+    if normal[2] < EXACT - 1.0:
         return np.diag([1.0, -1.0, -1.0])
     axis = np.cross((0.0, 0.0, 1.0), normal)
     angle = np.arctan2(np.linalg.norm(axis), normal[2])
@@ -160,7 +169,7 @@ def _onto(normal: Array) -> Array:
 
 def _along(normal: Array) -> Array:
     """Return the smallest turn of z, or of -z, onto a unit vector."""
-    return np.eye(3) if abs(normal[2]) > 1.0 - _PARALLEL else _onto(normal)
+    return np.eye(3) if abs(normal[2]) > 1.0 - EXACT else _onto(normal)
 
 
 def _in_plane(one: Limb, normal: Array, C_platform: Array) -> Limb:
@@ -183,7 +192,7 @@ def _in_plane(one: Limb, normal: Array, C_platform: Array) -> Limb:
 
 
 def _turned_platform(one: Limb, C_platform: Array) -> Limb:
-    """Return a leg whose platform point is told in a platform frame that is turned."""
+    """Return a leg whose platform point is given in a platform frame that is turned."""
     if one.point is None or np.array_equal(C_platform, np.eye(3)):
         return one
     origin = one.point.placement.origin()
@@ -280,7 +289,7 @@ def _apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
 
 
 def _reduced(leg: Leg, platform: Platform) -> Leg:
-    """Return a leg with the parameters that its closure can tell apart; shifts come first."""
+    """Return a leg with the parameters that its closure can distinguish; shifts come first."""
     order = sorted(leg.parameter_names, key=lambda name: leg.units[name] != "m")
     kept = set(independent(leg, platform, tuple(order)))
 

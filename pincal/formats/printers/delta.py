@@ -21,7 +21,7 @@ from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import sensor_law
-from pincal.model.checks import LARGEST
+from pincal.model.checks import EXACT, LARGEST
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import carry
@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 Three = tuple[float, float, float]
 TOWERS = ("tower_a", "tower_b", "tower_c")
 _TEMPLATE = "linear_delta"
-_VERTICAL = 1e-9  # [rad]
+MM = 1e-3
+"""[m], in which firmware writes."""
 _SMALL = 5e-10  # [m] and [1], below the digits that are written
 _PRINTED = 0.7  # of the delta radius: the print radius where none is known
 
@@ -114,7 +115,7 @@ class Expressed:
     gains: Three
     """By how much each carriage moves for a reading of one."""
     remarks: tuple[str, ...]
-    """What has no counterpart in the parameters, in words."""
+    """What has no counterpart in the parameters, as sentences."""
 
 
 def noted(remarks: Sequence[str], mark: str) -> list[str]:
@@ -192,7 +193,7 @@ def _tower(closure: LegClosure) -> Array:
     rod = rod_geometry(closure)
     up = rod.frame[:, 1]
     tilt = hypot(up[0], up[1])
-    if tilt > _VERTICAL:
+    if tilt > EXACT:
         raise MechanismError(
             f"{leg.name}: its carriage moves {1e3 * tilt:.4g} mrad off the vertical; firmwares "
             "have no parameter for that"

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.xml import read_xml
-from pincal.formats.limbs import poses_at_zero
-from pincal.formats.mjcf_values import Compiler, Defaults, attributes, numbers, pose
-from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, ball, listed, turns
+from pincal.formats.trees.limbs import poses_at_zero
+from pincal.formats.trees.mjcf_values import Compiler, Defaults, attributes, numbers, pose
+from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, ball, listed, turns
 from pincal.model.leg import Joint
 from pincal.model.placement import Placement, placement_of
 

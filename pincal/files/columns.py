@@ -1,0 +1,74 @@
+"""Which columns of a table mean something for a mechanism, and which are nearly such ones."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+from pincal.errors import MeasurementError, MechanismError
+from pincal.files.tables import UNITS, Table, read_table
+from pincal.model.checks import must_be
+from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import WAYS
+
+Source = Any  # a path, or a pandas DataFrame
+_log = logging.getLogger(__name__)
+_LISTED = 12  # names in a message
+
+
+def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
+    """Return a table; a column whose header is nearly that of a known one is refused.
+
+    Columns without a meaning are logged.
+    """
+    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
+    table = read_table(path)
+    units = _known(mechanism, more or {})
+    for column, own in table.units.items():
+        meant = [name for name in units if name not in table and _nearly(column, name, units[name])]
+        if column not in units and meant:
+            name, unit = meant[0], own or _unit_in(column, meant[0], units[meant[0]])
+            written = f"{column} [{own}]" if own else column
+            raise MeasurementError(
+                f"{table.path}: column {written!r} is not understood; write "
+                f"{f'{name} [{unit}]' if unit else name!r}"
+            )
+    unused = [name for name in table.units if name not in units]
+    if unused:
+        names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
+        names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)
+        _log.info("%s: columns not used: %s", table.path, ", ".join(names))
+    return table
+
+
+def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns that mean something, with their units; empty for names."""
+    platform = mechanism.platform
+    units = dict(zip(platform.freedoms, platform.units, strict=True))
+    units |= dict(zip(platform.coordinates, platform.units, strict=True))
+    units |= {name: unit for names, unit in WAYS.values() for name in names}
+    units |= dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+    units |= more
+    units |= {f"sigma_{name}": unit for name, unit in units.items()}
+    return {"set": "", "run": "", "pose": "", **units}
+
+
+def _nearly(column: str, name: str, unit: str) -> bool:
+    """Return whether a column is meant by name, but in other case, or with its unit otherwise."""
+    bare = column.lower()
+    return bare == name.lower() or (
+        bare.startswith(name.lower()) and _unit_in(column, name, unit) is not None
+    )
+
+
+def _unit_in(column: str, name: str, dimension: str) -> str | None:
+    """Return the unit that follows a name as in ``x (mm)``, ``x_mm``, ``x/mm``.
+
+    That of the dimension where the brackets say another one, or nothing.
+    """
+    rest = column[len(name) :]
+    inner = rest.strip(" _/-(){}<>")
+    if inner in UNITS and UNITS[inner][0] == dimension and inner != rest:
+        return inner
+    return (dimension or "") if rest.strip().startswith("(") or not rest else None

@@ -1,0 +1,1 @@
+"""Firmware of delta printers: Klipper and RepRapFirmware, read and written."""
