@@ -7,11 +7,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import pincal
-<<<<<<< HEAD
-=======
-from pincal.formats.printers.delta import delta_printer
-from pincal.formats.printers.klipper import write_klipper
->>>>>>> models
 
 printer = pincal.load_mechanism("linear_delta")
 noise = pincal.Noise(position=2e-5)  # of a probed height [m]
@@ -40,9 +35,7 @@ alone, known = (1e3 * pair[0] for pair in (weak.std, weak.known))
 print(f"the radius within {alone:.2f} mm, {known:.2f} mm if rods were known")
 
 # So rods were measured with calipers, to 0.1 mm.
-result = pincal.calibrate(
-    printer, data, noise=noise, tied=["radius"], priors={"arm": 1e-4}
-)
+result = pincal.calibrate(printer, data, noise=noise, tied=["radius"], priors={"arm": 1e-4})
 print(result)
 result.save("07_result", force=True)
 export = ["export", "07_result", "-o", "calibrated.cfg", "--force", "--quiet"]

@@ -10,13 +10,8 @@ import pytest
 from measured import put
 
 import pincal
-<<<<<<< HEAD
 from pincal.estimation.weak import weak_pairs
-from pincal.formats.delta import delta_printer
-=======
-from pincal.estimation.weak import weakly_told
 from pincal.formats.printers.delta import delta_printer
->>>>>>> models
 
 PROBE = pincal.Noise(2e-5, 0.0, 0.0)  # of heights [m]
 

@@ -28,18 +28,6 @@ from neighbours import (
 from scipy.spatial.transform import Rotation
 
 import pincal
-<<<<<<< HEAD
-from pincal.formats.calibrated_urdf import calibrated_urdf
-from pincal.formats.closed import closed_mechanism
-from pincal.formats.loops_yaml import read_loops
-from pincal.formats.mjcf import read_mjcf
-from pincal.formats.serial import serial_arm
-from pincal.formats.tree_mjcf import mjcf
-from pincal.formats.tree_of import tree_of
-from pincal.formats.tree_urdf import loops_urdf, loops_yaml
-from pincal.kinematics.assembly import independent
-from pincal.kinematics.batches import cross
-=======
 from pincal.formats.trees.calibrated_urdf import calibrated_urdf
 from pincal.formats.trees.closed import closed_mechanism
 from pincal.formats.trees.loops_yaml import read_loops
@@ -48,7 +36,8 @@ from pincal.formats.trees.serial import serial_arm
 from pincal.formats.trees.tree_mjcf import mjcf
 from pincal.formats.trees.tree_of import tree_of
 from pincal.formats.trees.tree_urdf import loops_urdf, loops_yaml
->>>>>>> models
+from pincal.kinematics.assembly import independent
+from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import closed_form, pointing_slide
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.reach import reach_of

@@ -19,15 +19,9 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.formats.figaroh import read_figaroh
-<<<<<<< HEAD
-from pincal.formats.klipper import read_klipper, write_klipper
-from pincal.formats.reprap import read_reprap, write_reprap
-=======
 from pincal.formats.printers.delta import DeltaPrinter, delta_printer
 from pincal.formats.printers.klipper import read_klipper, write_klipper
 from pincal.formats.printers.reprap import read_reprap, write_reprap
-from pincal.identification.result_files import read_result
->>>>>>> models
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism

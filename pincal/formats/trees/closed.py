@@ -16,21 +16,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-<<<<<<< HEAD:pincal/formats/closed.py
-from pincal.formats.drawn import check_drawn
-from pincal.formats.graph import Way, ways_of
-from pincal.formats.limbs import Limb, limb, point_platform, poses_at_zero
-from pincal.formats.tree import Tree, listed
-from pincal.kinematics.assembly import assembled, independent
-=======
 from pincal.formats.trees.drawn import check_drawn
 from pincal.formats.trees.graph import Way, ways_of
 from pincal.formats.trees.limbs import Limb, limb, point_platform, poses_at_zero
 from pincal.formats.trees.tree import Tree, listed
-from pincal.kinematics.assembly import assembled
-from pincal.kinematics.independent import independent
+from pincal.kinematics.assembly import assembled, independent
 from pincal.model.checks import EXACT
->>>>>>> models:pincal/formats/trees/closed.py
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, along, placement_of
