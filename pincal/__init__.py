@@ -36,7 +36,7 @@ from pincal.files.measurements import read_measurements, read_poses, read_readin
 from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.files.setups import read_setup
 from pincal.kinematics.arm import load_arm
-from pincal.kinematics.collision import free_of_collision
+from pincal.kinematics.readers import free_of_collision
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse

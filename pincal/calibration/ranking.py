@@ -6,7 +6,7 @@ leave as little as the best cannot be told from it; all of them are named.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,7 +31,7 @@ from pincal.model.mechanism import Mechanism
 Array = NDArray[np.float64]
 _EACH = 3.0  # by which each fault that is put right divides the misfit
 _EQUAL = 2.0  # times the misfit that the best leaves: cannot be told from it
-_FEW, _GRID = 12, 24  # rows, and zeros of a motor that are tried, where the frame is unknown
+_FEW, _GRID = 12, 12  # rows, and zeros of a motor that are tried, where the frame is unknown
 _FRAMED = 40  # rows, where another frame is tried
 AS_MEASURED = Hypothesis("nothing", lambda sample: (sample.poses, sample.readings))
 
@@ -87,7 +87,7 @@ def judge(sample: Sample, hypothesis: Hypothesis = AS_MEASURED) -> Judged:
     matrices, rows = found
     mechanism = sample.mechanism
     fits = tuple(
-        leg_fit(mechanism, i, matrices, readings[rows][:, own])
+        leg_fit(mechanism, i, matrices, readings[rows][:, own], free=sample.free)
         for i, own in enumerate(mechanism.reading_columns)
     )
     return Judged(hypothesis, fits, (), matrices, rows, sample.free)
@@ -100,20 +100,8 @@ def explanations(sample: Sample, given: Judged) -> list[Judged]:
         sample: The measurements.
         given: How they fit as they are.
     """
-    single = _judged(sample, given, single_faults(sample))
-    stages = [lambda: single, lambda: _judged(sample, given, several_units(sample))]
-    if sample.free or not sample.oriented:
-        stages.insert(1, lambda: _zeros(sample, given))
-    else:
-        single += _zeros(sample, given)
-    if not sample.free and sample.oriented:
-        framed = replace(sample, free=True).part(
-            np.arange(len(sample.rows))[:: -(-len(sample.rows) // _FRAMED)]
-        )
-        single += _judged(framed, given, [replace(AS_MEASURED, code="unknown-frame")])
-        stages.append(lambda: _judged(framed, given, _second(single_faults(framed))))
-    for stage in stages:
-        found = [one for one in stage() if explains(one, given)]
+    for stage in _stages(sample, given):
+        found = [one for one in stage if explains(one, given)]
         if found:
             best = min(one.misfit for one in found)
             equal = [one for one in found if one.misfit <= _EQUAL * best]
@@ -122,14 +110,30 @@ def explanations(sample: Sample, given: Judged) -> list[Judged]:
     return []
 
 
+def _stages(sample: Sample, given: Judged) -> Iterator[list[Judged]]:
+    """Yield hypotheses with their fits, the simplest first.
+
+    A base that stands near where it should is a change of parameters, and no hypothesis.
+    """
+    alone = sample.oriented and not sample.free  # legs can be judged one by one
+    framed = replace(sample, free=True).part(np.arange(len(sample.rows))[:_FRAMED])
+    single = _judged(sample, given, single_faults(sample))
+    if alone and not given.plausible:
+        single += _judged(framed, given, [replace(AS_MEASURED, code="unknown-frame")])
+    yield single + (_zeros(sample, given) if alone else [])
+    if not alone:
+        yield _zeros(sample, given)
+    yield _judged(sample, given, several_units(sample))
+    if alone and not given.plausible:
+        second = (replace(one, faults=one.faults + 1) for one in single_faults(framed))
+        yield _judged(framed, given, second)
+
+
 def explains(one: Judged, given: Judged) -> bool:
     """Return whether a hypothesis leaves little enough of the misfit of what was given."""
+    if not given.fits and one.questioned:
+        return False  # anything is better than nothing
     return one.plausible and one.misfit * _EACH**one.hypothesis.faults <= given.misfit
-
-
-def _second(hypotheses: Iterable[Hypothesis]) -> Iterable[Hypothesis]:
-    """Yield hypotheses as what is wrong besides the frame."""
-    return (replace(one, faults=one.faults + 1) for one in hypotheses)
 
 
 def _judged(sample: Sample, given: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
@@ -190,7 +194,7 @@ def _zeros(sample: Sample, given: Judged) -> list[Judged]:
         grid = np.linspace(-far, far, _GRID + 1)[1:]
         best = grid[int(np.argmin([cost(off) for off in grid]))]
         cell = 2 * far / _GRID
-        near = minimize_scalar(cost, bounds=(best - cell, best + cell), options={"maxiter": 20})
+        near = minimize_scalar(cost, bounds=(best - cell, best + cell), options={"maxiter": 8})
         one = judge(sample, replace(zeros(near.x * unit), by_leg=False))
         found.append(replace(one, legs=(index,)))
     return found

@@ -82,20 +82,16 @@ def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample 
     return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free)
 
 
-def placed(sample: Sample, offsets: Array | None = None) -> tuple[Array, Rows] | None:
+def placed(sample: Sample) -> tuple[Array, Rows] | None:
     """Return poses ``T_base_platform``, shape (M, 4, 4), and their rows in the sample, (M,).
 
     None if readings and measurements cannot be brought together.
-
-    Args:
-        sample: The rows.
-        offsets: By which readings are less than measured, shape (n_readings,).
     """
     measured, every = sample.matrices(), np.arange(len(sample.poses))
     if not sample.free and sample.oriented:
         measured[:, :3, 3] -= measured[:, :3, :3] @ sample.offset
         return measured, every
-    readings = sample.readings - (0.0 if offsets is None else offsets)
+    readings = sample.readings
     known = np.flatnonzero(np.isfinite(readings).all(axis=1))
     if len(known) < 2:
         return None

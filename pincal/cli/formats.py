@@ -282,16 +282,17 @@ def export(
 
 
 def _weak(folder: Path) -> list[str]:
-    """Return which lengths of a printer a calibration hardly told apart, in words."""
+    """Return which lengths of a printer a calibration determined weakly."""
     if not (folder / "result.json").is_file():
         return []
-    pairs = read_result(folder).get("weakly_told_apart", [])
+    found = read_result(folder)
+    pairs = found.get("weakly_determined", found.get("weakly_told_apart", []))  # until 0.1
     ends = [one[end] for one in pairs for end in ("first", "second")]  # [leg, name] until 0.1
     names = sorted({one.partition(".")[2] if isinstance(one, str) else one[1] for one in ends})
     if not names:
         return []
     return [
-        f"{' and '.join(names)} are weakly told apart by these measurements: what moves along with "
+        f"{' and '.join(names)} are weakly determined by these measurements: what moves along with "
         "the other may be far from its true value (the calibration says by how much). If one of "
         f"them is known, say so and calibrate again: --prior {names[0]}=SIGMA"
     ]

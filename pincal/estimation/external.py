@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.kinematics.rotations import inverse_left_jacobian
+from pincal.kinematics.batches import inverse_left_jacobian
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup
 

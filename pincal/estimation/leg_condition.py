@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
-from pincal.kinematics.held import held
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.inverse import close, sensor_law
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
@@ -87,7 +87,7 @@ class LegCondition:
         closure = LegClosure(self.leg, self.platform, parameters)
         if self.kind == "joint":
             return self._joint(closure, matrices)
-        closed, joints = held(closure, matrices, self.readings, joints)
+        closed, joints = nearest_closure(closure, matrices, self.readings, joints)
         return demand(closure, closed, self.readings), joints
 
     def _joint(self, closure: LegClosure, matrices: Array) -> tuple[Demand, Array]:

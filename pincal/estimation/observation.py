@@ -18,7 +18,7 @@ from pincal.errors import MeasurementError
 from pincal.estimation.angles import angle
 from pincal.estimation.external import External, ExternalUnknowns
 from pincal.kinematics.closure import point_velocity
-from pincal.kinematics.rotations import inverse_left_jacobian, turn_between
+from pincal.kinematics.batches import inverse_left_jacobian, turn_between
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES

@@ -24,7 +24,7 @@ from pincal.estimation.observation import Observation
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.held import carried
+from pincal.kinematics.nearest_closure import arm_poses
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
@@ -315,7 +315,7 @@ class Problem:
                 gap = demand.value + demand.parameter @ step[columns]
                 gap += (demand.pose @ twists[:, :, None])[:, :, 0]
                 leg = LegClosure(one.leg, self.platform, parameters[columns])
-                return carried(leg, one.readings, gap)
+                return arm_poses(leg, one.readings, gap)
         return None
 
     def pose_draws(self, linear: Linear) -> Array:

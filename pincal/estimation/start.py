@@ -18,7 +18,7 @@ from pincal.estimation.external import External
 from pincal.estimation.problem import Problem, Stack, State
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.forward import placed_by_arm
-from pincal.kinematics.held import held
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import home_mode, mode_sign
@@ -84,7 +84,7 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
     closures = [
-        held(leg, state.matrices, one.readings, joints)[0]
+        nearest_closure(leg, state.matrices, one.readings, joints)[0]
         for leg, one, joints in zip(legs, problem.conditions, state.joints, strict=True)
     ]
     redundant = mechanism.redundant  # of which the type-2 margin has no sign
