@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import gammainc
 
+from pincal.estimation.drawings import plausible_changes
 from pincal.identification.result import UNEXPLAINED, LegResult, TieTest
 from pincal.identification.robust import Outlier
 from pincal.identification.task import Task, unsaid
-from pincal.identification.undetermined import plausible_changes
 
 _HOLD = ", hold what is not told (--method latent --hold-undetermined)"
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is doubted

@@ -91,7 +91,8 @@ def _left(closure: LegClosure, rows: Demand) -> float:
 
     To first order, by least squares with nominal values known to 1 %; no farther than 5 %.
     """
-    near = [_NEAR * (closure.size if unit == "m" else 1.0) for unit in closure.leg.units.values()]
+    units = [closure.leg.units[name] for name in closure.leg.parameter_names]
+    near = [_NEAR * (closure.size if unit == "m" else 1.0) for unit in units]
     J = np.concatenate(rows.parameter) * near / (_PRECISE * closure.size)
     value = rows.value.ravel() / (_PRECISE * closure.size)
     if not (np.isfinite(J).all() and np.isfinite(value).all()):

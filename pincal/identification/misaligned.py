@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_law
 
+from pincal.estimation.drawings import plausible_changes
 from pincal.estimation.frames import beyond, frame_motions
 from pincal.identification.result import CalibrationResult
 from pincal.identification.task import Task
-from pincal.identification.undetermined import plausible_changes
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
 from pincal.model.measurements import Plan

@@ -7,13 +7,13 @@ directions may move it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
+from pincal.estimation.drawings import plausible_changes
 from pincal.estimation.observability import identifiability
 from pincal.identification.alignment import settle
 from pincal.identification.consistent import consistent, lost_directions
@@ -22,11 +22,9 @@ from pincal.identification.latent import LatentPoses
 from pincal.identification.problem import Problem, State
 from pincal.identification.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
-from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_DIFFER = 0.05  # of a mechanism's size, [rad] and [1]: by which no machine differs from its drawing
 
 
 @dataclass(frozen=True)
@@ -39,16 +37,6 @@ class Held:
     """Directions in the legs' parameters, as far as machines may differ, (n_params, n_lost)."""
     words: str
     """Empty if there are none."""
-
-
-def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -> Array:
-    """Return by how much parameters of legs may differ from their drawing, shape (n_params,).
-
-    In the parameters' units; of all legs if none are given.
-    """
-    size = largest_size(mechanism.legs, mechanism.platform)
-    units = [unit for leg in legs or mechanism.legs for unit in leg.units.values()]
-    return np.array([_DIFFER * (size if unit == "m" else 1.0) for unit in units])
 
 
 def hold_undetermined(mechanism: Mechanism, problem: LatentPoses, unknowns: Unknowns) -> Held:

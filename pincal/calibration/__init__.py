@@ -1,0 +1,1 @@
+"""Calibration of a mechanism: checks before the fit, hypotheses about what may be wrong."""

@@ -1,0 +1,247 @@
+"""What goes wrong when machines are measured: hypotheses, each with the measurements put right.
+
+One table for all mechanisms. Frames and orders concern the poses or columns as a whole; a sign, a
+unit or a motor's zero may be wrong in the readings of single legs. Which of them explain
+measurements is decided by one rule, in ``ranking``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
+
+from pincal.calibration.leg_fit import QUESTIONED, LegFit, leg_fit
+from pincal.calibration.sample import Sample
+from pincal.kinematics.inverse import inverse
+from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import WAYS, columns_of, rotation_of
+
+Array = NDArray[np.float64]
+_SHIFTS = (1, -1, 2, -2)  # rows by which logs of poses and readings are out of step
+#: For each unit of a header: what the numbers may be in, and the factor that puts them right.
+UNITS = {
+    "m": {"mm": 1e-3, "m": 1e3},
+    "rad": {"deg": np.pi / 180, "rad": 180 / np.pi},
+}
+REFLECTIONS = {
+    "x": np.diag([-1.0, 1.0, 1.0]),
+    "y": np.diag([1.0, -1.0, 1.0]),
+    "z": np.diag([1.0, 1.0, -1.0]),
+    "xy": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+}
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One thing that may have gone wrong."""
+
+    code: str
+    """Kebab case; its sentence and remedy are in ``pincal.words.hypotheses``."""
+    right: Callable[[Sample], tuple[Array, Array]]
+    """Returns poses (N, dof) and readings (N, n_readings) put right."""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """What is wrong: names and numbers of which its sentence is made."""
+    by_leg: bool = False
+    """Whether it may concern the readings of some legs only."""
+    faults: int = 1
+    """How many things went wrong."""
+
+    def put_right(self, sample: Sample) -> tuple[Array, Array]:
+        """Return poses and readings put right."""
+        return self.right(sample)
+
+
+def single_faults(sample: Sample) -> Iterator[Hypothesis]:
+    """Yield signs, orders, units, frames and shifts, one wrong at a time."""
+    mechanism = sample.mechanism
+    yield Hypothesis("sign-of-readings", _scaled_readings(-1.0), by_leg=True)
+    yield from _of_one_leg(mechanism)
+    yield from (one for one in _units(sample) if one.faults == 1)
+    yield from mirrored(sample)
+    if sample.oriented and "rad" in mechanism.platform.units:
+        yield from _signs_of_angles(mechanism)
+        yield Hypothesis("orientation-inverted", partial(_inverted, False))
+        yield Hypothesis("pose-inverted", partial(_inverted, True))
+    yield from _exchanged(sample)
+    for shift in _SHIFTS:
+        yield Hypothesis("rows-shifted", partial(_shifted, shift), {"rows": shift})
+
+
+def several_units(sample: Sample) -> Iterator[Hypothesis]:
+    """Yield units that are wrong in several kinds of columns at once."""
+    yield from (one for one in _units(sample) if one.faults > 1)
+
+
+def zeros(offsets: Array) -> Hypothesis:
+    """Return that readings are off by constants, shape (n_readings,), [rad] or [m]."""
+    return Hypothesis(
+        "reading-offset",
+        lambda one: (one.poses, one.readings - offsets),
+        {"offsets": tuple(offsets.tolist())},
+        by_leg=True,
+    )
+
+
+def offsets_of(sample: Sample, matrices: Array) -> Array:
+    """Return by which constants readings differ from the nominal ones, shape (n_readings,).
+
+    Medians; angles without whole turns.
+    """
+    nominal = inverse(sample.mechanism, sample.mechanism.platform.from_matrices(matrices)).readings
+    off = sample.readings - nominal
+    for column, unit in enumerate(sample.mechanism.reading_units):
+        known = off[np.isfinite(off[:, column]), column]
+        if unit == "rad" and len(known):
+            middle = np.angle(np.exp(1j * known).mean())
+            known = middle + np.angle(np.exp(1j * (known - middle)))
+        off[:, column] = np.median(known) if len(known) else 0.0
+    return off[0]
+
+
+def _scaled_readings(factors: Array | float) -> Callable[[Sample], tuple[Array, Array]]:
+    return lambda sample: (sample.poses, sample.readings * factors)
+
+
+def _of_one_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
+    """Yield one reading's sign, and two columns exchanged, of legs with several sensors."""
+    names = mechanism.reading_names
+    for own in mechanism.reading_columns:
+        columns = range(own.start, own.stop)
+        for one in columns if len(columns) > 1 else ():
+            signs = np.ones(len(names))
+            signs[one] = -1.0
+            yield Hypothesis("sign-of-column", _scaled_readings(signs), {"column": names[one]})
+        for one, other in combinations(columns, 2):
+            order = np.arange(len(names))
+            order[[one, other]] = other, one
+            values = {"columns": (names[one], names[other])}
+            yield Hypothesis("columns-exchanged", partial(_ordered, order), values)
+
+
+def _ordered(order: NDArray[np.intp], sample: Sample) -> tuple[Array, Array]:
+    return sample.poses, sample.readings[:, order]
+
+
+def mirrored(sample: Sample) -> Iterator[Hypothesis]:
+    """Yield left-handed frames: r → Q r, R → Q R Qᵀ for a reflection Q; and Q r with R as it is."""
+    platform = sample.mechanism.platform
+    for axis, Q in REFLECTIONS.items():
+        if platform.space == 2 and Q[2, 2] < 0.0:
+            continue
+        for turned in (True, False) if sample.oriented and "rad" in platform.units else (True,):
+            values = {"axis": axis, "orientations_right": not turned}
+            yield Hypothesis("left-handed-frame", partial(_reflected, Q, turned), values)
+
+
+def _reflected(Q: Array, turned: bool, sample: Sample) -> tuple[Array, Array]:
+    matrices = sample.matrices()
+    R = matrices[:, :3, :3]
+    return sample.moved(matrices[:, :3, 3] @ Q.T, Q @ R @ Q.T if turned else R), sample.readings
+
+
+def _inverted(whole: bool, sample: Sample) -> tuple[Array, Array]:
+    """Return the orientations, or whole poses, of the base seen from the platform."""
+    matrices = sample.matrices()
+    turns, r = matrices[:, :3, :3].transpose(0, 2, 1), matrices[:, :3, 3]
+    back = -(turns @ r[:, :, None])[:, :, 0]
+    return sample.moved(back if whole else r, turns), sample.readings
+
+
+def _signs_of_angles(mechanism: Mechanism) -> Iterator[Hypothesis]:
+    """Yield the sign of one of the columns by which a spatial platform's orientation was given."""
+    for way, (names, unit) in WAYS.items() if mechanism.platform.kind == "spatial" else ():
+        for column, name in enumerate(names if unit == "rad" else ()):
+            right = partial(_turned, way, column)
+            yield Hypothesis("sign-of-angle", right, {"column": name})
+
+
+def _turned(way: str, column: int, sample: Sample) -> tuple[Array, Array]:
+    matrices = sample.matrices()
+    angles = columns_of(way, Rotation.from_matrix(matrices[:, :3, :3]))
+    angles[:, column] *= -1.0
+    turns = rotation_of(way, angles).as_matrix()
+    return sample.moved(matrices[:, :3, 3], turns), sample.readings
+
+
+def _shifted(shift: int, sample: Sample) -> tuple[Array, Array]:
+    """Return the readings that stand some rows below, or above, the poses."""
+    there = sample.rows + shift
+    inside = (there >= 0) & (there < len(sample.log))
+    right = np.full(sample.readings.shape, np.nan)
+    right[inside] = sample.log[there[inside]]
+    return sample.poses, right
+
+
+def _units(sample: Sample) -> Iterator[Hypothesis]:
+    """Yield what units may be wrong, in one kind of columns or in several together."""
+    mechanism = sample.mechanism
+    coordinates, columns = np.array(mechanism.platform.units), np.array(mechanism.reading_units)
+    kinds = [("positions", "m", coordinates)]
+    kinds += [("orientations", "rad", coordinates)] if sample.oriented else []
+    kinds += [("readings", "m", columns), ("readings", "rad", columns)]
+    kinds = [one for one in kinds if one[1] in one[2]]
+    for choice in product(*([None, *UNITS[unit].items()] for _, unit, _ in kinds)):
+        wrong = [(kind, how) for kind, how in zip(kinds, choice, strict=True) if how]
+        scales = np.ones(len(coordinates)), np.ones(len(columns))
+        for (name, unit, units), (_, factor) in wrong:
+            scales[name == "readings"][units == unit] = factor
+        if wrong:
+            yield Hypothesis(
+                "unit",
+                partial(_scaled, *scales),
+                {"units": tuple((name, unit, given) for (name, unit, _), (given, _) in wrong)},
+                by_leg=all(name == "readings" for (name, _, _), _ in wrong),
+                faults=len(wrong),
+            )
+
+
+def _scaled(poses: Array, readings: Array, sample: Sample) -> tuple[Array, Array]:
+    return sample.poses * poses, sample.readings * readings
+
+
+def _exchanged(sample: Sample) -> Iterator[Hypothesis]:
+    """Yield the order of columns in which the legs fit best, if it is another than given.
+
+    In an unknown frame, where legs cannot be judged one by one, all exchanges of two, and all legs
+    one further or in reverse.
+    """
+    mechanism = sample.mechanism
+    n = len(mechanism.legs)
+    if len(mechanism.reading_names) != n or n < 2:
+        return
+    if sample.free or not sample.oriented:
+        every = list(range(n))
+        turned = [every[k:] + every[:k] for k in ((1, n - 1) if n > 2 else ())]
+        pairs = combinations(every, 2)
+        swaps = [[{i: j, j: i}.get(k, k) for k in every] for i, j in pairs]
+        orders = [*swaps, *turned, *([every[::-1]] if n > 3 else [])]
+    else:
+        orders = [_best_order(sample)]
+    for order in orders:
+        moved = [(mechanism.leg_names[i], mechanism.leg_names[j]) for i, j in enumerate(order)]
+        moved = [(leg, column) for leg, column in moved if leg != column]
+        if moved:
+            values = {"order": tuple(moved)}
+            yield Hypothesis("legs-exchanged", partial(_ordered, np.array(order)), values)
+
+
+def _best_order(sample: Sample) -> list[int]:
+    """Return the column that each leg fits best, each to one leg; legs stay where they may."""
+    every, matrices = range(len(sample.mechanism.legs)), sample.matrices()
+    matrices[:, :3, 3] -= matrices[:, :3, :3] @ sample.offset
+
+    def cost(fit: LegFit) -> float:
+        return float(np.clip(fit.near, QUESTIONED * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
+
+    columns = [sample.readings[:, [j]] for j in every]
+    table = [[cost(leg_fit(sample.mechanism, i, matrices, c)) for c in columns] for i in every]
+    stays = 1e-9 * np.eye(len(every))
+    return [int(j) for j in linear_sum_assignment(np.nan_to_num(table, nan=1.0) - stays)[1]]

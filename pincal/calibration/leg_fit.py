@@ -1,0 +1,122 @@
+"""How well poses and readings fit a leg whose parameters are near the nominal ones.
+
+A machine that differs from its drawing leaves gaps, as a wrong sign does; but parameters near
+nominal explain the former. What such parameters leave is what readings and poses contradict each
+other by, however short the motion that was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.estimation.drawings import DIFFER, changes_of
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import Demand, demand
+from pincal.kinematics.held import held
+from pincal.kinematics.starts import home_mode, mode_sign
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+QUESTIONED = 0.02
+"""Misfit over the stroke that was measured, from which measurements are questioned."""
+_STEPS = 20  # a leg that closes needs fewer; one that does not is not worth more
+_ROUNDS = 5  # of least squares on the way to the least sum of absolute values
+_PRECISE = 1e-4  # of the leg's size: gaps that are none
+
+
+@dataclass(frozen=True)
+class LegFit:
+    """How measurements fit a leg; lengths over the leg's size."""
+
+    gap: float
+    """Median closure residual at the nominal parameters; NaN with fewer than two rows."""
+    left: Array
+    """Closure residual at the parameters near nominal that fit best, of each row, (N,); NaN
+    where there is no reading."""
+    stroke: float
+    """By how much readings move the leg's end over the rows: median."""
+    bent: int
+    """Rows that close the leg in another working mode than home's."""
+
+    @property
+    def rows(self) -> int:
+        """Rows with a reading."""
+        return int(np.isfinite(self.left).sum())
+
+    @property
+    def as_home(self) -> bool:
+        """Whether most rows close the leg in home's working mode."""
+        return 2 * self.bent <= self.rows
+
+    @property
+    def near(self) -> float:
+        """What machines near nominal leave of the gaps; all, if machines do not differ so far."""
+        return self.gap if not self.gap <= DIFFER else min(self.gap, float(np.nanmedian(self.left)))
+
+    @property
+    def misfit(self) -> float:
+        """The leg's share in a hypothesis' score: what is left, or 1 in another working mode."""
+        return max(self.near, _PRECISE) if self.as_home else max(1.0, self.gap)
+
+    @property
+    def questioned(self) -> bool:
+        """Whether machines near nominal leave much of what was measured."""
+        return self.rows > 1 and not self.near <= max(QUESTIONED * self.stroke, _PRECISE)
+
+
+def leg_fit(mechanism: Mechanism, index: int, matrices: Array, readings: Array) -> LegFit:
+    """Return how measurements fit a leg.
+
+    Args:
+        mechanism: The mechanism.
+        index: The leg.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        readings: Of the leg, shape (N, n_active), [rad] or [m]; NaN where not measured.
+    """
+    known = np.asarray(np.isfinite(readings).all(axis=1))
+    left = np.full(len(known), np.nan)
+    if known.sum() < 2:
+        return LegFit(np.nan, left, np.nan, 0)
+    leg, platform = mechanism.legs[index], mechanism.platform
+    closure = LegClosure(leg, platform)
+    with np.errstate(all="ignore"):  # units may be far off
+        closed, _ = held(closure, matrices[known], readings[known], steps=_STEPS)
+        missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
+        rows = demand(closure, closed, readings[known])
+        left[known] = _left(closure, rows)
+        stroke = _stroke(rows, readings[known])
+    bent = mode_sign(closed) * home_mode(leg, platform) < 0.0
+    sides = int(bent.sum()) if leg.passive else 0  # joints that are all read bend as they do
+    return LegFit(float(np.median(missed)) / closure.size, left, stroke / closure.size, sides)
+
+
+def _left(closure: LegClosure, rows: Demand) -> Array:
+    """Return the gaps that parameters near nominal leave, over the leg's size, shape (N,).
+
+    To first order, of least absolute values (rows with a slip count little), parameters known as
+    well as machines follow their drawings, and no farther from nominal than that.
+    """
+    near, unit = changes_of(closure.leg, closure.size), _PRECISE * closure.size
+    J, value = rows.parameter * near / unit, rows.value / unit
+    if not (np.isfinite(J).all() and np.isfinite(value).all()):
+        return np.full(len(value), 1.0)
+    n = J.shape[2]
+    weights, usual = np.ones(len(value)), 1.0
+    for _ in range(_ROUNDS):
+        A = np.concatenate(((J * weights[:, None, None]).reshape(-1, n), usual * np.eye(n)))
+        b = np.concatenate(((value * weights[:, None]).ravel(), np.zeros(n)))
+        step = np.linalg.lstsq(A, -b, rcond=None)[0]
+        step /= max(np.abs(step).max(initial=0.0), 1.0)
+        left = np.linalg.norm(value + J @ step, axis=1)
+        usual = max(float(np.median(left)), 1.0)
+        weights = 1.0 / np.sqrt(np.maximum(left / usual, 1.0))
+    return _PRECISE * left
+
+
+def _stroke(rows: Demand, readings: Array) -> float:
+    """Return the median distance over which readings move the leg's end from the usual, [m]."""
+    moved = readings - np.median(readings, axis=0)
+    return float(np.median(np.linalg.norm(rows.reading * moved[:, None], axis=(1, 2))))

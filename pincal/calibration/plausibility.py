@@ -1,0 +1,223 @@
+"""Are the measurements such as this mechanism can have made?
+
+Readings and poses that fit the nominal mechanism leave closure gaps that machines near it explain,
+with the legs bent as at home. Else what often goes wrong is put right, one hypothesis at a time,
+and those that then fit much better are named. If none does, nothing is identified.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.leg_fit import QUESTIONED
+from pincal.calibration.ranking import Judged, as_findings, explanations, judge, other_side
+from pincal.calibration.sample import Sample, placed, sample_of
+from pincal.errors import MeasurementError
+from pincal.estimation.drawings import DIFFER
+from pincal.estimation.external import External
+from pincal.kinematics.closure import largest_size
+from pincal.kinematics.inverse import inverse
+from pincal.model.finding import Finding
+from pincal.model.measurements import Measurements, Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN, Setup, Target
+from pincal.words.hypotheses import HYPOTHESES, explanation, sentence
+
+Array = NDArray[np.float64]
+_STILL = 1e-3  # of a leg's size, and [rad]: readings that differ by less hardly move
+_FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
+_FAR = 10.0  # times the median that a row misses by: a slip, if fewer than one row in so many
+
+
+def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | None = None) -> None:
+    """Raise if measurements cannot come from a mechanism like the nominal one.
+
+    Only rows with complete poses are looked at, and of a leg those with its reading.
+
+    Raises:
+        MeasurementError: they do not fit; the message says what would explain it.
+    """
+    setup = setup or Setup()
+    sample = sample_of(mechanism, data, setup)
+    if sample is None or not sample.oriented:
+        return
+    found = _still(sample)
+    if not found:
+        found, given = _explained(sample)
+        found = found or _strange(sample, given)
+    if found:
+        raise MeasurementError(said(found))
+
+
+def explain_misfit(
+    mechanism: Mechanism,
+    data: Measurements,
+    setup: Setup | None = None,
+    frame: External | None = None,
+) -> tuple[Finding, ...]:
+    """Return what would explain that measurements do not fit; empty if nothing does.
+
+    Args:
+        mechanism: The nominal mechanism.
+        data: What was measured.
+        setup: What the numbers mean.
+        frame: Frames and targets as they were estimated, if they were.
+    """
+    setup = setup or Setup()
+    if frame is not None and setup.targets[ORIGIN].unknown:
+        x, y, z = frame.offsets[0].tolist()
+        setup = replace(setup, targets={**setup.targets, ORIGIN: Target((x, y, z))})
+    sample = sample_of(mechanism, data, setup)
+    if sample is None:
+        return ()
+    if found := _still(sample):
+        return found
+    found, given = _explained(sample)
+    return found or _slips(sample, given)
+
+
+def said(findings: tuple[Finding, ...]) -> str:
+    """Return findings of one cause as one message."""
+    if findings[0].code in HYPOTHESES:
+        return explanation(findings)
+    return sentence(findings[0])
+
+
+def _explained(sample: Sample) -> tuple[tuple[Finding, ...], Judged]:
+    """Return hypotheses that explain measurements that do not fit, and how these fit as given."""
+    mechanism, given = sample.mechanism, judge(sample)
+    given = replace(given, elsewhere=other_side(mechanism, given.matrices))
+    if given.fits and not given.questioned and given.elsewhere <= 0.5:
+        return (), given
+    return as_findings(mechanism, given, explanations(sample, given)), given
+
+
+def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
+    """Return what bars a fit though no hypothesis explains it."""
+    mechanism = sample.mechanism
+    judged = [
+        (leg, one) for leg, one in zip(mechanism.legs, given.fits, strict=False) if one.rows > 1
+    ]
+    if not judged:
+        return ()
+    leg, worst = max(judged, key=lambda pair: pair[1].gap)
+    if worst.gap > DIFFER:
+        return (Finding("not-this-mechanism", "error", {"leg": leg.name, "gap": worst.gap}),)
+    bent = tuple(
+        (leg.name, tuple(leg.moving[i].name for i in leg.passive), one.bent, one.rows)
+        for leg, one in judged
+        if not one.as_home
+    )
+    if bent:
+        return (Finding("other-working-mode", "error", {"legs": bent}),)
+    if turned := _turns(sample):
+        return turned
+    for leg, one in judged:
+        if one.near > max(_FOLLOWS * one.stroke, _STILL):
+            values = {"leg": leg.name, "left": one.near, "stroke": one.stroke}
+            return (Finding("readings-do-not-follow", "error", values),)
+    return ()
+
+
+def _still(sample: Sample) -> tuple[Finding, ...]:
+    """Return which readings are the same in all rows though the poses move their sensors."""
+    mechanism, readings = sample.mechanism, sample.readings
+    still = np.ptp(readings, axis=0) == 0.0
+    found = placed(sample)
+    if mechanism.by_readings or sample.free or found is None or not still.any():
+        return ()
+    nominal = inverse(mechanism, mechanism.platform.from_matrices(found[0])).readings
+    named = []
+    for index, (leg, name) in enumerate(zip(mechanism.legs, mechanism.reading_names, strict=True)):
+        known = nominal[np.isfinite(nominal[:, index]), index]
+        unit = mechanism.reading_units[index]
+        moved = float(np.ptp(known)) if len(known) > 1 else 0.0
+        if still[index] and moved > _STILL * (1.0 if unit == "rad" else leg.size):
+            named.append((name, float(readings[0, index]), unit, moved))
+    return (Finding("readings-still", "error", {"readings": tuple(named)}),) if named else ()
+
+
+def _turns(sample: Sample) -> tuple[Finding, ...]:
+    """Return readings that are whole turns off the nominal ones, of the first such leg."""
+    mechanism, found = sample.mechanism, placed(sample)
+    if mechanism.by_readings or found is None:
+        return ()
+    matrices, rows = found
+    nominal = inverse(mechanism, mechanism.platform.from_matrices(matrices)).readings
+    for index, leg in enumerate(mechanism.legs):
+        if leg.reading_units[0] != "rad":
+            continue
+        given, expected = sample.readings[rows, index], nominal[:, index]
+        gain, _ = leg.sensors[0].constants(leg.nominal_by_name)
+        turn = 2 * np.pi * (abs(gain) if leg.sensors[0].form == "reading" else 1 / abs(gain))
+        off = np.flatnonzero(np.nan_to_num(np.round((given - expected) / turn)))
+        if len(off) and np.isfinite(given - expected).sum() > 1:
+            one = off[0]
+            values = {"leg": leg.name, "reading": given[one], "nominal": expected[one]}
+            where = tuple(sample.rows[rows[off]].tolist())
+            return (Finding("whole-turns", "error", values, where),)
+    return ()
+
+
+def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
+    """Return which few rows miss machines near the nominal one much farther than the others."""
+    if not given.fits or given.rows is None:
+        return ()
+    left = np.array([one.left for one in given.fits if one.rows > 1])
+    usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), 1e-300)
+    times = np.nan_to_num(left / usual).max(axis=0)
+    far = np.flatnonzero(times > _FAR)
+    if not 0 < len(far) <= max(1.0, len(times) / _FAR):
+        return ()
+    rows = sample.rows[given.rows]
+    worst = int(rows[np.argmax(times)])
+    values = {"worst": worst, "times": float(times.max())}
+    return (Finding("bad-rows", "warning", values, tuple(rows[far].tolist())),)
+
+
+def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
+    """Raise if rows that serve the same leg are equal in all that was measured.
+
+    Rows chosen for several legs may be copies of each other: each leg has its own. But if
+    ``every_pose`` serves every leg, whatever its set, copies would count as so many measurements.
+    Where equal readings come with different poses, measurements were repeated, and poses
+    written with few digits may be equal by chance.
+
+    Raises:
+        MeasurementError: rows that are copies.
+    """
+    measured = np.column_stack([data.poses, *data.extra.values()])
+    first: dict[tuple[str, bytes], int] = {}
+    copies = []
+    for row in range(len(data)):
+        served = "" if data.sets is None or every_pose else data.sets[row]
+        other = first.setdefault((served, data.readings[row].tobytes()), row)
+        if other == row:
+            continue
+        if not np.array_equal(measured[other], measured[row], equal_nan=True):
+            return
+        copies.append((other, row))
+    if copies:
+        rows = tuple(sorted({row for pair in copies for row in pair}))
+        values = {"first": copies[0], "pairs": len(copies)}
+        raise MeasurementError(sentence(Finding("rows-copied", "error", values, rows)))
+
+
+def check_noise(mechanism: Mechanism, noise: Noise) -> None:
+    """Raise if the noise given is so large that a unit must be wrong.
+
+    Raises:
+        MeasurementError: position noise above 2 % of a leg's size, or 0.02 rad of orientation.
+    """
+    size = largest_size(mechanism.legs, mechanism.platform)
+    turns = "rad" in mechanism.platform.units
+    for what, given, unit, most in (
+        ("position", noise.position, "m", QUESTIONED * size),
+        ("orientation", noise.orientation, "rad", QUESTIONED if turns else np.inf),
+    ):
+        if given > most:
+            values = {"what": what, "given": given, "unit": unit, "most": most, "size": size}
+            raise MeasurementError(sentence(Finding("noise-too-large", "error", values)))

@@ -1,0 +1,133 @@
+"""Measurements in the frame of the nominal machine: rows by which hypotheses are judged.
+
+If the base stands at an unknown place, forward kinematics of the readings says where the nominal
+machine was, and the best rigid motion takes that to what was measured (Kabsch 1976). Orientations
+that were not measured are those of forward kinematics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.kinematics.closure import largest_size
+from pincal.kinematics.forward import forward
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN, Setup
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+_ROWS = 500  # enough to judge by
+_FEWER = 100  # where forward kinematics is needed
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Some rows of measurements."""
+
+    mechanism: Mechanism
+    poses: Array
+    """Coordinates, shape (N, dof); of orientations that were not measured, home's."""
+    readings: Array
+    """Shape (N, n_readings), [rad] or [m]; NaN where not measured."""
+    log: Array
+    """Readings of all rows of the measurements."""
+    rows: Rows
+    """Which of them these rows are, shape (N,)."""
+    offset: Array
+    """Of the target whose positions were measured, in the platform frame, shape (3,), [m]."""
+    oriented: bool
+    """Whether orientations were measured."""
+    free: bool
+    """Whether the base stands at an unknown place in the frame of the measurements."""
+
+    def matrices(self) -> Array:
+        """Return poses as homogeneous matrices, shape (N, 4, 4)."""
+        return self.mechanism.platform.transforms(self.poses).as_matrix()
+
+    def moved(self, positions: Array, turns: Array) -> Array:
+        """Return the coordinates of positions (N, 3) and rotation matrices (N, 3, 3)."""
+        matrices = np.tile(np.eye(4), (len(positions), 1, 1))
+        matrices[:, :3, 3], matrices[:, :3, :3] = positions, turns
+        return self.mechanism.platform.from_matrices(matrices)
+
+    def part(self, chosen: Rows) -> Sample:
+        """Return some of the rows."""
+        poses, readings, rows = self.poses[chosen], self.readings[chosen], self.rows[chosen]
+        return replace(self, poses=poses, readings=readings, rows=rows)
+
+
+def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample | None:
+    """Return rows to judge by; None if there are none, or the target's place is unknown.
+
+    Rows with complete poses; if there are none such, with positions and all readings.
+    """
+    target, platform = setup.targets[ORIGIN], mechanism.platform
+    told = np.isfinite(data.poses)
+    rows, oriented = np.flatnonzero(told.all(axis=1)), True
+    if len(rows) < 2:
+        whole = np.isfinite(data.readings).all(axis=1)
+        rows = np.flatnonzero(told[:, : platform.units.count("m")].all(axis=1) & whole)
+        oriented = False
+    free = setup.unknown_frame
+    if len(rows) < 2 or (target.unknown and np.any(target.offset) + free):
+        return None
+    most = _ROWS if oriented and not free else _FEWER
+    rows = rows[:: -(-len(rows) // most)]
+    poses = np.where(told[rows], data.poses[rows], platform.home)
+    readings, offset = data.readings, np.array(target.offset, dtype=float)
+    return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free)
+
+
+def placed(sample: Sample) -> tuple[Array, Rows] | None:
+    """Return poses ``T_base_platform``, shape (M, 4, 4), and their rows in the sample, (M,).
+
+    None if readings and measurements cannot be brought together.
+    """
+    measured, every = sample.matrices(), np.arange(len(sample.poses))
+    if not sample.free and sample.oriented:
+        measured[:, :3, 3] -= measured[:, :3, :3] @ sample.offset
+        return measured, every
+    readings = sample.readings
+    known = np.flatnonzero(np.isfinite(readings).all(axis=1))
+    if len(known) < 2:
+        return None
+    with np.errstate(all="ignore"):
+        found = forward(sample.mechanism, readings[known])
+    good = known[found.converged]
+    if 2 * len(good) < len(known) or len(good) < 3:
+        return None
+    platform = sample.mechanism.platform
+    here = platform.transforms(found.poses[found.converged]).as_matrix()
+    F = _motion(sample, here, measured[good]) if sample.free else np.eye(4)
+    back = np.linalg.inv(F)
+    if sample.oriented:
+        measured = back @ measured
+    else:
+        positions = measured[good, :3, 3] @ back[:3, :3].T + back[:3, 3]
+        measured, every = here.copy(), good
+        measured[:, :3, 3] = positions
+    measured[:, :3, 3] -= measured[:, :3, :3] @ sample.offset
+    return measured, every
+
+
+def _motion(sample: Sample, here: Array, there: Array) -> Array:
+    """Return the rigid motion that takes the nominal machine's poses to the measured ones."""
+    platform, count = sample.mechanism.platform, len(here)
+    size = largest_size(sample.mechanism.legs, platform)
+    a = here[:, :3, 3] + here[:, :3, :3] @ sample.offset
+    b = there[:, :3, 3]
+    vectors = [(a - a.mean(axis=0), b - b.mean(axis=0))]
+    if sample.oriented and "rad" in platform.units:
+        vectors += [(size * here[:, :3, k], size * there[:, :3, k]) for k in range(3)]
+    elif platform.space == 2:
+        vectors.append((np.tile([0.0, 0.0, 1e3 * size], (count, 1)),) * 2)
+    A, B = (np.concatenate(one) for one in zip(*vectors, strict=True))
+    F = np.eye(4)
+    U, _, Vt = np.linalg.svd(B.T @ A)
+    F[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    F[:3, 3] = b.mean(axis=0) - F[:3, :3] @ a.mean(axis=0)
+    return F
