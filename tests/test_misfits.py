@@ -83,8 +83,14 @@ ANYWHERE: list[tuple[str, Change, str, str]] = [
 ]
 
 
-@pytest.mark.parametrize("free", [False, True])
-@pytest.mark.parametrize(("kind", "change", "code", "words"), ANYWHERE)
+CASES = [
+    pytest.param(*case, free, marks=[pytest.mark.slow] if free and case[0] == "6UPS" else [])
+    for case in ANYWHERE
+    for free in (False, True)
+]
+
+
+@pytest.mark.parametrize(("kind", "change", "code", "words", "free"), CASES)
 def test_faults_are_named_in_known_and_unknown_frames(
     kind: str, change: Change, code: str, words: str, free: bool
 ) -> None:
@@ -107,7 +113,9 @@ def test_poses_in_another_frame_are_recognised(kind: str) -> None:
     """Full poses of a tracker that stands elsewhere lead to --unknown-frame, alone or with more."""
     mechanism, _, data = machine(kind, 36)
     moved = seen_from_elsewhere(mechanism, data)
-    with pytest.raises(pincal.MeasurementError, match=r"another frame than the base's.*--unknown-f"):
+    with pytest.raises(
+        pincal.MeasurementError, match=r"another frame than the base's.*--unknown-f"
+    ):
         check_plausible(mechanism, moved)
     (one,) = explain_misfit(mechanism, rolled(1)(mechanism, moved))
     assert one.code == "rows-shifted"

@@ -31,7 +31,7 @@ from pincal.model.mechanism import Mechanism
 Array = NDArray[np.float64]
 _EACH = 3.0  # by which each fault that is put right divides the misfit
 _EQUAL = 2.0  # times the misfit that the best leaves: cannot be told from it
-_FEW, _GRID = 12, 24  # rows, and zeros of a motor that are tried, where the frame is unknown
+_FEW, _GRID = 12, 12  # rows, and zeros of a motor that are tried, where the frame is unknown
 _FRAMED = 40  # rows, where another frame is tried
 AS_MEASURED = Hypothesis("nothing", lambda sample: (sample.poses, sample.readings))
 
@@ -87,7 +87,7 @@ def judge(sample: Sample, hypothesis: Hypothesis = AS_MEASURED) -> Judged:
     matrices, rows = found
     mechanism = sample.mechanism
     fits = tuple(
-        leg_fit(mechanism, i, matrices, readings[rows][:, own])
+        leg_fit(mechanism, i, matrices, readings[rows][:, own], free=sample.free)
         for i, own in enumerate(mechanism.reading_columns)
     )
     return Judged(hypothesis, fits, (), matrices, rows, sample.free)
@@ -192,7 +192,7 @@ def _zeros(sample: Sample, given: Judged) -> list[Judged]:
         grid = np.linspace(-far, far, _GRID + 1)[1:]
         best = grid[int(np.argmin([cost(off) for off in grid]))]
         cell = 2 * far / _GRID
-        near = minimize_scalar(cost, bounds=(best - cell, best + cell), options={"maxiter": 20})
+        near = minimize_scalar(cost, bounds=(best - cell, best + cell), options={"maxiter": 8})
         one = judge(sample, replace(zeros(near.x * unit), by_leg=False))
         found.append(replace(one, legs=(index,)))
     return found
