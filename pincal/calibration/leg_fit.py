@@ -65,7 +65,8 @@ class LegFit:
     @property
     def questioned(self) -> bool:
         """Whether machines near nominal leave much of what was measured."""
-        return self.rows > 1 and not self.near <= max(QUESTIONED * self.stroke, _PRECISE)
+        most = max(min(QUESTIONED * self.stroke, DIFFER), _PRECISE)
+        return self.rows > 1 and not self.near <= most
 
 
 def leg_fit(

@@ -94,7 +94,7 @@ def _cause(code: str, values: Mapping[str, Any], readings: str) -> str:
             rows = "1 row" if count == 1 else f"{count} rows"
             return f"the readings stand {rows} {way} the poses they belong to"
         case "reading-offset":
-            off = (f"{name} by {off:.3g} {unit}" for name, off, unit in values["offsets"])
+            off = (f"{name} by about {off:.2g} {unit}" for name, off, unit in values["offsets"])
             return f"the zeros of readings are off: {', '.join(off)}"
         case "unknown-frame":
             return "the poses are those in another frame than the base's"
