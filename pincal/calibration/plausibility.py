@@ -163,8 +163,11 @@ def _turns(sample: Sample) -> tuple[Finding, ...]:
 
 
 def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
-    """Return which few rows miss machines near the nominal one much farther than the others."""
-    if not given.fits or given.rows is None:
+    """Return which few rows miss machines near the nominal one much farther than the others.
+
+    Where poses were measured in full: those filled in by forward kinematics vary in precision.
+    """
+    if not sample.oriented or given.rows is None:
         return ()
     left = np.array([one.left for one in given.fits if one.rows > 1])
     usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), 1e-300)
