@@ -131,6 +131,8 @@ def _stages(sample: Sample, given: Judged) -> Iterator[list[Judged]]:
 
 def explains(one: Judged, given: Judged) -> bool:
     """Return whether a hypothesis leaves little enough of the misfit of what was given."""
+    if not given.fits and one.questioned:
+        return False  # anything is better than nothing
     return one.plausible and one.misfit * _EACH**one.hypothesis.faults <= given.misfit
 
 
