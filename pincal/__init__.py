@@ -36,10 +36,10 @@ from pincal.files.measurements import read_measurements, read_poses, read_readin
 from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.files.setups import read_setup
 from pincal.kinematics.arm import load_arm
-from pincal.kinematics.readers import free_of_collision
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse
+from pincal.kinematics.readers import free_of_collision
 from pincal.kinematics.singularity import margins
 from pincal.model.leg import Joint, Leg
 from pincal.model.measurements import Measurements, Noise, Plan

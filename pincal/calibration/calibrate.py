@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pincal.calibration.assemble import assemble
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits, fitted
@@ -88,7 +90,9 @@ def _explained(result: CalibrationResult, found: Fits) -> CalibrationResult:
     if not (result.promises and result.corrects):
         first = _causes(result.calibration, found.external)
     elif result.converged and result.options.setup.plain and not result.options.tied:
-        first = misaligned(result)
+        changes = np.array([p.change for leg in result.legs for p in leg.parameters])
+        data = result.measurements
+        first = misaligned(result.nominal, changes, result.poses, data.readings)
     rest = (one for one in result.findings if one not in first)
     return result.with_only((*first, *rest))
 

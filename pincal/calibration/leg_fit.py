@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.drawings import DIFFER, changes_of
+from pincal.estimation.frames import frame_motions
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
-from pincal.kinematics.held import held
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.mechanism import Mechanism
 
@@ -64,10 +65,13 @@ class LegFit:
     @property
     def questioned(self) -> bool:
         """Whether machines near nominal leave much of what was measured."""
-        return self.rows > 1 and not self.near <= max(QUESTIONED * self.stroke, _PRECISE)
+        most = max(min(QUESTIONED * self.stroke, DIFFER), _PRECISE)
+        return self.rows > 1 and not self.near <= most
 
 
-def leg_fit(mechanism: Mechanism, index: int, matrices: Array, readings: Array) -> LegFit:
+def leg_fit(
+    mechanism: Mechanism, index: int, matrices: Array, readings: Array, *, free: bool = False
+) -> LegFit:
     """Return how measurements fit a leg.
 
     Args:
@@ -75,32 +79,43 @@ def leg_fit(mechanism: Mechanism, index: int, matrices: Array, readings: Array) 
         index: The leg.
         matrices: Poses ``T_base_platform``, shape (N, 4, 4).
         readings: Of the leg, shape (N, n_active), [rad] or [m]; NaN where not measured.
+        free: Whether the base was placed by alignment only, and may lie nearby.
     """
-    known = np.isfinite(readings).all(axis=1)
+    known = np.asarray(np.isfinite(readings).all(axis=1))
     left = np.full(len(known), np.nan)
     if known.sum() < 2:
         return LegFit(np.nan, left, np.nan, 0)
     leg, platform = mechanism.legs[index], mechanism.platform
     closure = LegClosure(leg, platform)
     with np.errstate(all="ignore"):  # units may be far off
-        closed, _ = held(closure, matrices[known], readings[known], steps=_STEPS)
+        closed, _ = nearest_closure(closure, matrices[known], readings[known], steps=_STEPS)
         missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
         rows = demand(closure, closed, readings[known])
-        left[known] = _left(closure, rows)
+        J = rows.parameter * changes_of(leg, closure.size)
+        if free:
+            base = frame_motions(platform, matrices[known])[:, :, : -platform.dof]
+            lengths = np.arange(base.shape[2]) < platform.space
+            by_base = rows.pose @ (base * DIFFER * np.where(lengths, closure.size, 1.0))
+            J = np.concatenate((J, by_base), axis=2)
+        left[known] = _left(closure.size, J, rows.value)
         stroke = _stroke(rows, readings[known])
     bent = mode_sign(closed) * home_mode(leg, platform) < 0.0
     sides = int(bent.sum()) if leg.passive else 0  # joints that are all read bend as they do
     return LegFit(float(np.median(missed)) / closure.size, left, stroke / closure.size, sides)
 
 
-def _left(closure: LegClosure, rows: Demand) -> Array:
+def _left(size: float, J: Array, value: Array) -> Array:
     """Return the gaps that parameters near nominal leave, over the leg's size, shape (N,).
 
     To first order, of least absolute values (rows with a slip count little), parameters known as
     well as machines follow their drawings, and no farther from nominal than that.
+
+    Args:
+        size: The leg's size, [m].
+        J: Change of the gaps by as much as each parameter may differ, shape (N, k, n), [m].
+        value: The gaps, shape (N, k), [m].
     """
-    near, unit = changes_of(closure.leg, closure.size), _PRECISE * closure.size
-    J, value = rows.parameter * near / unit, rows.value / unit
+    J, value = J / (_PRECISE * size), value / (_PRECISE * size)
     if not (np.isfinite(J).all() and np.isfinite(value).all()):
         return np.full(len(value), 1.0)
     n = J.shape[2]

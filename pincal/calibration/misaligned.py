@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_law
 
-from pincal.calibration.result import CalibrationResult
 from pincal.estimation.drawings import plausible_changes
 from pincal.estimation.frames import frame_motions, unexplained
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
 from pincal.model.finding import Finding
 from pincal.model.measurements import Plan
-from pincal.words.sentences import finding
+from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _CHANCE = 1e-5  # probability of so much motion as one body, below which it is none
@@ -27,50 +26,49 @@ _ROWS = 200  # enough to judge by
 _MUCH = 0.25  # of the platform's error: less is not worth a warning
 
 
-def misaligned(result: CalibrationResult) -> tuple[Finding, ...]:
-    """Return a finding if parameters moved as one body, in frames that are known."""
-    mechanism, data = result.nominal, result.measurements
-    poses = data.poses if result.estimated_poses is None else result.estimated_poses
+def misaligned(
+    mechanism: Mechanism, changes: Array, poses: Array, readings: Array
+) -> tuple[Finding, ...]:
+    """Return a finding if parameters moved as one body.
+
+    Of fits in frames that were said to be known, without ties.
+
+    Args:
+        mechanism: The nominal mechanism.
+        changes: Identified less nominal parameters of all legs, shape (n_params,).
+        poses: Measured or estimated, shape (N, dof), [m] and [rad].
+        readings: Measured, shape (N, n_readings), [rad] or [m].
+    """
     rows = np.linspace(0, len(poses) - 1, min(_ROWS, len(poses))).astype(int)
-    readings = data.readings[rows] if mechanism.by_readings else None
-    if not np.isfinite(poses[rows]).all() or (readings is not None and np.isnan(readings).any()):
+    read = readings[rows] if mechanism.by_readings else None
+    if not np.isfinite(poses[rows]).all() or (read is not None and np.isnan(read).any()):
         return ()
-    legs = legs_at(mechanism, Plan(poses[rows], readings=readings))
+    legs = legs_at(mechanism, Plan(poses[rows], readings=read))
     gain = legs.gain
-    changes = np.array([p.change for leg in result.legs for p in leg.parameters])
     if not len(gain) or not np.isfinite(gain).all() or not changes.any():
         return ()
     platform = mechanism.platform
     size = largest_size(mechanism.legs, platform)
     motions = frame_motions(platform, platform.transforms(legs.poses).as_matrix())
-    moved = gain @ changes
+    moved, scale = gain @ changes, plausible_changes(mechanism)
     n_base, space = motions.shape[2] - platform.dof, platform.space
-    base, body = ("base", "unknown-frame"), ("platform", "unknown-target")
-    scale = plausible_changes(mechanism)
     lengths = np.array([1.0 if unit == "m" else size for unit in platform.units])
-    for own, (frame, option) in (
-        (motions[:, :, :n_base], base),
-        (motions[:, :, n_base:], body if "rad" in platform.units else base),
-    ):
+    for frame, own in (("base", motions[:, :, :n_base]), ("platform", motions[:, :, n_base:])):
         chance, amounts = _as_one(gain, own, changes, scale)
-        if chance > _CHANCE:
-            continue
         left = unexplained(platform, moved[:, :, None], own, size)[:, :, 0]
         share = 1.0 - ((left * lengths) ** 2).sum() / ((moved * lengths) ** 2).sum()
-        if share < _MUCH:
+        if chance > _CHANCE or share < _MUCH:
             continue
-        turn = float(np.linalg.norm(amounts[space:])) if len(amounts) > space else None
-        return (
-            finding(
-                "moved-as-one-body",
-                frame=frame,
-                share=float(share),
-                shift=float(np.linalg.norm(amounts[:space])),
-                turn=turn,
-                p_value=chance,
-                option=option,
-            ),
-        )
+        turns = len(amounts) > space
+        values = {
+            "frame": frame,
+            "remedy": frame if "rad" in platform.units else "base",
+            "share": float(share),
+            "p_value": chance,
+            "shift": float(np.linalg.norm(amounts[:space])),
+            "turn": float(np.linalg.norm(amounts[space:])) if turns else None,
+        }
+        return (Finding("frame-misaligned", "warning", values),)
     return ()
 
 

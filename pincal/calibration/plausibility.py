@@ -24,7 +24,7 @@ from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup, Target
-from pincal.words.hypotheses import HYPOTHESES, explanation, sentence
+from pincal.words.sentences import sentences
 
 Array = NDArray[np.float64]
 _STILL = 1e-3  # of a leg's size, and [rad]: readings that differ by less hardly move
@@ -81,9 +81,7 @@ def explain_misfit(
 
 def said(findings: tuple[Finding, ...]) -> str:
     """Return findings of one cause as one message."""
-    if findings[0].code in HYPOTHESES:
-        return explanation(findings)
-    return sentence(findings[0])
+    return sentences(findings)[0]
 
 
 def _explained(sample: Sample) -> tuple[tuple[Finding, ...], Judged]:

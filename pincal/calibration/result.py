@@ -21,7 +21,7 @@ from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter, Parameters
-from pincal.words.sentences import sentence
+from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
     from pincal.calibration.runs import RunComparison
@@ -240,7 +240,7 @@ class CalibrationResult:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What to know first, in sentences."""
-        return tuple(sentence(one) for one in self.findings if one.severity != "info")
+        return tuple(sentences(self.findings, "warning", "error"))
 
     @property
     def message(self) -> str:

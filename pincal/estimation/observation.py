@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.estimation.angles import angle
 from pincal.estimation.external import External, ExternalUnknowns
-from pincal.kinematics.closure import point_velocity
 from pincal.kinematics.batches import inverse_left_jacobian, turn_between
+from pincal.kinematics.closure import point_velocity
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES

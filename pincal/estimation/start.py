@@ -18,8 +18,8 @@ from pincal.estimation.external import External
 from pincal.estimation.problem import Problem, Stack, State
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.forward import placed_by_arm
-from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.inverse import inverse
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.measurements import Measurements

@@ -7,13 +7,13 @@ these directions may move it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
+from pincal.estimation.drawings import plausible_changes
 from pincal.estimation.generic import derivatives_near, lost_directions
 from pincal.estimation.identifiable import taking_part
 from pincal.estimation.observability import identifiability
@@ -21,11 +21,9 @@ from pincal.estimation.problem import Problem, State
 from pincal.estimation.start import poses_at_rest
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
-from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_DIFFER = 0.05  # of a mechanism's size, [rad] and [1]: by which no machine differs from its drawing
 
 
 @dataclass(frozen=True)
@@ -40,16 +38,6 @@ class Held:
     """Ids of the unknowns that are unobservable together, a group for each direction."""
     weak: tuple[str, ...]
     """Ids of those that are weakly determined."""
-
-
-def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -> Array:
-    """Return by how much parameters of legs may differ from their drawing, shape (n_params,).
-
-    In the parameters' units; of all legs if none are given.
-    """
-    size = largest_size(mechanism.legs, mechanism.platform)
-    units = [leg.units[name] for leg in legs or mechanism.legs for name in leg.parameter_names]
-    return np.array([_DIFFER * (size if unit == "m" else 1.0) for unit in units])
 
 
 def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Held:

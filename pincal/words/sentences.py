@@ -2,7 +2,7 @@
 
 ``finding("chi2-too-large", chi2=2.1, ...)`` makes a ``Finding`` and checks that it has the values
 which its sentence needs; ``sentence(found)`` says it. The codes are, with their values, titles
-and remedies, in ``pincal.words.results``, ``faults`` and ``freedoms``.
+and remedies, in ``pincal.words.results``, ``freedoms`` and ``hypotheses``.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pincal.model.finding import Finding
-from pincal.words.faults import FAULTS
+from pincal.words import hypotheses
 from pincal.words.freedoms import FREEDOMS
 from pincal.words.results import RESULTS
 from pincal.words.wording import Wording
 
 #: What is said of each code.
-WORDINGS: Mapping[str, Wording] = {**FAULTS, **RESULTS, **FREEDOMS}
+WORDINGS: Mapping[str, Wording] = {**RESULTS, **FREEDOMS}
 
 
 def finding(
@@ -50,11 +50,19 @@ def sentence(found: Finding) -> str:
 
     It begins with a small letter, as it stands behind ``warning:``, and ends without a full stop.
     """
+    if found.code not in WORDINGS:
+        return hypotheses.sentence(found)
     wording = WORDINGS[found.code]
     said, remedy = wording.said(found), wording.remedied(found)
     return f"{said}. {remedy}" if remedy else said
 
 
 def sentences(found: Iterable[Finding], *severities: str) -> list[str]:
-    """Return the sentences of findings, of some severities if they are given."""
-    return [sentence(one) for one in found if not severities or one.severity in severities]
+    """Return the sentences of findings, of some severities if they are given.
+
+    Hypotheses that explain the same measurements alike are one sentence.
+    """
+    chosen = [one for one in found if not severities or one.severity in severities]
+    alike = [one for one in chosen if one.code in hypotheses.HYPOTHESES]
+    rest = [sentence(one) for one in chosen if one.code not in hypotheses.HYPOTHESES]
+    return [hypotheses.explanation(alike), *rest] if alike else rest

@@ -1,0 +1,218 @@
+"""What explains measurements that do not fit: in unknown frames, zeros of motors, bad rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from measured import machine, seen_from_elsewhere
+
+import pincal
+from pincal.calibration.misaligned import misaligned
+from pincal.calibration.plausibility import check_plausible, explain_misfit, said
+from pincal.estimation.drawings import DIFFER, plausible_changes
+
+FRAME = pincal.Setup(unknown_frame=True)
+KINDS = ["5R", "3RRR", "6UPS"]
+LONG = ["5R", "3RRR", pytest.param("6UPS", marks=pytest.mark.slow)]  # much is tried
+Change = Callable[[pincal.Mechanism, pincal.Measurements], pincal.Measurements]
+
+
+def scaled(poses: float, readings: float) -> Change:
+    """Return what scales positions and readings."""
+
+    def change(mechanism: pincal.Mechanism, data: pincal.Measurements) -> pincal.Measurements:
+        by = [poses if unit == "m" else 1.0 for unit in mechanism.platform.units]
+        return replace(data, poses=data.poses * by, readings=data.readings * readings)
+
+    return change
+
+
+def zero(column: int, off: float) -> Change:
+    """Return what adds a constant to the readings of a leg."""
+
+    def change(_: pincal.Mechanism, data: pincal.Measurements) -> pincal.Measurements:
+        readings = data.readings.copy()
+        readings[:, column] += off
+        return replace(data, readings=readings)
+
+    return change
+
+
+def rolled(rows: int) -> Change:
+    """Return what moves readings down by rows."""
+    return lambda _, data: replace(data, readings=np.roll(data.readings, rows, axis=0))
+
+
+def order(*columns: int) -> Change:
+    """Return what puts the first columns of readings in another order."""
+
+    def change(_: pincal.Mechanism, data: pincal.Measurements) -> pincal.Measurements:
+        rest = range(len(columns), data.readings.shape[1])
+        return replace(data, readings=data.readings[:, [*columns, *rest]])
+
+    return change
+
+
+def sign(column: int) -> Change:
+    """Return what changes the sign of one leg's readings."""
+
+    def change(_: pincal.Mechanism, data: pincal.Measurements) -> pincal.Measurements:
+        readings = data.readings.copy()
+        readings[:, column] *= -1.0
+        return replace(data, readings=readings)
+
+    return change
+
+
+ANYWHERE: list[tuple[str, Change, str, str]] = [
+    *((kind, scaled(1e3, 1.0), "unit", "the positions are in mm under") for kind in KINDS),
+    ("5R", scaled(1.0, 180 / np.pi), "unit", "the readings are in degrees under"),
+    ("3RRR", scaled(1.0, 180 / np.pi), "unit", "the readings are in degrees under"),
+    ("6UPS", scaled(1.0, 1e3), "unit", "the readings are in mm under"),
+    ("5R", rolled(1), "rows-shifted", "stand 1 row below"),
+    *((kind, rolled(-1), "rows-shifted", "stand 1 row above") for kind in ("3RRR", "6UPS")),
+    *((kind, order(1, 0), "legs-exchanged", "column leg_2 fits leg_1") for kind in KINDS[1:]),
+    ("3RRR", sign(1), "sign-of-readings", "the readings of leg_2 have the other sign"),
+    ("6UPS", sign(4), "sign-of-readings", "the readings of leg_5 have the other sign"),
+    ("5R", zero(0, 0.3), "reading-offset", "leg_1 by about"),
+    ("3RRR", zero(1, 0.3), "reading-offset", "leg_2 by about"),
+    ("3RRR", zero(2, -1.6), "reading-offset", "leg_3 by about"),
+    ("6UPS", zero(3, 0.2), "reading-offset", "leg_4 by about"),
+]
+
+
+CASES = [
+    pytest.param(*case, free, marks=[pytest.mark.slow] if free and case[0] == "6UPS" else [])
+    for case in ANYWHERE
+    for free in (False, True)
+]
+
+
+@pytest.mark.parametrize(("kind", "change", "code", "words", "free"), CASES)
+def test_faults_are_named_in_known_and_unknown_frames(
+    kind: str, change: Change, code: str, words: str, free: bool
+) -> None:
+    """Units, shifts, orders, signs and zeros, these about as well as the drawing."""
+    mechanism, _, data = machine(kind, 36)
+    data = seen_from_elsewhere(mechanism, data) if free else data
+    setup = FRAME if free else pincal.Setup()
+    assert explain_misfit(mechanism, data, setup) == ()
+    found = explain_misfit(mechanism, change(mechanism, data), setup)
+    assert code in [one.code for one in found]
+    assert words in said(found)
+    assert len(found) <= 2
+    if code == "reading-offset":
+        wrong = change(mechanism, data).readings - data.readings
+        assert found[0].values["offsets"][0][1] == pytest.approx(wrong.sum() / 36, abs=0.06)
+    with pytest.raises(pincal.MeasurementError) as caught:
+        check_plausible(mechanism, change(mechanism, data), setup)
+    assert str(caught.value) == said(found)
+
+
+@pytest.mark.parametrize("kind", LONG)
+def test_poses_in_another_frame_are_recognised(kind: str) -> None:
+    """Full poses of a tracker that stands elsewhere lead to --unknown-frame, alone or with more."""
+    mechanism, _, data = machine(kind, 36)
+    moved = seen_from_elsewhere(mechanism, data)
+    with pytest.raises(
+        pincal.MeasurementError, match=r"another frame than the base's.*--unknown-f"
+    ):
+        check_plausible(mechanism, moved)
+    (one,) = explain_misfit(mechanism, rolled(1)(mechanism, moved))
+    assert one.code == "rows-shifted"
+    assert "--unknown-frame" in said((one,))
+
+
+@pytest.mark.parametrize("kind", LONG)
+@pytest.mark.parametrize("free", [False, True])
+def test_positions_alone_are_explained_after_a_fit(kind: str, free: bool) -> None:
+    """Without orientations nothing is refused beforehand, but what is wrong is found."""
+    mechanism, _, data = machine(kind, 36)
+    data = seen_from_elsewhere(mechanism, data) if free else data
+    setup = FRAME if free else pincal.Setup()
+    data.poses[:, mechanism.platform.space :] = np.nan
+    for right, code in ((rolled(1), "rows-shifted"), (scaled(1e3, 1.0), "unit")):
+        assert explain_misfit(mechanism, data, setup) == ()
+        assert code in [o.code for o in explain_misfit(mechanism, right(mechanism, data), setup)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(5))
+def test_healthy_measurements_in_unknown_frames_pass(kind: str, seed: int) -> None:
+    """Nothing is found where nothing is wrong."""
+    mechanism, _, data = machine(kind, 36, seed=seed, sigma=(2e-3, 5e-3)[seed % 2])
+    data = seen_from_elsewhere(mechanism, data)
+    check_plausible(mechanism, data, FRAME)
+    assert explain_misfit(mechanism, data, FRAME) == ()
+
+
+def test_zeros_of_all_motors_are_found() -> None:
+    """Zeros 0.7, 0.2 and -1.6 rad off: each leg's, within what the drawing is off by."""
+    mechanism, _, data = machine("3RRR", 36)
+    off = np.array([0.7, 0.2, -1.6])
+    (one,) = explain_misfit(mechanism, replace(data, readings=data.readings + off))
+    assert one.code == "reading-offset"
+    np.testing.assert_allclose([value for _, value, _ in one.values["offsets"]], off, atol=0.02)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_bad_row_is_found(kind: str) -> None:
+    """3 mm at 20 µm, of a machine whose drawing is off by as much: the row, and no other."""
+    noise = pincal.Noise(2e-5, 5e-5)
+    mechanism, _, data = machine(kind, 72, noise)
+    assert explain_misfit(mechanism, data) == ()
+    data.poses[10, 0] += 3e-3
+    (one,) = explain_misfit(mechanism, data)
+    assert (one.code, one.rows) == ("bad-rows", (10,))
+    assert said((one,)).startswith("data row 11 misses the nominal mechanism")
+
+
+def test_plausible_changes_follow_the_declared_order() -> None:
+    """Each parameter has the change of its own unit, in whatever order parameters are declared."""
+    mechanism = pincal.load_mechanism("3RRR")
+    for turned in (False, True):
+        legs = tuple(
+            replace(leg, parameters=leg.parameters[:: -1 if turned else 1])
+            for leg in mechanism.legs
+        )
+        changes = plausible_changes(replace(mechanism, legs=legs))
+        units = [leg.units[name] for leg in legs for name in leg.parameter_names]
+        assert {u for u, c in zip(units, changes, strict=True) if c == DIFFER} == {"rad", "1"}
+        assert {u for u, c in zip(units, changes, strict=True) if c != DIFFER} == {"m"}
+
+
+@pytest.mark.parametrize("kind", ["3RRR", "6UPS"])
+def test_a_leg_fits_whatever_the_order_of_its_parameters(kind: str) -> None:
+    """What machines near nominal leave does not depend on the order of declaration."""
+    mechanism, _, data = machine(kind, 36)
+    legs = tuple(replace(leg, parameters=leg.parameters[::-1]) for leg in mechanism.legs)
+    wrong = zero(0, 0.3)(mechanism, data)
+    first, second = (
+        explain_misfit(one, wrong)[0].values["left"]
+        for one in (mechanism, replace(mechanism, legs=legs))
+    )
+    assert first == pytest.approx(second, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["3RRR", "6UPS"])
+@pytest.mark.parametrize("what", ["base", "target", "nothing"])
+def test_parameters_that_moved_as_one_body(kind: str, what: str) -> None:
+    """A base that is 10 mm from where it was drawn, or a target: which; of neither, nothing."""
+    from test_misaligned import calibrated, motion, poses
+
+    moved = {} if what == "nothing" else {what: motion(kind)}
+    result = calibrated(kind, 0, **moved)
+    changes = [p.identified - p.nominal for leg in result.legs for p in leg.parameters]
+    mechanism = pincal.load_mechanism(kind)
+    found = misaligned(mechanism, np.array(changes), poses(kind), np.empty((40, 0)))
+    if what == "nothing":
+        assert found == ()
+        return
+    (one,) = found
+    assert one.values["frame"] == {"base": "base", "target": "platform"}[what]
+    assert one.values["shift"] == pytest.approx(0.01, rel=0.35)
+    (said_before,) = [text for text in result.warnings if "frame, by" in text]
+    assert said(found).split(" frame, by")[1] == said_before.split(" frame, by")[1]
