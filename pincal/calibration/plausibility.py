@@ -24,7 +24,7 @@ from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup, Target
-from pincal.words.sentences import sentences
+from pincal.words.sentences import sentence, sentences
 
 Array = NDArray[np.float64]
 _STILL = 1e-3  # of a leg's size, and [rad]: readings that differ by less hardly move
