@@ -13,7 +13,7 @@ from command_line import run
 import pincal
 from pincal.identification.calibrate import calibration_task
 from pincal.identification.cautions import warnings_of
-from pincal.show.calibration import calibration_summary
+from pincal.show.summary import calibration_summary
 
 NOISE = pincal.Noise(2e-5, 5e-5)
 FRAME = pincal.Setup(unknown_frame=True)

@@ -25,23 +25,18 @@ from rich.console import Console
 import pincal
 from pincal.identification.result_files import as_json
 from pincal.identification.robust import Outlier
-from pincal.show.calibration import (
-    calibration_summary,
-    legs_table,
-    result_table,
-    trust_in_words,
-)
-from pincal.show.findings import Findings
-from pincal.show.markup import serialised
-from pincal.show.report import Origin, Report
-from pincal.show.report_answers import answers
+from pincal.show.report.answers import answers
+from pincal.show.report.findings import Findings
+from pincal.show.report.report import Origin, Report
+from pincal.show.result_tables import legs_table, parameters_table
+from pincal.show.summary import calibration_summary, check_lines
 from pincal.show.workspace_errors import errors_at
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 EVIL = "<script>document.title='Ω'</script><b>\"é\"'&amp;$x_1$ 漢"
 NOISE = pincal.Noise(1e-4, 1e-4)
 FACTORS = {"mm": 1e3, "rad": 1.0, "": 1.0}
-QUESTIONS = ["Is it better?", "By how much?", "May I trust it?"]
+QUESTIONS = ["Is it better?", "By how much?", "Can I rely on it?"]
 DATE = "2001-02-03 04:05 +0000"
 
 
@@ -118,7 +113,7 @@ def test_the_first_section_answers(planar: Any) -> None:
 
 def verdicts_of(report: Any, result: Any) -> tuple[list[str], str]:
     """Return the three verdicts on a result, and all of the first section's text."""
-    section = serialised(answers(replace(report.found, result=result), []))
+    section = answers(replace(report.found, result=result), []).__html__()
     first = lxml_html.fromstring(section)
     return [one.text_content() for one in first.find_class("verdict")], first.text_content()
 
@@ -131,13 +126,13 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     after = 1e3 * report.found.errors.mean_after()[0]
     assert verdicts[0] == "Probably"
     assert verdicts[1].endswith(f"→ {2 * after:.3g} mm or more")
-    assert verdicts[2] == "Not as it stands: one warning above"
+    assert verdicts[2] == "Not as it is: one warning above"
     assert "Residuals are 2 times" in text
     told = calibration_summary(data, poor, report.found.errors)
     assert any(f"by about {2 * after:.3g} mm" in line and "2 times" in line for line in told)
     sound = page_of(report).get_element_by_id("answers").find_class("verdict")
     assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
-    section = serialised(answers(replace(report.found, result=poor), []))
+    section = answers(replace(report.found, result=poor), []).__html__()
     cards = lxml_html.fromstring(section).iter("article")
     assert [card.get("class") for card in cards] == ["care", "", "bad"]
     cards = page_of(report).get_element_by_id("answers").iter("article")
@@ -150,7 +145,7 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
     lost = replace(result.validation, fit=316.2, held_out=1361.71, expected=405.02)
     poor = replace(result, reduced_chi2=1e5, validation=lost)
     made = Report(replace(report.found, result=poor), report.origin)
-    for text in (made.html(), poor._repr_html_(), " ".join(trust_in_words(poor))):
+    for text in (made.html(), poor._repr_html_(), " ".join(check_lines(poor))):
         assert "misses even its own rows by 316 σ" in text
         assert "1361.71" not in text
         assert "405.02" not in text
@@ -204,7 +199,7 @@ def test_names_are_not_capitalised() -> None:
     first = {re.match(r"[\w.]+", line)[0].rpartition(".")[2] for line in lines}  # type: ignore[index]
     assert first - {"2"} <= weak  # "2 more such pairs"
     assert any(name[0].islower() for name in first)
-    assert "l of the second run" in page.get_element_by_id("trust").text_content()
+    assert "l of the second run" in page.get_element_by_id("checks").text_content()
 
 
 def test_fixed_parameters_look_fixed() -> None:
@@ -214,7 +209,7 @@ def test_fixed_parameters_look_fixed() -> None:
     result = pincal.calibrate(mechanism, data, noise=NOISE, **given)
     page = page_of(pincal.report(result, data))
     text = io.StringIO()
-    Console(file=text, width=100).print(result_table(result))
+    Console(file=text, width=100).print(parameters_table(result))
     printed = [line.split() for line in text.getvalue().splitlines()]
     rows = page.get_element_by_id("parameters").xpath(".//tbody/tr")
     found = [(leg.name, p) for leg in result.legs for p in leg.parameters]
@@ -315,7 +310,7 @@ def test_names_are_text() -> None:
     for figure in ("figure-changes", "figure-observability"):
         drawn = "".join(page.get_element_by_id(figure).itertext())
         assert all(name in drawn for name in names)
-    assert "\ufffd" in page.get_element_by_id("trust").text_content()
+    assert "\ufffd" in page.get_element_by_id("checks").text_content()
     for shown in (mechanism._repr_html_(), result._repr_html_()):
         tree = lxml_html.fromstring(shown)
         assert not list(tree.iter("script", "b"))

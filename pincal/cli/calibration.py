@@ -36,8 +36,10 @@ from pincal.identification.validation import FOLDS, validate
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
-from pincal.show.calibration import calibration_summary, calibration_tables, warnings_of
-from pincal.show.report import report
+from pincal.show.report.report import report
+from pincal.show.result_tables import calibration_tables
+from pincal.show.results import warnings
+from pincal.show.summary import calibration_summary
 
 
 class Method(StrEnum):
@@ -171,7 +173,7 @@ def calibrate(
         stdout.print(table)
     for line in (*calibration_summary(data, result, page.found.errors), *said):
         stdout.print(line, markup=False)
-    for text in warnings_of(result):
+    for text in warnings(result):
         warn(text)
     wrote(output)
     answer(as_json(result))

@@ -228,6 +228,12 @@ class CalibrationResult:
         """Whether a choice named in ``gauge`` moves the base or the platform frame."""
         return any("frame: " in text for text in self.gauge)
 
+    def _repr_html_(self) -> str:
+        """Return parameters and residuals for notebooks."""
+        from pincal.show.notebook import result_html
+
+        return result_html(self)
+
     def __str__(self) -> str:
         """Return a table of all parameters, with what to make of it."""
         lines = [

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pincal.design.simulate import platform_errors
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
-from pincal.show.colours import COLOURS
-from pincal.show.plots import HATCHES
+from pincal.show.style import COLOURS, HATCHES
 from pincal.studies.study import Cell, Study
 from pincal.studies.trials import (
     Way,

@@ -14,7 +14,7 @@ from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.mechanism import Mechanism
-from pincal.show.colours import COLOURS
+from pincal.show.style import COLOURS
 from pincal.studies.hexapod_calibration import COMMON, calibration
 from pincal.studies.study import Claim, Study, by_rows
 from pincal.studies.trials import paired, times_figure

@@ -11,8 +11,7 @@ from pincal.design.simulate import platform_errors
 from pincal.identification.task import Method
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
-from pincal.show.colours import COLOURS
-from pincal.show.plots import HATCHES
+from pincal.show.style import COLOURS, HATCHES
 from pincal.studies.study import Cell, Study
 from pincal.studies.trials import Way, machines, platform_rms
 from pincal.workspace.region import Workspace

@@ -20,7 +20,7 @@ from pincal.identification.result import CalibrationResult
 from pincal.identification.task import Method
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.colours import COLOURS
+from pincal.show.style import COLOURS
 
 Array = NDArray[np.float64]
 _LITTLE = 1e-6  # of the noise: rows of one pose differ, as measured ones do
