@@ -16,6 +16,8 @@ from pincal.words.numbers import SMALL, VALUES, fixed, shown_in
 from pincal.words.table import Cell, Column, Table, Value
 
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
+SIGMA = "σ: what the noise alone makes of residuals"
+CONDITION = "condition: of the leg's whitened identification Jacobian, columns scaled"
 
 
 def calibration_tables(result: CalibrationResult) -> list[Table]:
@@ -65,7 +67,7 @@ def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
 def outside_table(result: CalibrationResult) -> Table:
     """Return the unknowns outside the mechanism: frames and targets."""
     return Table(
-        "outside the mechanism",
+        "Outside the mechanism",
         tuple(map(Column, ("unknown", "start", *_HEADS[2:5]))),
         [_cells(p)[:5] for p in result.external],
         "frame: where the base is in the frame of the measurements (rx, ry, rz a rotation vector); "
@@ -89,11 +91,10 @@ def legs_table(result: CalibrationResult) -> Table:
         for leg, one in zip(result.legs, legs_series(result), strict=True)
     ]
     return Table(
-        "legs; readings were taken as exact" if exact else "residuals",
+        "Legs; readings were taken as exact" if exact else "Legs: residuals, rank and condition",
         (*columns, Column("rank", align="right"), Column("condition", format=".3g")),
         rows,
-        "condition: of the leg's whitened identification Jacobian, columns scaled"
-        + ("" if exact else "; σ: what the noise alone makes of residuals"),
+        CONDITION if exact else f"{SIGMA}; {CONDITION}",
     )
 
 
@@ -102,7 +103,7 @@ def observed_table(result: CalibrationResult) -> Table:
     exact = readings_exact(result)  # only then readings give poses before
     heads = ("rms before", "rms after", "σ") if exact else ("rms misfit", "σ")
     return Table(
-        "the platform as measured, at the estimated poses",
+        "The platform as measured, at the estimated poses",
         tuple(map(Column, ("measured", "rows", *heads, "unit"))),
         [
             (one.name, len(one.rows), *_sizes(one)[0 if exact else 1 :])
@@ -122,7 +123,7 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
     every = {leg.name for leg in result.legs}
     more = len(result.outliers) - most
     return Table(
-        f"rows that do not fit, the worst first (robust loss: {result.loss})",
+        f"Rows that do not fit, the worst first (robust loss: {result.loss})",
         (
             Column("data row"),
             Column("residual [σ]", format=".1f"),

@@ -89,11 +89,12 @@ class Table:
     wrap: bool = True
     """Whether words may be broken over lines where a terminal is narrow."""
 
-    def only(self, *names: str) -> Table:
-        """Return the table with some of its columns, those that it has."""
+    def only(self, *names: str, caption: str = "") -> Table:
+        """Return the table with some of its columns, those that it has, and another caption."""
         kept = [i for i, column in enumerate(self.columns) if column.name in names]
         rows = [[row[i] for i in kept] for row in self.rows]
-        return replace(self, columns=tuple(self.columns[i] for i in kept), rows=rows)
+        columns = tuple(self.columns[i] for i in kept)
+        return replace(self, columns=columns, rows=rows, caption=caption)
 
     def cells(self) -> list[list[str]]:
         """Return all cells as text, those of a group's name but once."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from pincal.show.report.maps import maps_figure
 from pincal.show.report.parts import Command, Part, Section
 from pincal.show.report.residuals import histogram_figure, residuals_figure
 from pincal.show.result_tables import (
+    CONDITION,
+    SIGMA,
     legs_table,
     observed_table,
     outliers_table,
@@ -161,7 +164,8 @@ def residuals(found: Findings) -> Section:
     result = found.result
     observed = observed_table(result) if result.observed else None
     figures = (residuals_figure(found), histogram_figure(found))
-    legs = legs_table(result).only("leg", "rms before", "rms after", "σ", "unit", "poses")
+    heads = ("leg", "rms before", "rms after", "σ", "unit", "poses")
+    legs = replace(legs_table(result).only(*heads, caption=SIGMA), title="Residuals of the legs")
     parts: tuple[Part, ...] = (legs, *figures, observed)
     if readings_exact(result):
         parts = (_EXACT, observed, *figures)
@@ -180,7 +184,8 @@ def platform(found: Findings) -> Section:
 def observability(found: Findings) -> Section:
     """Return how well the poses used determine the parameters."""
     weak = weak_lines(found.result.weak, found.result.nominal)
-    table = legs_table(found.result).only("leg", "rank", "condition")
+    table = legs_table(found.result).only("leg", "rank", "condition", caption=CONDITION)
+    table = replace(table, title="Rank and condition of the legs")
     parts = (table, observability_figure(found), [f"{line}." for line in weak] or None)
     return Section("observability", "Observability", parts)
 
