@@ -90,7 +90,7 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     m = free.shape[1]
     if free.shape[2] < m:
         raise NoNoiseError
-    L = np.linalg.qr(free.transpose(0, 2, 1), mode="r").transpose(0, 2, 1)
+    L = np.asarray(np.linalg.qr(free.transpose(0, 2, 1), mode="r")).transpose(0, 2, 1)
     size = np.abs(np.einsum("nmm->nm", L))
     if m and not (size > _SINGULAR * size.max(axis=1, keepdims=True)).all():
         raise NoNoiseError

@@ -1,0 +1,105 @@
+"""What a leg demands at a pose and a reading: its closure, or the joint residual of the papers.
+
+The closure condition is Nᵀ c at a pose and a reading, passive joints chosen to minimise |c|:
+for a planar dyad, the platform point's distance from the elbow less L. It exists out of reach
+and stays finite near type-1 singularities. The joint residual is predicted less measured
+reading (3-RRR paper, Eq. 24) and exists within reach only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import Demand, demand
+from pincal.kinematics.held import held
+from pincal.kinematics.inverse import close, sensor_law
+from pincal.model.leg import Leg
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+Residual = Literal["closure", "joint"]
+_TWISTS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class LegCondition:
+    """The condition of one leg at measured readings, at any parameter values and poses."""
+
+    leg: Leg
+    """The nominal leg."""
+    platform: Platform
+    readings: Array
+    """Measured readings, shape (N, n_active), [rad] or [m]."""
+    kind: Residual
+    rows: NDArray[np.intp]
+    """Rows of the measurements, counted from 0, for messages, shape (N,)."""
+
+    @property
+    def width(self) -> int:
+        """Number of equations at a pose."""
+        if self.kind == "joint":
+            return len(self.leg.sensors)
+        return len(self.platform.closing(self.leg.closes)) - len(self.leg.passive)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the equations at a pose."""
+        if self.width == 1:
+            return (self.leg.name,)
+        if self.kind == "joint":
+            return self.leg.reading_names
+        if self.leg.passive:
+            return tuple(f"{self.leg.name}, equation {i + 1}" for i in range(self.width))
+        rows = self.platform.closing(self.leg.closes)
+        return tuple(f"{self.leg.name} in {_TWISTS[row]}" for row in rows)
+
+    @property
+    def reading_unit(self) -> str:
+        """Unit of the leg's readings: m, rad, or both."""
+        return " or ".join(dict.fromkeys(self.leg.reading_units))
+
+    def part(self, chosen: NDArray[np.intp]) -> LegCondition:
+        """Return the condition at some of its rows."""
+        return LegCondition(
+            self.leg, self.platform, self.readings[chosen], self.kind, self.rows[chosen]
+        )
+
+    def __call__(
+        self, parameters: Array, matrices: Array, joints: Array | None = None
+    ) -> tuple[Demand, Array]:
+        """Return the condition's value and derivatives, and the joint positions there.
+
+        Args:
+            parameters: Parameter values, shape (n_params,).
+            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+            joints: Where the search for passive joints starts, shape (N, n_joints).
+
+        Raises:
+            MeasurementError: joint residual, and a pose out of reach.
+            MechanismError: a homed sensor, and a home pose out of reach.
+        """
+        closure = LegClosure(self.leg, self.platform, parameters)
+        if self.kind == "joint":
+            return self._joint(closure, matrices)
+        closed, joints = held(closure, matrices, self.readings, joints)
+        return demand(closure, closed, self.readings), joints
+
+    def _joint(self, closure: LegClosure, matrices: Array) -> tuple[Demand, Array]:
+        closed = close(closure, matrices)
+        if not closed.reached.all():
+            row = int(self.rows[np.argmin(closed.reached)])
+            raise MeasurementError(
+                f"{self.leg.name} does not reach measured pose {row + 1} with the parameters being "
+                "tried, so its joint residual does not exist there; use the closure residual "
+                "(--residual closure), which does"
+            )
+        predicted = sensor_law(closure).reading(closed.joints[:, self.leg.active])
+        rows = demand(closure, closed.closure, predicted).as_joint()
+        difference = predicted - self.readings
+        return Demand(difference, rows.parameter, rows.pose, rows.reading), closed.joints

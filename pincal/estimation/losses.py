@@ -1,0 +1,101 @@
+"""Robust losses: how much a row of measurements counts, by how far off it is.
+
+A row is judged as a whole, by the sum of its squared residuals in standard deviations, which
+of good rows is χ² with as many degrees of freedom as the row gives equations. Tuning constants
+are those in use for one residual (Huber 1.345, Cauchy 2.385, Tukey 4.685: 95 % efficiency),
+carried to more by equal probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+Array = NDArray[np.float64]
+LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
+_DRAWS = 20_000  # points of a mean over χ²
+OUTLYING = 1e-3  # probability that a good row is listed
+
+
+def _huber(u: Array) -> Array:
+    return 1.0 / np.maximum(1.0, u)
+
+
+def _cauchy(u: Array) -> Array:
+    return 1.0 / (1.0 + u**2)
+
+
+def _tukey(u: Array) -> Array:
+    return np.where(u < 1.0, (1.0 - np.minimum(u, 1.0) ** 2) ** 2, 0.0)
+
+
+def _reject(u: Array) -> Array:
+    return np.where(u < 1.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Weights of rows by the root of their χ²."""
+
+    name: LossName
+    weigh: Callable[[Array], Array]
+    """Weight by the root of χ² over the tuning constant."""
+    probability: float
+    """Probability below which a good row's χ² lies under the square of the constant."""
+
+    def constant(self, equations: NDArray[np.intp]) -> Array:
+        """Return the tuning constant of rows by their number of equations, same shape."""
+        return np.sqrt(chi2.ppf(self.probability, np.maximum(equations, 1)))
+
+    def weights(self, squares: Array, equations: NDArray[np.intp]) -> Array:
+        """Return the weight of each row, shape (N,).
+
+        Args:
+            squares: χ² of each row, shape (N,).
+            equations: How many equations each row gives, shape (N,) or (1,).
+        """
+        return self.weigh(np.sqrt(squares) / self.constant(equations))
+
+    @lru_cache(maxsize=256)  # noqa: B019 - losses are few, and live as long as the module
+    def inflation(self, equations: int) -> float:
+        """Return by how much the loss makes the covariance of good data larger.
+
+        k E[w² d²] / E[w d²]², d² a χ² with k degrees of freedom: the asymptotic covariance of an
+        M-estimator (Huber 1981), its mean slope by Stein's identity.
+        """
+        k = max(equations, 1)
+        d2 = chi2.ppf((np.arange(_DRAWS) + 0.5) / _DRAWS, k)
+        w = self.weights(d2, np.array([k]))
+        return float(k * (w**2 * d2).mean() / (w * d2).mean() ** 2)
+
+
+LOSSES: dict[str, Loss] = {
+    "huber": Loss("huber", _huber, float(chi2.cdf(1.345**2, 1))),
+    "cauchy": Loss("cauchy", _cauchy, float(chi2.cdf(2.385**2, 1))),
+    "tukey": Loss("tukey", _tukey, float(chi2.cdf(4.685**2, 1))),
+    "reject": Loss("reject", _reject, 1.0 - OUTLYING),
+}
+
+
+def outlying(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return which rows have a χ² that one good row in a thousand exceeds, shape (N,)."""
+    return np.asarray(squares > chi2.isf(OUTLYING, np.maximum(equations, 1)))
+
+
+def robust_scale(squares: Array, equations: NDArray[np.intp], share: float) -> float:
+    """Return the scale of the noise that the median of the rows' χ² tells.
+
+    Args:
+        squares: χ² of each row, shape (N,).
+        equations: How many equations each row gives, shape (N,).
+        share: Degrees of freedom over equations: residuals of a fit are smaller than the noise.
+    """
+    told = equations > 0
+    ratio = squares[told] / chi2.ppf(0.5, equations[told])
+    return float(np.sqrt(np.median(ratio) / share)) if told.any() else 1.0

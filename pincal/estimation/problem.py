@@ -1,0 +1,335 @@
+"""The conditions of all poses at a state: what the legs demand, and what was measured, stacked.
+
+        legs:         e(x, ψ; φ) = 0      noise of the readings ψ
+        instruments:  h(x; φ) − m = 0     noise of what was measured, m
+
+Poses are unknowns, of which any part or none was measured; or they are taken as measured, and
+their noise enters the legs' conditions (the papers' divide and conquer). Nothing else differs:
+in the latter the columns of the pose are multiplied by its noise and join S.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.estimation.external import External
+from pincal.estimation.leg_condition import LegCondition
+from pincal.estimation.observation import Observation
+from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import Demand
+from pincal.kinematics.held import carried
+from pincal.model.leg import Leg
+from pincal.model.platform import Platform
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+NO_NOISE = (
+    "some measurements carry no noise at all; give standard deviations above zero for what is "
+    "measured, and for readings (--noise-reading) where there are more of them than freedoms"
+)
+
+
+@dataclass(frozen=True)
+class State:
+    """Values of everything that is unknown."""
+
+    parameters: Array
+    """Of the legs, shape (n_params,)."""
+    matrices: Array
+    """Poses ``T_base_platform``, shape (N, 4, 4)."""
+    joints: tuple[Array | None, ...]
+    """Joint positions of each leg, shape (N, n_joints); None before the first evaluation."""
+    external: External
+    """Unknowns outside the mechanism."""
+
+    def rows(self, chosen: Index) -> State:
+        """Return the state at some poses."""
+        joints = tuple(None if q is None else q[chosen] for q in self.joints)
+        return replace(self, matrices=self.matrices[chosen], joints=joints)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Conditions at a state, before anything is eliminated: k rows at each of N poses."""
+
+    state: State
+    demands: list[Demand]
+    """Of each leg."""
+    value: Array
+    """e, shape (N, k), [m] and [rad]."""
+    parameter: Array
+    """A, by all parameters and external unknowns, shape (N, k, n)."""
+    pose: Array
+    """B, by the platform's twist, shape (N, k, dof); no columns where poses are as measured."""
+    noise: Array
+    """S, root of the noise, shape (N, k, s)."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Conditions as rows of ordinary least squares: freed of the poses, and whitened."""
+
+    stack: Stack
+    white: WhiteRows
+    value: Array
+    """Residuals in standard deviations, shape (N, m)."""
+    jacobian: Array
+    """Their derivatives, shape (N, m, n)."""
+    equations: Index
+    """How many equations each pose gives, shape (N,)."""
+
+    @property
+    def state(self) -> State:
+        """Where this is."""
+        return self.stack.state
+
+    @property
+    def squares(self) -> Array:
+        """Sum of the squared residuals of each pose in standard deviations, shape (N,)."""
+        return np.einsum("nm,nm->n", self.value, self.value)
+
+    def frozen(self, other: Linear) -> Array:
+        """Return the conditions at another state in the rows of this one, shape (N, m)."""
+        return self.white(other.stack.value[:, :, None])[:, :, 0]
+
+    @cached_property
+    def noise(self) -> Array:
+        """The least noise that explains the conditions, standard deviations, shape (N, s)."""
+        return self.white.least_noise(self.stack.value)
+
+    @cached_property
+    def noise_by_parameter(self) -> Array:
+        """Its derivative, shape (N, s, n): rows that do not turn from state to state."""
+        return -(self.white.by_noise.transpose(0, 2, 1) @ self.jacobian)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Conditions of some legs and of what was measured at N poses."""
+
+    conditions: tuple[LegCondition, ...]
+    """One for each leg."""
+    used: Mask
+    """Which row serves which leg, shape (N, n_legs)."""
+    observation: Observation
+    """What was measured of the platform, and what is unknown outside the mechanism."""
+    sigma_observed: Array
+    """Standard deviations of that, shape (N, r)."""
+    sigma_readings: Array
+    """Standard deviations of the readings, shape (N, n_readings)."""
+    pose_roots: Array | None = None
+    """If poses are taken as measured: roots of their covariance, as twists in base axes, shape
+    (N, dof, dof)."""
+    first: State | None = None
+    """Where the search starts."""
+
+    @cached_property
+    def legs(self) -> tuple[Leg, ...]:
+        """Legs whose parameters are identified, in order."""
+        return tuple(one.leg for one in self.conditions)
+
+    @property
+    def platform(self) -> Platform:
+        """The platform."""
+        return self.conditions[0].platform
+
+    @property
+    def latent(self) -> bool:
+        """Whether poses are unknowns."""
+        return self.pose_roots is None
+
+    @property
+    def weighted(self) -> bool:
+        """Whether white residuals are minimised, or, as the papers have it, plain joint ones."""
+        return self.conditions[0].kind == "closure"
+
+    @cached_property
+    def columns(self) -> list[slice]:
+        """Parameters of each leg among the unknowns."""
+        return _slices([len(leg.parameters) for leg in self.legs])
+
+    @cached_property
+    def reading_columns(self) -> list[slice]:
+        """Readings of each leg among those of all."""
+        return _slices([len(leg.sensors) for leg in self.legs])
+
+    @cached_property
+    def leg_rows(self) -> list[slice]:
+        """Equations of each leg among those of all at a pose."""
+        return _slices([one.width for one in self.conditions])
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters of all legs."""
+        return self.columns[-1].stop
+
+    @property
+    def readings(self) -> Array:
+        """Readings of all legs, shape (N, n_readings), [rad] or [m]."""
+        return np.concatenate([one.readings for one in self.conditions], axis=1)
+
+    @cached_property
+    def quantities(self) -> tuple[str, ...]:
+        """What each column of the noise belongs to, as people call it."""
+        readings = [
+            f"reading of {name}" if len(leg.sensors) == 1 else f"reading {name}"
+            for leg in self.legs
+            for name in leg.reading_names
+        ]
+        if self.latent:
+            return (*readings, *(f"measured {name}" for name in self.observation.names))
+        return (*readings, *(f"measured {name}" for name in self.platform.freedoms))
+
+    @cached_property
+    def _leg_rows_used(self) -> Mask:
+        return np.repeat(self.used, [one.width for one in self.conditions], axis=1)
+
+    @property
+    def equations(self) -> Index:
+        """How many equations each pose gives, poses eliminated, shape (N,)."""
+        legs = self._leg_rows_used.sum(axis=1)
+        if not self.latent:
+            return np.asarray(legs)
+        return np.asarray(legs + self.observation.measured.sum(axis=1) - self.platform.dof)
+
+    def part(self, rows: Index) -> Problem:
+        """Return the problem of some poses."""
+        return replace(
+            self,
+            conditions=tuple(one.part(rows) for one in self.conditions),
+            used=self.used[rows],
+            observation=self.observation.rows(rows),
+            sigma_observed=self.sigma_observed[rows],
+            sigma_readings=self.sigma_readings[rows],
+            pose_roots=None if self.pose_roots is None else self.pose_roots[rows],
+            first=None if self.first is None else self.first.rows(rows),
+        )
+
+    def start(self, parameters: Array) -> State:
+        """Return the state from which the search starts, at parameters of the legs."""
+        if self.first is None:
+            raise TypeError("the poses have no start yet")
+        return replace(self.first, parameters=parameters)
+
+    def stack(self, state: State) -> Stack:
+        """Return the conditions at a state.
+
+        Raises:
+            MeasurementError: a residual that does not exist.
+        """
+        found = [
+            condition(state.parameters[columns], state.matrices, joints)
+            for condition, columns, joints in zip(
+                self.conditions, self.columns, state.joints, strict=True
+            )
+        ]
+        demands = [demand for demand, _ in found]
+        state = replace(state, joints=tuple(joints for _, joints in found))
+        n_legs, n_readings = self.leg_rows[-1].stop, self.reading_columns[-1].stop
+        outside = len(self.observation.external)
+        count, dof = len(self.used), self.platform.dof
+        seen = self.observation.evaluate(state.matrices, state.external) if self.latent else None
+        r = 0 if seen is None else seen.value.shape[1]
+        value, pose = np.zeros((count, n_legs + r)), np.zeros((count, n_legs + r, dof))
+        parameter = np.zeros((count, n_legs + r, self.n_parameters + outside))
+        noise = np.zeros((count, n_legs + r, n_readings + r))
+        for demand, rows, columns, own, used in zip(
+            demands, self.leg_rows, self.columns, self.reading_columns, self.used.T, strict=True
+        ):
+            keep = used[:, None, None]
+            value[:, rows] = np.where(used[:, None], demand.value, 0.0)
+            pose[:, rows] = np.where(keep, demand.pose, 0.0)
+            parameter[:, rows, columns] = np.where(keep, demand.parameter, 0.0)
+            by_reading = demand.reading * self.sigma_readings[:, None, own]
+            noise[:, rows, own] = np.where(keep, by_reading, 0.0)
+        if seen is not None:
+            value[:, n_legs:], pose[:, n_legs:] = seen.value, seen.pose
+            parameter[:, n_legs:, self.n_parameters :] = seen.external
+            diagonal = np.where(self.observation.measured, self.sigma_observed, 0.0)
+            noise[:, n_legs:, n_readings:] = diagonal[:, :, None] * np.eye(r)
+        if self.pose_roots is not None:
+            noise = np.concatenate((noise, pose @ self.pose_roots), axis=2)
+            pose = pose[:, :, :0]
+        return Stack(state, demands, value, parameter, pose, noise)
+
+    def linearise(self, state: State) -> Linear:
+        """Return the conditions at a state as rows of ordinary least squares.
+
+        Raises:
+            MeasurementError: a residual that does not exist; conditions without noise.
+        """
+        stack = self.stack(state)
+        try:
+            white = white_rows(stack.pose, self._with_idle_noise(stack.noise))
+        except NoNoiseError as error:
+            raise MeasurementError(NO_NOISE) from error
+        return Linear(
+            stack,
+            white,
+            white(stack.value[:, :, None])[:, :, 0],
+            white(stack.parameter),
+            self.equations,
+        )
+
+    def _with_idle_noise(self, noise: Array) -> Array:
+        """Return S with noise of their own for rows of which nothing was measured."""
+        idle = ~self._leg_rows_used
+        if self.latent:
+            idle = np.concatenate((idle, ~self.observation.measured), axis=1)
+        if not idle.any():
+            return noise
+        size = float(np.median(np.abs(noise[noise != 0.0]))) if noise.any() else 1.0
+        columns = idle.any(axis=0)
+        own = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)[:, :, columns]
+        return np.concatenate((noise, own), axis=2)
+
+    def moved(self, linear: Linear, step: Array) -> State:
+        """Return the state after a step of all unknowns, shape (n,), the poses following."""
+        state, stack, n = linear.state, linear.stack, self.n_parameters
+        external = self.observation.external.moved(state.external, step[n:])
+        parameters = state.parameters + step[:n]
+        matrices = state.matrices
+        if self.latent:
+            after = stack.value + stack.parameter @ step
+            twists = linear.white.pose_step(after)
+            there = self._carried(stack, step, twists, parameters)
+            matrices = self.platform.displaced(matrices, twists) if there is None else there
+        return State(parameters, matrices, state.joints, external)
+
+    def _carried(self, stack: Stack, step: Array, twists: Array, parameters: Array) -> Array | None:
+        """Return poses at which an arm's closure is what a step was to make it, (N, 4, 4).
+
+        An arm that is read carries the platform exactly, along no straight line; None if no leg
+        is one.
+        """
+        for one, demand, columns in zip(self.conditions, stack.demands, self.columns, strict=True):
+            if one.leg.is_arm and self.platform.dof == 6:
+                gap = demand.value + demand.parameter @ step[columns]
+                gap += (demand.pose @ twists[:, :, None])[:, :, 0]
+                leg = LegClosure(one.leg, self.platform, parameters[columns])
+                return carried(leg, one.readings, gap)
+        return None
+
+    def pose_draws(self, linear: Linear) -> Array:
+        """Return poses' twists drawn from what is not known about them, shape (N, dof)."""
+        rng = np.random.default_rng(0)
+        if self.pose_roots is not None:
+            draws = rng.standard_normal(self.pose_roots.shape[:2])
+            return np.asarray((self.pose_roots @ draws[:, :, None])[:, :, 0])
+        S, W = linear.white.noise, linear.white.by_noise
+        nu = rng.standard_normal((len(S), S.shape[2], 1))
+        left = nu - W.transpose(0, 2, 1) @ (W @ nu)  # what white rows do not see
+        return linear.white.poses_by(S @ left)[:, :, 0]
+
+
+def _slices(sizes: Sequence[int]) -> list[slice]:
+    ends = np.cumsum(sizes).tolist()
+    return [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]

@@ -1,0 +1,249 @@
+"""The search: damped to the end on the exact problem, so that it cannot get worse.
+
+A step is judged by the conditions at its end, in the rows of its beginning (the rows follow the
+state; where they are held, the step's gradient is exact). So a step short enough always falls,
+until Jᵀ W r = 0 with W at the optimum (feasible generalised least squares). Poses follow: they are
+solved again wherever a step left them more than first order away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.estimation.losses import Loss, robust_scale
+from pincal.estimation.problem import Linear, Problem, State
+from pincal.estimation.unknowns import Unknowns
+from pincal.kinematics.closure import largest_size
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_EVALUATIONS = 300
+_POSE_STEPS = 10
+_FIRST_ORDER = 1e-6  # of the mechanism's size, and [rad]: poses this near are solved
+_LARGEST_STEP = 0.2  # of the mechanism's size, and [rad], that poses take at once
+_DAMPING = 1e-6, 1e10  # least and largest, relative to the squares of the columns
+_NO_STEP = 1e-9  # of a standard error
+_NEGLIGIBLE = 1e-3  # of a standard error: what is left where no step falls further
+_ROUNDING = 1e-10  # of the cost: falls that are predicted smaller cannot be judged by it
+
+
+@dataclass(frozen=True)
+class System:
+    """The weighted rows of a problem and its priors, in the free unknowns."""
+
+    problem: Problem
+    unknowns: Unknowns
+    known: bool
+    """Whether the scale of the noise is known."""
+    loss: Loss | None = None
+    kept: Mask | None = None
+    """Rows that take part, shape (N,); all if not given."""
+
+    def weights(self, linear: Linear) -> tuple[Array, float]:
+        """Return the weight of each row, shape (N,), and the scale of the noise."""
+        kept = np.ones(len(linear.value)) if self.kept is None else self.kept.astype(float)
+        if self.loss is None:
+            return kept, 1.0
+        scale = max(self.scale(linear), 1.0 if self.known else 1e-300)
+        return kept * self.loss.weights(linear.squares / scale**2, linear.equations), scale
+
+    def scale(self, linear: Linear) -> float:
+        """Return the scale of the noise by the rows in the middle."""
+        own = np.ones(len(linear.value), dtype=bool) if self.kept is None else self.kept
+        equations = linear.equations[own]
+        share = 1.0 - self.unknowns.map.shape[1] / max(int(equations.sum()), 1)
+        return robust_scale(linear.squares[own], equations, max(share, 0.1))
+
+    def minimised(self, linear: Linear) -> tuple[Array, Array]:
+        """Return what is minimised, shape (N, m), and its derivatives, shape (N, m, n)."""
+        if self.problem.weighted:
+            return linear.value, linear.jacobian
+        return linear.stack.value, linear.stack.parameter
+
+    def rows(
+        self, value: Array, jacobian: Array, weights: Array, state: State
+    ) -> tuple[Array, Array]:
+        """Return Jacobian in the free unknowns and residuals, (M, n_free) and (M,), with priors."""
+        used = weights > 0.0
+        root = np.sqrt(weights[used])[:, None]
+        J = (root[:, :, None] * jacobian[used]).reshape(-1, jacobian.shape[2]) @ self.unknowns.map
+        r, J_prior = self.unknowns.prior_rows(self.values(state))
+        return np.concatenate((J, J_prior)), np.concatenate(((root * value[used]).ravel(), r))
+
+    def values(self, state: State) -> Array:
+        """Return the parameters with zeros for the external unknowns, which have no priors."""
+        n = len(self.unknowns.names)
+        return np.concatenate((state.parameters, np.zeros(n - len(state.parameters))))
+
+    def cost(self, value: Array, weights: Array, state: State) -> float:
+        """Return what is minimised, from residuals of shape (N, m)."""
+        prior, _ = self.unknowns.prior_rows(self.values(state))
+        return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
+
+    def cost_in(self, here: Linear, trial: Linear, weights: Array) -> float:
+        """Return the cost at a trial, in the rows and weights of another state."""
+        value = here.frozen(trial) if self.problem.weighted else trial.stack.value
+        return self.cost(value, weights, trial.state)
+
+    def solve(self, linear: Linear, weights: Array) -> Normal:
+        """Return the normal equations in square-root form."""
+        return Normal.of(*self.rows(*self.minimised(linear), weights, linear.state))
+
+
+@dataclass(frozen=True)
+class Normal:
+    """R δz = −c of Q R = J, columns of unit length."""
+
+    lengths: Array
+    """Of the columns of J, shape (n,)."""
+    R: Array
+    """Shape (n, n)."""
+    c: Array
+    """Qᵀ r, shape (n,)."""
+
+    @classmethod
+    def of(cls, J: Array, r: Array) -> Normal:
+        """Return the normal equations of a Jacobian (m, n) and residuals (m,)."""
+        n = J.shape[1]
+        lengths = np.linalg.norm(J, axis=0)
+        lengths[lengths == 0.0] = 1.0
+        stacked = np.column_stack((J / lengths, r))
+        if len(stacked) <= n:
+            stacked = np.concatenate((stacked, np.zeros((n + 1 - len(stacked), n + 1))))
+        triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+        return cls(lengths, triangle[:n, :n], triangle[:n, n])
+
+    @property
+    def decrement(self) -> float:
+        """How far the optimum is, to first order: root of the fall of the cost, in σ."""
+        return float(np.linalg.norm(self.c))
+
+    def step(self, damping: float = 0.0) -> Array:
+        """Return the least-squares step, shape (n,); damping relative to squares of columns."""
+        R, c, n = self.R, self.c, len(self.c)
+        if damping > 0.0:
+            R = np.concatenate((R, np.sqrt(damping) * np.eye(n)))
+            c = np.concatenate((c, np.zeros(n)))
+        return -np.linalg.lstsq(R, c, rcond=None)[0] / self.lengths
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a search ended."""
+
+    linear: Linear
+    weights: Array
+    """Of the rows, shape (N,)."""
+    scale: float
+    """Of the noise, as a robust loss estimates it; 1 without."""
+    evaluations: int
+    left: float
+    """How far the optimum is, to first order, in standard errors."""
+    converged: bool
+
+
+def search(system: System, start: Linear, progress: Callable[[str], None] | None = None) -> Found:
+    """Return the optimum near a start, or the best state on the way to it.
+
+    Args:
+        system: What is minimised.
+        start: The conditions where the search begins, poses solved.
+        progress: Called with what is being done.
+    """
+    problem, T = system.problem, system.unknowns.map
+    here, damping, growth, evaluations = start, 0.0, 10.0, 1
+    weights, scale = system.weights(here)
+    normal = system.solve(here, weights)
+    highest = cost = system.cost(system.minimised(here)[0], weights, here.state)
+    while normal.decrement > max(_NO_STEP, _rounding(system, here)):
+        if evaluations >= _EVALUATIONS or damping > _DAMPING[1]:
+            break
+        if progress and evaluations % 5 == 0:
+            progress(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
+        trial, count = _trial(problem, here, T @ normal.step(damping))
+        evaluations += count
+        fall = -np.inf if trial is None else cost - system.cost_in(here, trial, weights)
+        blind = normal.decrement**2 <= _ROUNDING * cost
+        better = trial is not None and (fall >= 0.0 or (blind and np.isfinite(fall)))
+        if better and trial is not None:
+            new_weights, new_scale = system.weights(trial)
+            new_cost = system.cost(system.minimised(trial)[0], new_weights, trial.state)
+            new = system.solve(trial, new_weights)
+            nearer = new.decrement < normal.decrement
+            better = nearer if blind else system.loss is not None or new_cost <= highest
+        if better and trial is not None:
+            here, weights, scale, cost, normal = trial, new_weights, new_scale, new_cost, new
+            damping, growth = (0.1 * damping if damping > _DAMPING[0] else 0.0), 10.0
+        elif blind:  # nothing but rounding is left
+            break
+        else:
+            damping, growth = max(damping, _DAMPING[0]) * growth, 2.0 * growth
+    equations = max(int(here.equations[weights > 0.0].sum()) - T.shape[1], 1)
+    unit = 1.0 if system.known else np.sqrt(cost / equations)
+    left = normal.decrement / max(unit, 1e-300)
+    enough = normal.decrement <= max(_NO_STEP, 10.0 * _rounding(system, here))
+    return Found(here, weights, scale, evaluations, left, enough or left <= _NEGLIGIBLE)
+
+
+def _trial(problem: Problem, here: Linear, step: Array) -> tuple[Linear | None, int]:
+    """Return the conditions after a step, poses solved, and the evaluations that it took.
+
+    None where they do not exist.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            trial, count = solve_poses(problem, problem.linearise(problem.moved(here, step)))
+    except (MeasurementError, np.linalg.LinAlgError):
+        return None, 1
+    finite = np.isfinite(trial.value).all() and np.isfinite(trial.jacobian).all()
+    return (trial if finite else None), 1 + count
+
+
+def _rounding(system: System, linear: Linear) -> float:
+    """Return the decrement that rounding errors of the conditions make."""
+    if not system.problem.weighted:
+        return 0.0
+    size = largest_size(system.problem.legs, system.problem.platform)
+    rows = max(linear.value.size, 1)
+    noise = np.finfo(float).eps * size * np.linalg.norm(linear.white.whitener)
+    return float(noise * np.sqrt(system.unknowns.map.shape[1] / rows))
+
+
+def solve_poses(problem: Problem, linear: Linear) -> tuple[Linear, int]:
+    """Return the conditions with poses at their optimum, to second order, and the evaluations.
+
+    Gauss–Newton steps of each pose alone, as long as they get shorter (natural monotonicity); a
+    pose whose steps do not stays where it is.
+    """
+    if not problem.latent:
+        return linear, 0
+    platform = problem.platform
+    size = largest_size(problem.legs, platform)
+    scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
+    count, open_ = 0, np.ones(len(linear.value), dtype=bool)
+    for _ in range(_POSE_STEPS):
+        twists = linear.white.pose_step(linear.stack.value)
+        length = np.abs(twists / scale).max(axis=1)
+        open_ &= np.isfinite(length) & (length > _FIRST_ORDER)
+        if not open_.any():
+            break
+        short = np.minimum(1.0, _LARGEST_STEP / np.maximum(length, _LARGEST_STEP))
+        twists = np.where(open_[:, None], twists * short[:, None], 0.0)
+        state = linear.state
+        matrices = platform.displaced(state.matrices, twists)
+        trial = problem.linearise(replace(state, matrices=matrices))
+        count += 1
+        after = np.abs(trial.white.pose_step(trial.stack.value) / scale).max(axis=1)
+        worse = open_ & ~(after < length)
+        if worse.any():
+            open_ &= ~worse
+            kept = np.where(worse[:, None, None], state.matrices, trial.state.matrices)
+            trial = problem.linearise(replace(state, matrices=kept))
+            count += 1
+        linear = trial
+    return linear, count

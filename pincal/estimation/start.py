@@ -1,0 +1,236 @@
+"""Where a search begins: poses and frames by least squares at the nominal parameters.
+
+Every condition counts as a length: the start asks only for geometry. Where readings fix poses,
+they are followed from home to those measured, so that the assembly mode stays that of home; then
+the rigid motion that takes the targets there to where they were measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.estimation.alignment import aligned
+from pincal.estimation.external import External
+from pincal.estimation.problem import Problem, Stack, State
+from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.forward import placed_by_arm
+from pincal.kinematics.held import held
+from pincal.kinematics.inverse import inverse
+from pincal.kinematics.singularity import platform_margin
+from pincal.kinematics.starts import home_mode, mode_sign
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN, Setup
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_STEPS = 60
+_LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
+_USUAL = 3.0  # times the median gap that contradicting readings leave
+_WAY = 5  # steps from the readings at home to those measured
+_CLOSES = 1e-3  # of a leg's size, a gap that is left when readings contradict each other
+_TILTED = 1e-3  # [rad]
+_AT_REST = 1e-7  # of the mechanism's size, and [rad]
+_MISSED = 0.03  # of the mechanism's size, median over the rows, from which nothing is identified
+
+
+def align_start(
+    mechanism: Mechanism, problem: Problem, data: Measurements, parameters: Array
+) -> State:
+    """Return poses and external unknowns from which the search may start.
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem.
+        data: The measurements.
+        parameters: Nominal parameters of all legs, shape (n_params,).
+
+    Raises:
+        MeasurementError: frames that cannot be aligned, or only mirrored.
+    """
+    seen, platform = problem.observation, problem.platform
+    external = seen.external.start
+    outside = seen.external
+    whole = np.isfinite(data.poses).all() and len(seen.setup.targets) == 1
+    redundant = mechanism.redundant
+    if not len(outside) and (whole or redundant):
+        state = placed(problem, data, parameters, external)
+        return state if whole else poses_at_rest(problem, state)
+    legs = [LegClosure(leg, platform) for leg in mechanism.legs]
+    there = placed_by_arm(mechanism, legs, problem.readings)
+    home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
+    joints = (None,) * len(problem.legs)
+    state = State(parameters, home if there is None else there, joints, external)
+    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:] if there is None else ():
+        state = poses_at_rest(_driven(mechanism, problem, share), state)
+    good = _well(mechanism, problem, state)
+    if len(outside):
+        state = replace(state, external=aligned(problem, data, state, good))
+    guess = placed(problem, data, parameters, state.external)
+    matrices = np.where(good[:, None, None], state.matrices, guess.matrices)
+    known = np.isfinite(data.poses[:, : platform.space]).all(axis=1)
+    arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
+    matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
+    return poses_at_rest(
+        problem, replace(state, matrices=matrices, joints=(None,) * len(problem.legs))
+    )
+
+
+def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
+    """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
+    legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    closures = [
+        held(leg, state.matrices, one.readings, joints)[0]
+        for leg, one, joints in zip(legs, problem.conditions, state.joints, strict=True)
+    ]
+    redundant = mechanism.redundant  # of which the type-2 margin has no sign
+    known = _leg_equations(problem) >= mechanism.platform.dof  # readings alone give the pose
+    good = known & (redundant | (platform_margin(mechanism, closures) > 0.0))
+    missed = np.zeros(len(good))
+    for leg, closure, own in zip(legs, closures, problem.used.T, strict=True):
+        missed = np.fmax(missed, np.where(own, np.abs(closure.gap).max(axis=1) / leg.size, 0.0))
+        good &= ~own | (mode_sign(closure) == home_mode(leg.leg, leg.platform))
+    usual = _USUAL * np.median(missed[known]) if redundant and known.any() else 0.0
+    return good & (missed <= max(_CLOSES, usual))
+
+
+def placed(problem: Problem, data: Measurements, parameters: Array, external: External) -> State:
+    """Return poses as measured, what was not measured as at home; orientations in full or not.
+
+    Args:
+        problem: The problem.
+        data: The measurements.
+        parameters: Of all legs, shape (n_params,).
+        external: Values of the external unknowns.
+    """
+    platform = problem.platform
+    partly = np.where(np.isfinite(data.poses), data.poses, platform.home)
+    if "tilt" in platform.coordinates:  # upright, tilt has no direction in which to grow
+        partly[:, platform.coordinates.index("tilt")] += _TILTED
+    matrices = platform.transforms(partly).as_matrix().copy()
+    turns = problem.observation.orientations
+    known = np.isfinite(turns).all(axis=(1, 2))
+    F = external.frame[:3, :3]
+    matrices[known, :3, :3] = F.T @ turns[known] @ external.turn.T
+    measured = np.full((len(data), 3), np.nan)
+    measured[:, : platform.space] = data.poses[:, : platform.space]
+    if platform.space == 2:
+        measured[:, 2] = 0.0
+    there = (measured - external.frame[:3, 3]) @ F - matrices[:, :3, :3] @ external.offsets[0]
+    matrices[:, :3, 3] = np.where(np.isfinite(there), there, matrices[:, :3, 3])
+    joints = (None,) * len(problem.legs)
+    return State(parameters, matrices, joints, external)
+
+
+def _driven(mechanism: Mechanism, problem: Problem, share: float) -> Problem:
+    """Return the problem of readings alone that are on the way from home to those measured."""
+    home = inverse(mechanism, np.array([mechanism.platform.home])).readings[0]
+    conditions = (
+        replace(one, readings=home[own] + share * (one.readings - home[own]))
+        for one, own in zip(problem.conditions, problem.reading_columns, strict=True)
+    )
+    observation = problem.observation.only(())
+    return replace(problem, conditions=tuple(conditions), observation=observation)
+
+
+def _leg_equations(problem: Problem) -> NDArray[np.intp]:
+    """Return how many equations the legs give at each pose, shape (N,)."""
+    return np.asarray(problem.used @ np.array([one.width for one in problem.conditions]))
+
+
+def _as_lengths(problem: Problem, stack: Stack) -> tuple[Array, Array]:
+    """Return conditions as lengths [m], shape (N, k), and derivatives by poses, (N, k, dof)."""
+    size = largest_size(problem.legs, problem.platform)
+    angles = np.array([unit == "rad" for unit in problem.observation.units], dtype=bool)
+    scale = np.ones(stack.value.shape[1])
+    scale[len(scale) - len(angles) :] = np.where(angles, size, 1.0)
+    return stack.value * scale, stack.pose * scale[:, None]
+
+
+def poses_at_rest(problem: Problem, state: State) -> State:
+    """Return the state with each pose at its least squares, parameters and frames as they are.
+
+    Each pose has a damping of its own (Levenberg–Marquardt). Poses that find no place remain
+    where they came to; the search that follows moves them on.
+    """
+    platform = problem.platform
+    size = largest_size(problem.legs, platform)
+    scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
+    stack = problem.stack(state)
+    value, pose = _as_lengths(problem, stack)
+    state, cost = stack.state, np.einsum("nk,nk->n", value, value)
+    damping = np.full(len(cost), 1e-6)
+    open_ = np.ones(len(cost), dtype=bool)
+    for _ in range(_STEPS):
+        B = pose * scale
+        square = B.transpose(0, 2, 1) @ B
+        diagonal = np.einsum("nii->ni", square)
+        least = 1e-12 * diagonal.max(axis=1, keepdims=True)
+        diagonal += damping[:, None] * (diagonal + np.where(least > 0.0, least, 1.0))
+        step = -np.linalg.solve(square, B.transpose(0, 2, 1) @ value[:, :, None])[:, :, 0]
+        longest = np.abs(step).max(axis=1)
+        step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))[:, None]
+        step[~open_] = 0.0
+        moved = platform.displaced(state.matrices, np.asarray(step * scale))
+        stack = problem.stack(replace(state, matrices=moved))
+        new_value, new_pose = _as_lengths(problem, stack)
+        new_cost = np.einsum("nk,nk->n", new_value, new_value)
+        better = open_ & (new_cost <= cost)
+        state = State(
+            state.parameters,
+            np.where(better[:, None, None], moved, state.matrices),
+            tuple(
+                new if old is None or new is None else np.where(better[:, None], new, old)
+                for new, old in zip(stack.state.joints, state.joints, strict=True)
+            ),
+            state.external,
+        )
+        value = np.where(better[:, None], new_value, value)
+        pose = np.where(better[:, None, None], new_pose, pose)
+        cost = np.where(better, new_cost, cost)
+        damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e9)
+        open_ &= (longest > _AT_REST) & (damping < 1e9)
+        if not open_.any():
+            break
+    return state
+
+
+def check_start(problem: Problem, state: State) -> None:
+    """Raise if readings and what was measured cannot both be the nominal mechanism's.
+
+    At poses of least squares, by what legs and measured lengths miss together.
+
+    Raises:
+        MeasurementError: by how much they miss.
+    """
+    state = poses_at_rest(problem, state)
+    size = largest_size(problem.legs, problem.platform)
+    stack = problem.stack(state)
+    n_legs = problem.leg_rows[-1].stop
+    lengths = [unit == "m" for unit in problem.observation.units]
+    missed = stack.value[:, [*range(n_legs), *(n_legs + np.flatnonzero(lengths))]]
+    worst = float(np.median(np.linalg.norm(missed, axis=1)))
+    if worst > _MISSED * size:
+        raise MeasurementError(
+            f"readings and measured positions contradict each other by {1e3 * worst:.3g} mm in the "
+            f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
+            "length). Check the units, the order and signs of the readings, and the frame"
+            f"{left_out(problem.observation.setup)}. If the mechanism is known but roughly, say so "
+            "(--rough)"
+        )
+
+
+def left_out(setup: Setup) -> str:
+    """Return which options that free frame and target a setup leaves out, as a remark."""
+    options = {
+        "if the base stands elsewhere in it: --unknown-frame": setup.unknown_frame,
+        "if the target is not the platform's origin: --unknown-target or --setup": (
+            setup.targets[ORIGIN].unknown
+        ),
+    }
+    left = "; ".join(words for words, said in options.items() if not said)
+    return f" ({left})" if left else ""

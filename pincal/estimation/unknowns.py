@@ -1,0 +1,182 @@
+"""What is identified: all parameters as a linear map of the free ones.
+
+Fixed parameters, parameters tied to one value, and gauge freedoms are one thing: φ = φ₀ + T z
+with fewer z than φ. Priors are rows beside those of the measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from pincal.errors import MeasurementError
+from pincal.model.leg import Leg
+
+Array = NDArray[np.float64]
+_SMALLEST_PRIOR = 1e-15  # [m], [rad] or [1], below which rounding is larger
+_ROUNDING = 1e-13  # of the largest entry of a column: that of a parameter that does not move
+_ALIKE = 0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """All parameters of a problem, leg by leg, then external ones, and which are free."""
+
+    owners: tuple[str, ...]
+    """Leg of each parameter, empty for an external one, length n."""
+    names: tuple[str, ...]
+    """Length n."""
+    start: Array
+    """φ₀: nominal values, tied ones at their mean; zero for external ones, shape (n,)."""
+    map: Array
+    """T, shape (n, n_free)."""
+    priors: Array
+    """Standard deviations of the nominal values, infinite where there is none, shape (n,)."""
+    nominal: Array
+    """Shape (n,)."""
+    free_labels: tuple[str, ...]
+    """Names of the free parameters that say whose they are, length n_free."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names that say whose they are, length n."""
+        return _labels(zip(self.owners, self.names, strict=True))
+
+    def prior_rows(self, parameters: Array) -> tuple[Array, Array]:
+        """Return residuals of the priors in standard deviations and their Jacobian in z.
+
+        Args:
+            parameters: Values, shape (n,).
+        """
+        told = np.isfinite(self.priors)
+        sigma = self.priors[told]
+        return (parameters - self.nominal)[told] / sigma, self.map[told] / sigma[:, None]
+
+    def held(self, directions: Array) -> Unknowns:
+        """Return the unknowns less the freedom to move along directions of z.
+
+        Args:
+            directions: Rows g with g · z = 0 from now on, shape (n_lost, n_free).
+        """
+        lost = len(directions)
+        _, R, order = qr(directions, mode="economic", pivoting=True)
+        follow, lead = order[:lost], np.sort(order[lost:])
+        place = np.argsort(order)
+        basis = np.zeros((len(order), len(lead)))
+        basis[lead, np.arange(len(lead))] = 1.0
+        basis[follow] = -np.linalg.solve(R[:, :lost], R[:, place[lead]])
+        T = self.map @ basis
+        T[np.abs(T) <= _ROUNDING * np.abs(T).max(axis=0, initial=0.0)] = 0.0
+        return replace(self, map=T, free_labels=tuple(self.free_labels[i] for i in lead))
+
+    def part(self, legs: Sequence[str]) -> Unknowns:
+        """Return the unknowns of some legs."""
+        rows = np.flatnonzero(np.isin(self.owners, list(legs)))
+        columns = np.flatnonzero((self.map[rows] != 0.0).any(axis=0))
+        return Unknowns(
+            owners=tuple(self.owners[i] for i in rows),
+            names=tuple(self.names[i] for i in rows),
+            start=self.start[rows],
+            map=self.map[np.ix_(rows, columns)],
+            priors=self.priors[rows],
+            nominal=self.nominal[rows],
+            free_labels=tuple(self.free_labels[i] for i in columns),
+        )
+
+
+def unknowns(
+    legs: Sequence[Leg],
+    external: Sequence[str] = (),
+    *,
+    fixed: Iterable[str] = (),
+    tied: Iterable[str] = (),
+    priors: Mapping[str, float] | None = None,
+) -> Unknowns:
+    """Return the unknowns of some legs.
+
+    A parameter is said as ``l``, of every leg that has one, or as ``leg_1.l``.
+
+    Args:
+        legs: The legs, at their nominal values.
+        external: Names of external unknowns.
+        fixed: Parameters held at their nominal values.
+        tied: Parameters that have one value for all legs.
+        priors: Standard deviations of nominal values, [m], [rad] or [1].
+
+    Raises:
+        MeasurementError: an unknown name, a tie of one leg's parameter, a parameter that is both
+            fixed and tied, or a standard deviation that is not above zero.
+    """
+    pairs = [(leg.name, name) for leg in legs for name in leg.parameter_names]
+    nominal = np.concatenate([*(leg.nominal for leg in legs), np.zeros(len(external))])
+    n, start = len(nominal), nominal.copy()
+    held = {i for name in fixed for i in _places(pairs, name)}
+    columns, bound = [], set(held)
+    for name in tied:
+        places = _places(pairs, name)
+        if len(places) < 2 or "." in name:
+            raise MeasurementError(
+                f"{name!r} cannot be tied; give the name of a parameter that several legs have, "
+                "such as 'l'"
+            )
+        if both := bound & set(places):
+            raise MeasurementError(f"{pairs[both.pop()][1]!r} is both fixed and tied; choose one")
+        bound |= set(places)
+        if np.ptp(nominal[places]) > _ALIKE * max(1.0, float(np.abs(nominal[places]).max())):
+            raise MeasurementError(
+                f"{name!r} cannot be tied: its nominal values differ from leg to leg by up to "
+                f"{np.ptp(nominal[places]):.3g}"
+            )
+        start[places] = nominal[places].mean()
+        columns.append(np.isin(np.arange(n), places).astype(float))
+    single = [i for i in range(n) if i not in bound]
+    sigmas = np.full(n, np.inf)
+    for name, sigma in (priors or {}).items():
+        if not _SMALLEST_PRIOR <= sigma < np.inf:
+            raise MeasurementError(
+                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
+                f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
+            )
+        sigmas[_places(pairs, name)] = sigma
+    sigmas[list(held)] = np.inf
+    if len(held) == len(pairs):
+        raise MeasurementError("every parameter is fixed; leave one of them to be identified")
+    T = np.concatenate([np.array(columns).reshape(-1, n), np.eye(n)[single]]).T
+    order = np.argsort([np.flatnonzero(column)[0] for column in T.T], kind="stable")
+    T = T[:, order]
+    labels = _labels([*pairs, *(("", name) for name in external)])
+    members = [np.flatnonzero(column) for column in T.T]
+    return Unknowns(
+        owners=(*(leg for leg, _ in pairs), *("" for _ in external)),
+        names=(*(name for _, name in pairs), *external),
+        start=start,
+        map=T,
+        priors=sigmas,
+        nominal=nominal,
+        free_labels=tuple(
+            labels[own[0]] + (f" (tied to {len(own) - 1} more)" if len(own) > 1 else "")
+            for own in members
+        ),
+    )
+
+
+def _labels(pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    return tuple(f"{name} of {owner}" if owner else name for owner, name in pairs)
+
+
+def _places(pairs: list[tuple[str, str]], said: str) -> list[int]:
+    """Return the places of the parameters that a name means."""
+    leg, _, name = said.rpartition(".")
+    places = [i for i, pair in enumerate(pairs) if pair[1] == name and leg in ("", pair[0])]
+    if not places:
+        known = dict.fromkeys(name for _, name in pairs)
+        legs = dict.fromkeys(leg for leg, _ in pairs)
+        raise MeasurementError(
+            f"no parameter {said!r}; expected one of {', '.join(known)}, or of one leg as "
+            f"'{next(iter(legs))}.{next(iter(known))}'"
+        )
+    return places
