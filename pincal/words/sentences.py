@@ -2,7 +2,7 @@
 
 ``finding("chi2-too-large", chi2=2.1, ...)`` makes a ``Finding`` and checks that it has the values
 which its sentence needs; ``sentence(found)`` says it. The codes are, with their values, titles
-and remedies, in ``pincal.words.results``, ``faults`` and ``freedoms``.
+and remedies, in ``pincal.words``: ``results``, ``parameters``, ``faults``, ``freedoms``.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from typing import Any
 from pincal.model.finding import Finding
 from pincal.words.faults import FAULTS
 from pincal.words.freedoms import FREEDOMS
+from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
 from pincal.words.wording import Wording
 
 #: What is said of each code.
-WORDINGS: Mapping[str, Wording] = {**FAULTS, **RESULTS, **FREEDOMS}
+WORDINGS: Mapping[str, Wording] = {**FAULTS, **RESULTS, **PARAMETERS, **FREEDOMS}
 
 
 def finding(

@@ -10,6 +10,8 @@ from pincal.model.finding import Finding, Severity
 
 #: Words that need no values, or a function of the finding.
 Words: TypeAlias = str | Callable[[Finding], str]
+#: What a p-value of a finding is.
+P_VALUE = "probability of such a value, or a larger one, if the model is right"
 
 
 @dataclass(frozen=True)
