@@ -14,7 +14,6 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
-from pincal.errors import PincalError
 from pincal.words.numbers import SMALL, Measured, shown_in
 
 if TYPE_CHECKING:
@@ -127,12 +126,10 @@ class Table:
         """Return the rows as a pandas DataFrame, raw values in SI; uncertainties in own columns.
 
         Raises:
-            PincalError: pandas is not installed.
+            ImportError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise PincalError("a DataFrame needs pandas: pip install pandas") from error
+        import pandas  # nothing else needs it
+
         found = []
         for row in self.rows:
             record: dict[str, Any] = {}

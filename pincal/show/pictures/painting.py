@@ -57,10 +57,11 @@ def paint(
         edge: Width of outlines, [m].
         colour: One for all.
     """
+    most = 1 if colour else _MOST_PIECES  # where pieces of one colour overlap they would show
     pieces = [
         (whole @ V.T, inner @ V.T, np.minimum(bright * np.array(to_rgb(colour or shape.colour)), 1))
         for shape, place in shapes
-        for whole, inner, bright in _pieces(shape, place @ shape.T_link_shape, V, edge)
+        for whole, inner, bright in _pieces(shape, place @ shape.T_link_shape, V, edge, most)
     ]
     pieces.sort(key=lambda piece: round(float(piece[0][:, 2].max()), 9))
     polygons = [_hull(points[:, :2]) for whole, inner, _ in pieces for points in (whole, inner)]
@@ -69,8 +70,8 @@ def paint(
     axes.add_collection(PolyCollection(polygons, facecolors=colours, lw=0, alpha=opacity))
 
 
-def _pieces(shape: Shape, T: Array, V: Array, edge: float) -> list[_Piece]:
-    """Return the pieces of a shape."""
+def _pieces(shape: Shape, T: Array, V: Array, edge: float, most: int) -> list[_Piece]:
+    """Return the pieces of a shape, rods in so many at most."""
     thin = min(edge, min(shape.size) / 5)
     if shape.kind == "box":
         return _faces(shape, T, V, thin)
@@ -82,7 +83,7 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float) -> list[_Piece]:
     stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
     if length * stretch < 1e-3 * edge:  # too short to be seen
         return []
-    count = int(np.clip(np.ceil(length * stretch / (_PIECE * radius)), 1, _MOST_PIECES))
+    count = int(np.clip(np.ceil(length * stretch / (_PIECE * radius)), 1, most))
     cuts = np.linspace(-length / 2, length / 2, count + 1)
     thin = min(thin, length * stretch / 5)
     end = length / 2 - thin / stretch
