@@ -88,3 +88,5 @@ def test_axes_that_are_given_are_drawn_into(draw: object, result: pincal.Calibra
     axes = figure.subplots()
     assert isinstance(axes, Axes)
     assert draw(replace(result, legs=hidden), axes) is axes  # type: ignore[operator]
+    by_name = getattr(result.plot, draw.__name__)  # type: ignore[attr-defined]
+    assert by_name(axes) is axes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from pincal.identification.robust import Outlier
 from pincal.identification.trust import RunConsistency, Validation
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from pincal.show.plots import Plots
 
 Array = NDArray[np.float64]
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is doubted
@@ -227,6 +230,13 @@ class CalibrationResult:
     def moves_frames(self) -> bool:
         """Whether a choice named in ``gauge`` moves the base or the platform frame."""
         return any("frame: " in text for text in self.gauge)
+
+    @property
+    def plot(self) -> Plots:
+        """Plots of this result, such as ``plot.residuals()``: each returns matplotlib axes."""
+        from pincal.show.plots import Plots
+
+        return Plots(self)
 
     def _repr_html_(self) -> str:
         """Return parameters and residuals for notebooks."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pincal.identification.result import CalibrationResult
 from pincal.model.mechanism import Mechanism
 
-_LISTED = 10  # outliers in a notebook
-
 
 def mechanism_html(mechanism: Mechanism) -> str:
     """Return a mechanism: a picture and its nominal parameters."""
@@ -40,7 +38,7 @@ def result_html(result: CalibrationResult) -> str:
         lines = [noise_line(result)]
         lines += [held_out_line(result.validation)] if result.validation is not None else []
         shown = [lines, parameters_table(result), legs_table(result)]
-        shown += [outliers_table(result, _LISTED)] if result.outliers else []
+        shown += [outliers_table(result)] if result.outliers else []
     return rendered(
         "result.html",
         title=f"{result.nominal.name}: calibration, {result.message}",

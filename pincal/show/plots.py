@@ -7,6 +7,7 @@ marker or hatch, so that plots read in black and white and in colour-blindness.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib import colormaps
@@ -34,6 +35,29 @@ Array = NDArray[np.float64]
 _MANY_NAMES = 14  # that do not fit side by side
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
+
+
+@dataclass(frozen=True)
+class Plots:
+    """Plots of a result, as ``result.plot``: each draws into axes, or new ones."""
+
+    result: CalibrationResult
+
+    def residuals(self, ax: Axes | None = None) -> Axes:
+        """Draw residuals in standard deviations, against the row."""
+        return residuals(self.result, ax)
+
+    def parameters(self, ax: Axes | None = None) -> Axes:
+        """Draw the change of each parameter over its 95 % half width."""
+        return parameters(self.result, ax)
+
+    def error_map(self, ax: Axes | None = None) -> Axes:
+        """Draw the expected error of position over the workspace."""
+        return error_map(self.result, ax)
+
+    def correlation(self, ax: Axes | None = None) -> Axes:
+        """Draw the correlations of all identified parameters."""
+        return correlation(self.result, ax)
 
 
 def axes_of(ax: Axes | None, width: float = 6.4, height: float = 3.6) -> Axes:
@@ -216,7 +240,7 @@ def draw_observability(axes: Axes, mechanism: Mechanism, selection: Selection) -
 
 
 def draw_bars(axes: Axes, values: Mapping[str, Mapping[str, float]]) -> Axes:
-    """Draw bars of several series side by side, by series, then by what stands below them."""
+    """Draw bars of several series side by side, by series, then by name."""
     names = list(dict.fromkeys(name for series in values.values() for name in series))
     width = 0.8 / len(values)
     for index, (label, series) in enumerate(values.items()):

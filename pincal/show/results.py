@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pincal.identification.result import CalibrationResult, IdentifiedParameter, LegResult
 from pincal.model.finding import Finding
 from pincal.words.sentences import sentence
+from pincal.words.wording import LISTED
 
 Array = NDArray[np.float64]
 
@@ -117,7 +118,7 @@ def contradicted(result: CalibrationResult) -> bool:
     )
 
 
-def _shortened(words: str, most: int = 4) -> str:
+def _shortened(words: str, most: int = LISTED) -> str:
     head, _, groups = words.rpartition(": ")
     parts = groups.split("; ")
     if len(parts) <= most + 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 #: Okabe and Ito's colours, distinct in every common colour-blindness.
@@ -20,8 +21,35 @@ WIDTH, HEIGHT = 7.4, 9.5
 MANY = 1500
 
 
+@dataclass(frozen=True)
+class PictureStyle:
+    """Sizes in pictures of mechanisms."""
+
+    width: float = 5.2
+    """Of the figure, [inch]."""
+    heights: tuple[float, float] = (1.8, 6.0)
+    """Least and most of what is drawn, [inch]."""
+    legend: float = 0.5
+    """Height for the legend below, [inch]."""
+    letters: int = 28
+    """Of the longest name."""
+    line: int = 75
+    """Letters of a legend's line."""
+    edge: float = 0.0025
+    """Thickness of outlines, of the scene's diagonal."""
+    dark: float = 0.55
+    """Brightness of an outline, of its shape's."""
+    piece: float = 10.0
+    """Length of a rod's piece, of its radius."""
+    pieces: int = 40
+    """Of a rod, at most."""
+
+
+PICTURE = PictureStyle()
+
+
 class Look(NamedTuple):
-    """What tells a leg or a set from the others, in colour and in black and white."""
+    """What distinguishes a leg or a set from the others, in colour and in black and white."""
 
     colour: str
     marker: str

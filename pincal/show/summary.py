@@ -18,6 +18,7 @@ from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import amount, listed, size
 from pincal.words.results import noise
 from pincal.words.sentences import finding, sentence
+from pincal.words.wording import LISTED
 
 _NO_FREEDOM = (
     "as many unknowns as measured values: residuals vanish whatever the machine is, and show "
@@ -25,7 +26,6 @@ _NO_FREEDOM = (
 )
 _MISSES = 10.0  # by how many σ a fit misses its own rows that is none
 _MANY = 1e5  # poses: more are not measured
-_LISTED = 6  # groups of what moves together
 _PAIRS = 3  # of weakly determined parameters
 _BEST = (
     "the best that any calibration can reach: --method latent does, --method together --poses all "
@@ -227,8 +227,8 @@ def _rank(found: Forecast) -> list[str]:
             "what no motion of the base or platform frame explains"
         ]
     if found.lost.shape[1]:
-        more = f"; and {len(groups) - _LISTED} more (--json)" if len(groups) > _LISTED else ""
-        lines.append(f"not determined (—): {'; '.join(groups[:_LISTED])}{more}")
+        more = f"; and {len(groups) - LISTED} more (--json)" if len(groups) > LISTED else ""
+        lines.append(f"not determined (—): {'; '.join(groups[:LISTED])}{more}")
     return lines
 
 

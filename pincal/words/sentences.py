@@ -49,7 +49,7 @@ def finding(
 def sentence(found: Finding) -> str:
     """Return what was found and what to do about it.
 
-    It begins with a small letter, as it stands behind ``warning:``, and ends without a full stop.
+    It begins with a small letter, as it follows ``warning:``, and ends without a full stop.
     """
     wording = WORDINGS[found.code]
     said, remedy = wording.said(found), wording.remedied(found)

@@ -14,25 +14,20 @@ from numpy.typing import NDArray
 from pincal.model.measurements import EVERY_LEG
 from pincal.show.pictures.painting import paint, placed
 from pincal.show.pictures.svg import drawing
-from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE
+from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
 from pincal.show.view.looks import TOWARDS_VIEWER, frame_axes, grid_step, ground, set_colour
 from pincal.show.view.scene import Scene
 from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
-_WIDTH = 5.2  # of a figure, [inch]
-_BELOW = 0.5  # for the legend, [inch]
-_LEAST_HEIGHT, _MOST_HEIGHT = 1.8, 6.0
-_LONGEST, _LINE = 28, 75  # letters of a name, and of a legend's line
-_EDGE = 0.0025  # thickness of outlines, of the scene's diagonal
 
 
 def scene_figure(scene: Scene, row: int) -> Figure:
     """Return a figure of a scene, the mechanism at one of its poses."""
     with drawing():
         width, height = np.ptp(_extent(scene, row), axis=0)
-        inches = _BELOW + np.clip(_WIDTH * height / width, _LEAST_HEIGHT, _MOST_HEIGHT)
-        figure = Figure(figsize=(_WIDTH, float(inches)), layout="constrained")
+        inches = PICTURE.legend + np.clip(PICTURE.width * height / width, *PICTURE.heights)
+        figure = Figure(figsize=(PICTURE.width, float(inches)), layout="constrained")
         draw_scene(figure.subplots(), scene, row)
     return figure
 
@@ -64,7 +59,7 @@ def draw_scene(axes: Axes, scene: Scene, row: int) -> Axes:
     """Draw a scene, the mechanism at one of its poses."""
     V = _axes_of_view(scene.planar)
     low, high = _extent(scene, row)
-    edge = _EDGE * float(np.linalg.norm(high - low))
+    edge = PICTURE.edge * float(np.linalg.norm(high - low))
     axes.add_collection(
         LineCollection(list(ground(scene) @ V[:2].T), colors=GROUND, lw=0.5, zorder=0)
     )
@@ -94,7 +89,7 @@ def draw_scene(axes: Axes, scene: Scene, row: int) -> Axes:
         handles=legend,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
-        ncols=int(np.clip(_LINE / max(len(str(one.get_label())) for one in legend), 1, 3)),
+        ncols=int(np.clip(PICTURE.line / max(len(str(one.get_label())) for one in legend), 1, 3)),
         frameon=False,
         handlelength=1.2,
         columnspacing=1.4,
@@ -109,7 +104,8 @@ def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
 
 def _short(name: str) -> str:
     """Return a name, its middle left out where there is no room for it."""
-    return clean(name if len(name) <= _LONGEST else f"{name[: _LONGEST - 9]}…{name[-8:]}")
+    most = PICTURE.letters
+    return clean(name if len(name) <= most else f"{name[: most - 9]}…{name[-8:]}")
 
 
 def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:

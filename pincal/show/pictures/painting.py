@@ -16,13 +16,11 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from pincal.show.style import PICTURE
 from pincal.show.view.bodies import Body
 from pincal.show.view.shapes import Shape
 
 Array = NDArray[np.float64]
-_PIECE = 10.0  # length of a rod's piece, of its radius
-_MOST_PIECES = 40
-_DARK = 0.55  # brightness of an outline, of its shape's
 _TURNS = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
 _CIRCLE = np.stack((np.cos(_TURNS), np.sin(_TURNS)), axis=1)
 _LIGHT = np.array([0.3, 0.8, 0.5])  # where it comes from: right, up, towards the viewer
@@ -57,7 +55,7 @@ def paint(
         edge: Width of outlines, [m].
         colour: One for all.
     """
-    most = 1 if colour else _MOST_PIECES  # where pieces of one colour overlap they would show
+    most = 1 if colour else PICTURE.pieces  # where pieces of one colour overlap they would show
     pieces = [
         (whole @ V.T, inner @ V.T, np.minimum(bright * np.array(to_rgb(colour or shape.colour)), 1))
         for shape, place in shapes
@@ -65,7 +63,7 @@ def paint(
     ]
     pieces.sort(key=lambda piece: round(float(piece[0][:, 2].max()), 9))
     polygons = [_hull(points[:, :2]) for whole, inner, _ in pieces for points in (whole, inner)]
-    colours = [c for *_, own in pieces for c in (_DARK * own, own)]
+    colours = [c for *_, own in pieces for c in (PICTURE.dark * own, own)]
     opacity = 0.45 if colour else None
     axes.add_collection(PolyCollection(polygons, facecolors=colours, lw=0, alpha=opacity))
 
@@ -83,7 +81,7 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float, most: int) -> list[_P
     stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
     if length * stretch < 1e-3 * edge:  # too short to be seen
         return []
-    count = int(np.clip(np.ceil(length * stretch / (_PIECE * radius)), 1, most))
+    count = int(np.clip(np.ceil(length * stretch / (PICTURE.piece * radius)), 1, most))
     cuts = np.linspace(-length / 2, length / 2, count + 1)
     thin = min(thin, length * stretch / 5)
     end = length / 2 - thin / stretch

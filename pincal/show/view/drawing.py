@@ -32,7 +32,7 @@ _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 class _Recorder:
-    """Stands where meshcat has its window; keeps commands, packed as for its viewer."""
+    """Takes the place of meshcat's window; keeps commands, packed as for its viewer."""
 
     def __init__(self) -> None:
         self.commands: list[bytes] = []
