@@ -50,10 +50,9 @@ from pincal.model.platform import Platform
 from pincal.model.platform_kind import PlatformKind
 from pincal.model.sensor import Sensor
 from pincal.model.setup import Distance, Setup, Target
-from pincal.show.notebook import register
-from pincal.show.picture import Picture, picture
-from pincal.show.report import Report, report
-from pincal.show.view import View, view
+from pincal.show.pictures.picture import Picture, picture
+from pincal.show.report.report import Report, report
+from pincal.show.view.view import View, view
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element, mirror, rotations
 from pincal.symmetry.generate import generate
@@ -71,8 +70,6 @@ from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import Grid, Samples
 from pincal.workspace.region import Workspace, compute_workspace
 from pincal.workspace.sampling import sample_configurations, sample_workspace
-
-register()  # mechanisms and results show themselves in notebooks
 
 __all__ = [
     "Accuracy",

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from command_line import run
 from measured import put, workspace
-
-import pincal
 from pincal.identification.calibrate import calibration_task
 from pincal.identification.cautions import warnings_of
-from pincal.show.calibration import calibration_summary
+
+import pincal
+from pincal.show.summary import calibration_summary
 
 NOISE = pincal.Noise(2e-5, 5e-5)
 FRAME = pincal.Setup(unknown_frame=True)

@@ -105,7 +105,7 @@ import pincal
 mechanism = pincal.load_mechanism("5R")
 data = pincal.read_measurements(sys.argv[1], mechanism)
 result = pincal.calibrate(mechanism, data)
-text = pincal.report(result, data).html()
+text = pincal.report(result).html()
 class Report:
     def html(self):
         return text
@@ -270,9 +270,9 @@ def test_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("threading.Event.wait", interrupt)
-    monkeypatch.setattr("pincal.show.server.PageServer.__init__", lambda *_: None)
-    monkeypatch.setattr("pincal.show.server.PageServer.url", "http://here/", raising=False)
-    monkeypatch.setattr("pincal.show.server.PageServer.close", lambda *_: None)
+    monkeypatch.setattr("pincal.show.view.server.PageServer.__init__", lambda *_: None)
+    monkeypatch.setattr("pincal.show.view.server.PageServer.url", "http://here/", raising=False)
+    monkeypatch.setattr("pincal.show.view.server.PageServer.close", lambda *_: None)
     outcome = run("view", "5R")
     assert outcome.code == 0
     assert outcome.out == "http://here/\n"

@@ -18,11 +18,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import pincal
-from pincal.show.bodies import body
-from pincal.show.looks import ACTIVE, PASSIVE
-from pincal.show.painting import paint
-from pincal.show.picture import Picture
-from pincal.show.shapes import Shape
+from pincal.show.pictures.painting import paint
+from pincal.show.pictures.picture import Picture
+from pincal.show.style import ACTIVE, PASSIVE
+from pincal.show.view.bodies import body
+from pincal.show.view.shapes import Shape
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 RED, BLUE = "#ff0000", "#0000ff"

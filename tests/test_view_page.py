@@ -16,7 +16,7 @@ import pytest
 
 import pincal
 from pincal.kinematics.readers import skeleton
-from pincal.show.view import View
+from pincal.show.view.view import View
 
 pytestmark = pytest.mark.slow
 

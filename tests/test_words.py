@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from lxml import html as lxml_html
-
 from pincal.words.faults import HYPOTHESES
+
 from pincal.words.numbers import (
     Measured,
     amount,
@@ -53,6 +53,7 @@ def test_numbers_as_people_read_them() -> None:
     assert (rounded(12.345), rounded(1234.5), percent(0.0123)) == ("12", "1200", "1.2 %")
     assert (listed("a"), listed("abc"), listed("ab", "or")) == ("a", "a, b and c", "a or b")
     assert capital("noise was") == "Noise was"
+    assert capital("held-out rows") == "Held-out rows"
     assert [capital(one) for one in ("l of", "leg_1.l is", "2 rows")] == [
         "l of",
         "leg_1.l is",

@@ -26,6 +26,8 @@ from pincal.words.sentences import sentences
 if TYPE_CHECKING:
     from pincal.calibration.runs import RunComparison
     from pincal.calibration.validation import Validation
+    from pincal.show.plots import Plots
+    from pincal.show.report.report import Report
 
 Array = NDArray[np.float64]
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
@@ -335,6 +337,29 @@ class CalibrationResult:
         names = ("unit", "nominal", "identified", "change", "std", "low", "high", "given")
         rows = [{name: getattr(p, name) for name in names} for p in self.parameters]
         return pd.DataFrame(rows, index=pd.Index(self.parameters.ids, name="parameter"))
+
+    def report(self, **origin: Any) -> Report:
+        """Return the report as a page: ``html()``, ``save(path)``, or shown by a notebook.
+
+        Args:
+            **origin: Of ``pincal.report``: command, files, notes, date.
+        """
+        from pincal.show.report.report import report
+
+        return report(self, **origin)
+
+    @property
+    def plot(self) -> Plots:
+        """Plots of this result, such as ``plot.residuals()``: each returns matplotlib axes."""
+        from pincal.show.plots import Plots
+
+        return Plots(self)
+
+    def _repr_html_(self) -> str:
+        """Return parameters and residuals for notebooks."""
+        from pincal.show.notebook import result_html
+
+        return result_html(self)
 
     def __repr__(self) -> str:
         return (

@@ -39,8 +39,10 @@ from pincal.files.output import refuse_existing
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
-from pincal.show.calibration import calibration_summary, calibration_tables, warnings_of
-from pincal.show.report import report
+from pincal.show.report.report import report
+from pincal.show.result_tables import calibration_tables
+from pincal.show.results import warnings
+from pincal.show.summary import calibration_summary
 
 
 class Method(StrEnum):
@@ -170,14 +172,14 @@ def calibrate(
         result, said = _checked(identify(calibration), folds)
         tell("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([] if setup is None else [setup])]
-        page = report(result, data, setup=how, command=typed(), files=files, notes=said)
+        page = report(result, command=typed(), files=files, notes=said)
         tell("drawing the report")
         result.save(output, force=force, report=page)
     for table in calibration_tables(result):
         stdout.print(table)
     for line in (*calibration_summary(data, result, page.found.errors), *said):
         stdout.print(line, markup=False)
-    for text in warnings_of(result):
+    for text in warnings(result):
         warn(text)
     wrote(output)
     answer(as_json(result))

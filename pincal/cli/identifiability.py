@@ -25,7 +25,8 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.configurations import check_reached
 from pincal.model.measurements import Noise
-from pincal.show.forecast_tables import forecast_table, poses_in_words
+from pincal.show.summary import poses_line
+from pincal.show.tables import forecast_table
 from pincal.workspace.sampling import sample_configurations
 
 
@@ -84,7 +85,7 @@ def identifiability(
     if accuracy is not None:
         needed = found.poses_for(accuracy, over)
         needed_alone = None if own is None else own.poses_for(accuracy, over)
-        stdout.print(poses_in_words(accuracy, needed, needed_alone), markup=False)
+        stdout.print(poses_line(accuracy, needed, needed_alone), markup=False)
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
     answer(
         {

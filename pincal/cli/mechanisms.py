@@ -10,7 +10,7 @@ from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.readers import tips_by_reader
-from pincal.show.tables import parameters_table
+from pincal.show.tables import nominal_table
 from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.sampling import sample_configurations
 
@@ -43,7 +43,7 @@ def check(mech: Mech) -> None:
     Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
     """
     mechanism = load_mechanism(mech)
-    stdout.print(parameters_table(mechanism))
+    stdout.print(nominal_table(mechanism))
     platform, legs = mechanism.platform, []
     home = platform.home_pose.as_matrix()
     for leg in mechanism.legs:

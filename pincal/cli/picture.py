@@ -30,8 +30,8 @@ def picture(
     their sets. With RESULT the calibrated machine is drawn too, its errors magnified. The same
     picture gives the same bytes.
     """
-    from pincal.show.picture import picture as drawn
-    from pincal.show.picture_files import picture_path
+    from pincal.show.pictures.files import picture_path
+    from pincal.show.pictures.picture import picture as drawn
 
     refuse_existing(picture_path(output), force=force)
     what = seen(mech, files, workspace, magnify)

@@ -19,7 +19,7 @@ from pincal.files.tables import read_table
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.scene import MAGNIFY, Scene
+from pincal.show.view.scene import MAGNIFY, Scene
 
 Array = NDArray[np.float64]
 Files = Annotated[

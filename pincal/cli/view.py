@@ -13,8 +13,8 @@ from pincal.cli.app import Force, Mech, app, stderr, stdout, working, wrote
 from pincal.cli.seen import Cloud, Files, Magnify, seen, tell_unreached
 from pincal.errors import FileError
 from pincal.files.output import refuse_existing
-from pincal.show.view import View
-from pincal.show.view import view as viewed
+from pincal.show.view.view import View
+from pincal.show.view.view import view as viewed
 
 
 @app.command()

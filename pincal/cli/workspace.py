@@ -225,8 +225,8 @@ def _report(
     found: Workspace, output: Path, inscribed: bool, picture: Path | None, force: bool
 ) -> None:
     """Write the positions and the picture of a workspace, and print what it is."""
+    from pincal.show.tables import workspace_table
     from pincal.show.workspace_plots import workspace_figure
-    from pincal.show.workspace_tables import workspace_table
 
     circle = None
     if inscribed and found.count:
@@ -242,7 +242,7 @@ def _report(
 
 def _draw(picture: Path, figure: Figure, force: bool) -> None:
     """Write a picture in the format of its name."""
-    from pincal.show.picture_files import save_figure
+    from pincal.show.pictures.files import save_figure
 
     save_figure(figure, picture, force=force)
     wrote(picture)
@@ -259,8 +259,8 @@ def _articular(
     force: bool,
 ) -> None:
     """Write poses and readings, over the whole workspace and at constant orientations."""
+    from pincal.show.tables import articular_table
     from pincal.show.workspace_plots import articular_figure
-    from pincal.show.workspace_tables import articular_table
 
     places, turns = axes
     if places and not turns:

@@ -194,6 +194,12 @@ class Mechanism:
         """Nominal parameter values by leg, each of shape (n_params,), SI units."""
         return {leg.name: leg.nominal for leg in self.legs}
 
+    def _repr_html_(self) -> str:
+        """Return a picture and the nominal parameters for notebooks."""
+        from pincal.show.notebook import mechanism_html
+
+        return mechanism_html(self)
+
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write ``mechanism.yaml`` and the URDFs to a new folder, whole or not at all.
 

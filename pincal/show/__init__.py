@@ -1,1 +1,1 @@
-"""How results look: tables for the terminal, plots."""
+"""How results look: tables, plots, pictures, pages."""

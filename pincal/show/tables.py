@@ -1,168 +1,239 @@
-"""Tables for people: values in the units in which machines are built, mm and mrad."""
+"""Tables of mechanisms, plans, forecasts, groups and workspaces."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from rich import box
-from rich.console import Group
-from rich.markup import escape
-from rich.table import Table
-from rich.text import Text
+import numpy as np
+from numpy.typing import NDArray
 
+from pincal.design.forecast import Forecast
+from pincal.design.platform_error import PlatformError
 from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
-from pincal.estimation.weak import WeakPair
 from pincal.model.mechanism import Mechanism
+from pincal.show.summary import forecast_lines
 from pincal.symmetry.detect import SymmetryGroup
-
-#: How small quantities are shown, errors and residuals: in what, and how many of it.
-SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("", 1.0)}
-_WEAK_LINES = 3  # pairs of parameters in words
-
-
-def plain_table() -> Table:
-    """Return an empty table in the house's looks."""
-    return Table(box=box.SIMPLE_HEAD, pad_edge=False)
+from pincal.words.numbers import SMALL, shown_in
+from pincal.words.table import Cell, Column, Table, Value
+from pincal.workspace.articular import ArticularSymmetry
+from pincal.workspace.inscribed import Inscribed
+from pincal.workspace.positions import Grid
+from pincal.workspace.region import Workspace
 
 
-def titled(title: str, table: Table, caption: str = "") -> Group:
-    """Return a table under its title, with a caption as wide as the terminal."""
-    return Group(Text(title, style="bold"), table, *([Text(caption + "\n")] if caption else []))
-
-
-def parameters_table(mechanism: Mechanism) -> Group:
-    """Return a table of nominal parameters, one column a leg, or one row where legs are more."""
+def nominal_table(mechanism: Mechanism) -> Table:
+    """Return the nominal parameters, one column a leg, or one row where legs are more."""
     names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
-    grid = [["parameter", *mechanism.leg_names, "unit"]]
+    grid: list[list[Value]] = [["parameter", *mechanism.leg_names, "unit"]]
     for name in names:
         values = [leg.nominal_by_name.get(name) for leg in mechanism.legs]
         unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
-        grid.append([name, *("" if v is None else f"{v:.6f}" for v in values), unit])
+        grid.append([name, *values, unit])
     if len(mechanism.legs) > len(names):
         grid = [list(row) for row in zip(*grid, strict=True)]
-    header, *rows = grid
-    table = plain_table()
-    for cell in header:
-        table.add_column(cell, justify="left" if cell in ("parameter", "unit") else "right")
-    for row in rows:
-        table.add_row(*row)
-    return titled(f"{mechanism.name}: nominal parameters", table)
+    heads, *rows = grid
+    columns = (Column(str(head), format=".6f") for head in heads)
+    return Table(f"{mechanism.name}: nominal parameters", tuple(columns), rows)
 
 
-def selection_table(selection: Selection) -> Group:
-    """Return a table of what a selection gives each leg."""
-    table = plain_table()
-    for name in ("leg", "poses", "efficiency", "O1", "condition"):
-        table.add_column(name, justify="left" if name == "leg" else "right")
-    for leg in selection.legs:
-        table.add_row(
-            leg.leg,
-            str(leg.poses),
-            f"{leg.efficiency:.4f}",
-            f"{leg.indices.O1_per_parameter:.4f}",
-            f"{leg.condition:.3g}",
-        )
-    return titled(
+def selection_table(selection: Selection) -> Table:
+    """Return what a selection gives each leg."""
+    return Table(
         f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
         f"{selection.candidates} candidates",
-        table,
+        (
+            Column("leg"),
+            Column("poses"),
+            Column("efficiency", format=".4f"),
+            Column("O1", format=".4f"),
+            Column("condition", format=".3g"),
+        ),
+        [
+            (leg.leg, leg.poses, leg.efficiency, leg.indices.O1_per_parameter, leg.condition)
+            for leg in selection.legs
+        ],
         "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
         "O1: of the unweighted Jacobian, over the number of parameters",
     )
 
 
-def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Group:
-    """Return a table of platform errors with nominal and with identified parameters."""
-    table = plain_table()
-    table.add_column("model")
-    table.add_column(escape("position rms [mm]"), justify="right")
-    table.add_column(escape("worst [mm]"), justify="right")
-    if turns:
-        table.add_column(escape("orientation rms [mrad]"), justify="right")
-    table.add_column("not reached", justify="right")
-    for name, one in (("nominal (before)", before), ("identified (after)", after)):
-        cells = [f"{1e3 * one.position:.4f}", f"{1e3 * one.worst_position:.4f}"]
-        cells += [f"{1e3 * one.orientation:.4f}"] if turns else []
-        table.add_row(name, *cells, str(one.unreachable))
-    ratio = [f"{before.position / after.position:.1f} times"]
-    ratio += [f"{before.worst_position / after.worst_position:.1f} times"]
-    ratio += [f"{before.orientation / after.orientation:.1f} times"] if turns else []
-    table.add_row("better by", *ratio, "")
-    return titled(f"platform error over the workspace, {before.poses} poses", table)
+def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
+    """Return how good chosen configurations are, and what they determine."""
+    rank = chosen.rank
+    lost = rank.n_params - rank.rank
+    words = f"; {lost} directions are not observable at any candidate" if lost else ""
+    return Table(
+        f"{mechanism.name}: configurations for all parameters together{words}",
+        (
+            Column("poses"),
+            Column("of"),
+            Column("efficiency", format=".3f"),
+            Column("rank", align="right"),
+            Column("measured"),
+        ),
+        [
+            (
+                len(chosen.plan.poses),
+                Cell(chosen.candidates, f"{chosen.candidates:,}"),
+                chosen.efficiency,
+                f"{rank.rank} of {rank.n_params}",
+                ", ".join(chosen.measured),
+            )
+        ],
+    )
 
 
-def symmetry_table(group: SymmetryGroup, equivariance: float) -> Group:
-    """Return a table of a group's elements, where they carry the legs, and what breaks others."""
+def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Table:
+    """Return platform errors with nominal and with identified parameters."""
+    keep = slice(None, None if turns else 2)
+    sizes = [[one.position, one.worst_position, one.orientation][keep] for one in (before, after)]
+    ratio = [old / new for old, new in zip(*sizes, strict=True)]
+    columns = [
+        Column("position rms", "m", ".4f"),
+        Column("worst", "m", ".4f"),
+        Column("orientation rms", "rad", ".4f"),
+    ]
+    return Table(
+        f"platform error over the workspace, {before.poses} poses",
+        (Column("model"), *columns[keep], Column("not reached")),
+        [
+            ("nominal (before)", *sizes[0], before.unreachable),
+            ("identified (after)", *sizes[1], after.unreachable),
+            ("better by", *(Cell(one, f"{one:.1f} times") for one in ratio), None),
+        ],
+    )
+
+
+def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
+    """Return a group's elements, where they carry the legs, and what breaks others."""
     names = group.mechanism.leg_names
-    table = plain_table()
-    table.add_column("element", no_wrap=True)
-    for name in names:
-        table.add_column(f"{name} to", no_wrap=True)
-    for element, permutation in zip(group.elements, group.permutations, strict=True):
-        table.add_row(str(element), *(names[i] for i in permutation))
     lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
     lines += [f"broken: {text}" for text in group.breaks]
     size = f"{group.name}, {len(group.elements)} elements"
-    title = f"{group.mechanism.name}: {size}, nominal geometry and modes"
-    return titled(title, table, "\n".join(lines))
-
-
-def weak_in_words(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
-    """Return which parameters are weakly told apart, and by how much; legs alike in one line."""
-    alike: dict[tuple[str, ...], list[WeakPair]] = {}
-    for pair in pairs:
-        (leg, _, name), (other_leg, _, other) = (
-            one.partition(".") for one in (pair.first, pair.second)
-        )
-        names = (name, other) if leg == other_leg else (pair.first, pair.second)
-        alike.setdefault((*names, "" if leg == other_leg else leg), []).append(pair)
-    lines = [_weak_line(key[:2], own, mechanism) for key, own in alike.items()]
-    if len(lines) > _WEAK_LINES:
-        lines[_WEAK_LINES:] = [f"{len(lines) - _WEAK_LINES} more such pairs (--json)"]
-    return lines
-
-
-def _weak_line(names: tuple[str, ...], pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
-    """Return a line on a pair of parameters, of one leg or of several; the weakest counts."""
-    worst = pairs[0]
-    legs = list(dict.fromkeys(pair.first.partition(".")[0] for pair in pairs))
-    every = "every leg" if len(legs) == len(mechanism.legs) > 1 else ", ".join(legs)
-    own = worst.second.startswith(f"{worst.first.partition('.')[0]}.")
-    if own and len(legs) == 1:
-        names = tuple(f"{legs[0]}.{name}" for name in names)
-    whose = f" of {every}" if own and len(legs) > 1 else ""
-    parts = []
-    for place, one in enumerate((worst.first, worst.second)):
-        leg, _, name = one.partition(".")
-        unit, factor = SHOWN[mechanism.leg(leg).units[name]]
-        parts.append(
-            f"{' '.join([f'{factor * worst.known[place]:.3g}', unit]).strip()} instead of "
-            f"{factor * worst.std[place]:.3g} for {names[place]}"
-        )
-    return (
-        f"{names[0]} and {names[1]}{whose} are weakly told apart, correlation "
-        f"{worst.correlation:+.3f}: if the other one were known, the standard error would be "
-        f"{' and '.join(parts)}"
+    return Table(
+        f"{group.mechanism.name}: {size}, nominal geometry and modes",
+        (Column("element"), *(Column(f"{name} to") for name in names)),
+        [
+            (str(element), *(names[i] for i in permutation))
+            for element, permutation in zip(group.elements, group.permutations, strict=True)
+        ],
+        "\n".join(lines),
+        wrap=False,
     )
 
 
-def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Group:
-    """Return how good chosen configurations are, and what they tell."""
-    table = plain_table()
-    for name, justify in (("poses", "right"), ("of", "right"), ("efficiency", "right")):
-        table.add_column(name, justify=justify)  # type: ignore[arg-type]
-    table.add_column("rank", justify="right")
-    table.add_column("measured")
-    rank = chosen.rank
-    table.add_row(
-        str(len(chosen.plan.poses)),
-        f"{chosen.candidates:,}",
-        f"{chosen.efficiency:.3f}",
-        f"{rank.rank} of {rank.n_params}",
-        ", ".join(chosen.measured),
+def forecast_table(
+    found: Forecast, error: PlatformError, planned: int, alone: PlatformError | None = None
+) -> Table:
+    """Return what a plan will give: standard errors by parameter and leg, and what they mean.
+
+    Args:
+        found: The forecast.
+        error: Of the platform over the workspace.
+        planned: Number of poses in the plan.
+        alone: The same error with each leg calibrated alone, if that can be.
+    """
+    mechanism = found.mechanism
+    names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
+    errors = dict(zip(names, found.std.tolist(), strict=True))
+    units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
+
+    def cell(leg: str, name: str, unit: str) -> Value:
+        if (std := errors.get((leg, name))) is None:
+            return None
+        return Cell(std, f"{shown_in(std, unit):.4g}" if std < np.inf else "—")
+
+    return Table(
+        f"{mechanism.name}: standard errors (1 σ) from {found.poses} poses, measured: "
+        f"{', '.join(found.measured) or 'nothing'}",
+        (Column("parameter"), Column("unit"), *(Column(leg) for leg in mechanism.leg_names)),
+        [
+            (name, Cell(unit, SMALL[unit]), *(cell(leg, name, unit) for leg in mechanism.leg_names))
+            for name, unit in units.items()
+        ],
+        "\n".join(forecast_lines(found, error, planned, alone)),
     )
-    lost = rank.n_params - rank.rank
-    words = f"; {lost} directions are not told by any candidate" if lost else ""
-    return titled(f"{mechanism.name}: configurations for all parameters together{words}", table)
+
+
+def workspace_table(
+    workspace: Workspace, inscribed: Inscribed | None = None, *, wanted: bool = False
+) -> Table:
+    """Return what a workspace is: how large, in how many orientations, by which symmetry.
+
+    Args:
+        workspace: The workspace.
+        inscribed: Its largest circle or ball.
+        wanted: Whether one was looked for.
+    """
+    asked, test = workspace.asked, workspace.test
+    name, unit = {1: ("length", "m"), 2: ("area", "m²"), 3: ("volume", "m³")}[asked.dimension or 1]
+    how = "at most: half a cell along the edge" if isinstance(asked, Grid) else "95 %"
+    apart = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
+    least, type2 = test.least, test.least.least_type2(test.mechanism)
+    sides = "both sides of type 2" if type2 == -np.inf else f"type 2 ≥ {type2:.3g}"
+    every = "in every one of" if test.every else "in any of"
+    facts = [
+        (name, f"{workspace.measure:.5g} ± {workspace.uncertainty:.2g} {unit} ({how})"),
+        ("positions", f"{workspace.count:,} of {asked.size:,} count{apart}"),
+        ("orientations", f"{every} {len(test.orientations):,}"),
+        ("margins", f"type 1 ≥ {least.type1:.3g}, {sides}"),
+        ("symmetry", _by_symmetry(workspace)),
+    ]
+    if workspace.cut:
+        facts.append(("", "cut off by the edge of the grid: widen the axes to see the whole"))
+    if inscribed is None and wanted:
+        facts.append(("largest inscribed", "none: no position counts"))
+    if inscribed:
+        kept = len(asked.axes) if isinstance(asked, Grid) else 3
+        centre = ", ".join(f"{v + 0.0:.4f}" for v in inscribed.centre[:kept].round(6))
+        body = "ball" if asked.dimension == 3 else "circle"
+        loose = inscribed.bound > 1.001 * inscribed.radius
+        touches = f"; none is larger than {inscribed.bound:.4f} m" if loose else ""
+        touches += "; it touches the edge of the grid" if inscribed.at_edge else ""
+        radius = f"radius {inscribed.radius:.4f} m around ({centre}) m{touches}"
+        facts.append((f"largest {body}", radius))
+    title = f"{test.mechanism.name}: {workspace.kind} workspace"
+    return Table(title, (Column("what"), Column("is")), facts, heads=False)
+
+
+def _by_symmetry(workspace: Workspace) -> str:
+    """Return which elements were used, and which were not."""
+    used = ", ".join(str(e) for e in workspace.elements)
+    text = f"{workspace.computed:,} positions computed"
+    if len(workspace.elements) > 1:
+        text += f", the others by {len(workspace.elements)} elements: {used}"
+    if workspace.unused:
+        left = ", ".join(str(e) for e in workspace.unused)
+        text += f"; not used, or not a symmetry of these positions and orientations: {left}"
+    return text
+
+
+def articular_table(
+    mechanism: Mechanism,
+    spaces: Mapping[str, NDArray[np.float64]],
+    checks: Sequence[ArticularSymmetry],
+) -> Table:
+    """Return the extent of spaces of readings, and whether permuted readings are reached."""
+    rows: list[tuple[Value, ...]] = []
+    for name, readings in spaces.items():
+        heads: tuple[Value, Value] = (name, Cell(len(readings), f"{len(readings):,}"))
+        read = zip(mechanism.reading_names, mechanism.reading_units, readings.T, strict=True)
+        for reading, unit, column in read:
+            low, high = (column.min(), column.max()) if len(column) else (np.nan, np.nan)
+            ends = (Cell(float(low), f"{low:.3f}"), Cell(float(high), f"{high:.3f} [{unit}]"))
+            rows.append((*heads, reading, *ends))
+            heads = ("", None)
+    lines = [
+        f"{check.element}: {check.solved} of {check.asked} permuted readings solved, "
+        f"{check.inside} in the workspace, at most {check.off:.2g} from the carried pose"
+        for check in checks
+    ]
+    return Table(
+        f"{mechanism.name}: articular-variables space",
+        tuple(map(Column, ("space", "poses", "leg", "from", "to"))),
+        rows,
+        "\n".join(lines or ["no symmetry but the identity"]),
+        wrap=False,
+    )

@@ -12,17 +12,14 @@ from matplotlib.patches import Circle, Patch
 from numpy.typing import NDArray
 
 from pincal.model.mechanism import Mechanism
-from pincal.show.colours import COLOURS
-from pincal.show.plots import MARKERS
+from pincal.show.style import CARRIED, COLOURS, DOMAIN, MANY, look
 from pincal.workspace.articular import equal_sums
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]
-_DOMAIN, _CARRIED = COLOURS[0], "#A9CBE8"
 _MOST_SLICES = 9
-_MANY = 2000  # positions from which they are drawn as pixels
 _CURVED = 4  # straight pieces of a cell's arc
 
 
@@ -37,11 +34,11 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
         draw_workspace(axes, workspace, level, inscribed)
     for axes in panels[len(levels) :]:
         axes.set_axis_off()
-    handles = [Patch(color=_DOMAIN, label="computed: fundamental domain")]
+    handles = [Patch(color=DOMAIN, label="computed: fundamental domain")]
     if len(workspace.elements) > 1:
-        handles.append(Patch(color=_CARRIED, label="follows by symmetry"))
+        handles.append(Patch(color=CARRIED, label="follows by symmetry"))
     else:
-        handles = [Patch(color=_DOMAIN, label="counts")]
+        handles = [Patch(color=DOMAIN, label="counts")]
     if inscribed:
         handles.append(Patch(fill=False, edgecolor=COLOURS[1], label="largest inscribed"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
@@ -82,18 +79,18 @@ def draw_workspace(
         here = np.abs(positions[:, 2] - level) <= 1e-9 * max(1.0, abs(level))
         index, positions = index[here], positions[here]
     own = workspace.representative(index)
-    colours = np.where(own & (not plain), _DOMAIN, _CARRIED)
+    colours = np.where(own & (not plain), DOMAIN, CARRIED)
     if isinstance(workspace.asked, Grid):
         cells = _cells(workspace.asked, index)
         outlines = PolyCollection(list(cells), facecolors=colours, edgecolors="face", lw=0.2)
-        outlines.set_rasterized(len(index) > _MANY)  # a vector picture stays small
+        outlines.set_rasterized(len(index) > MANY)  # a vector picture stays small
         axes.add_collection(outlines)
     else:
-        many = len(index) > _MANY
+        many = len(index) > MANY
         axes.scatter(positions[:, 0], positions[:, 1], c=colours, s=2, lw=0, rasterized=many)
     for place, leg in enumerate(() if plain else workspace.test.mechanism.legs):
         base = leg.joints[0].placement.xyz
-        axes.plot(*base[:2], MARKERS[place % len(MARKERS)], color="0.25", ms=6)
+        axes.plot(*base[:2], look(place).marker, color="0.25", ms=6)
         if level is None:
             axes.annotate(leg.name, base[:2], xytext=(5, 5), textcoords="offset points", size=7)
     if inscribed and abs(inscribed.centre[2] - (level or 0.0)) < inscribed.radius:
@@ -159,8 +156,8 @@ def articular_figure(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figur
     for axes, (first, second) in zip(panels, pairs, strict=False):
         for index, (title, readings) in enumerate(spaces.items()):
             x, y = readings[:, first], readings[:, second]
-            colour = COLOURS[index % len(COLOURS)]
-            axes.plot(x, y, ".", ms=1.5, color=colour, label=title, rasterized=len(x) > _MANY)
+            colour = look(index).colour
+            axes.plot(x, y, ".", ms=1.5, color=colour, label=title, rasterized=len(x) > MANY)
         axes.set_xlabel(f"{names[first]} [{units[first]}]")
         axes.set_ylabel(f"{names[second]} [{units[second]}]")
         axes.set_aspect("equal")
@@ -186,8 +183,8 @@ def _plane_of_equal_sums(mechanism: Mechanism, spaces: Mapping[str, Array]) -> F
     for place, (title, readings) in enumerate(spaces.items(), 2):
         axes = figure.add_subplot(rows, columns, place)
         across, up, _ = equal_sums(readings).T
-        colour = COLOURS[(place - 2) % len(COLOURS)]
-        axes.plot(across, up, ".", ms=1.5, color=colour, rasterized=len(across) > _MANY)
+        colour = look(place - 2).colour
+        axes.plot(across, up, ".", ms=1.5, color=colour, rasterized=len(across) > MANY)
         reach = 1.1 * float(np.abs([across, up]).max(initial=1e-9))
         for k in range(3):
             direction = np.array([np.cos(2 * np.pi * k / 3), np.sin(2 * np.pi * k / 3)])

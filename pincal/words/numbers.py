@@ -65,7 +65,7 @@ def counted(count: int, one: str, many: str = "") -> str:
 def capital(text: str) -> str:
     """Return a sentence with a capital, unless it begins with a name such as ``leg_1.l``."""
     first = text.partition(" ")[0].rstrip(":,")
-    named = len(first) == 1 or any(not letter.isalpha() for letter in first.strip("-()"))
+    named = len(first) == 1 or any(one.isdigit() or one in "_." for one in first)
     return text if named else f"{text[:1].upper()}{text[1:]}"
 
 

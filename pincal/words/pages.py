@@ -10,7 +10,7 @@ import re
 from functools import cache
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -24,11 +24,17 @@ def _cleaned(value: Any) -> Any:
     return clean(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
+def rendered(template: str, **values: Any) -> str:
+    """Return a template of ``pincal/words/pages`` or ``pincal/show/pages`` with values."""
+    return _environment().get_template(template).render(**values)
+
+
 @cache
-def environment(package: str) -> Environment:
-    """Return the templates of a package of pincal, those beside its modules."""
+def _environment() -> Environment:
     return Environment(
-        loader=PackageLoader(package, ""),
+        loader=ChoiceLoader(
+            [PackageLoader("pincal.words", ""), PackageLoader("pincal.show", "pages")]
+        ),
         autoescape=True,
         finalize=_cleaned,
         undefined=StrictUndefined,

@@ -1,7 +1,7 @@
-"""What is said of a calibration's result: noise, fit, parameters, outliers, held-out rows, runs.
+"""What is said of a calibration's fit: noise, residuals, outliers, held-out rows, runs.
 
-Each code's ``values`` say what a finding of it holds, in SI; ids are those of parameters
-(``leg_1.l``). Rows and parameters concerned are the finding's own ``rows`` and ``parameters``.
+Each code's ``values`` say what a finding of it holds, in SI; rows
+and parameters concerned are the finding's own ``rows`` and ``parameters``.
 """
 
 from __future__ import annotations
@@ -10,15 +10,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.model.finding import Finding
-from pincal.words.numbers import amount, counted, listed, size
-from pincal.words.wording import Wording, groups_in_words
-
-#: How each option is named that lets a calibration look for what its data leave open.
-_OPTIONS = {
-    "unknown-frame": "the base may be elsewhere in the frame of the measurements (--unknown-frame)",
-    "unknown-target": "what was measured may not be the platform's origin (--unknown-target or "
-    "--setup)",
-}
+from pincal.words.numbers import amount, counted, listed
+from pincal.words.wording import P_VALUE, Wording
 
 
 def _noise_assumed(found: Finding) -> str:
@@ -67,44 +60,6 @@ _CHI2_VALUES = {
 _GIVE_NOISE = "Give the noise (--noise-position, --noise-orientation, --noise-reading)"
 
 
-def _weak(found: Finding) -> str:
-    v, count = found.values, len(found.parameters)
-    which = f"{v['parameter']} is" if count == 1 else f"{count} parameters are"
-    worst = "known" if count == 1 else f"{v['parameter']}"
-    return f"{which} weakly determined, {worst} to ± {v['half']:.2g} {_si(v['unit'])} only".replace(
-        "  ", " "
-    )
-
-
-def _weak_remedy(found: Finding) -> str:
-    hold = "" if found.values["held"] else ", hold it at nominal (--hold-undetermined)"
-    return f"Measure poses that determine more{hold}, or say how well nominal values are known " + (
-        "(--prior)"
-    )
-
-
-def _si(unit: str) -> str:
-    return "" if unit == "1" else unit
-
-
-def _far(found: Finding) -> str:
-    v = found.values
-    by = f"{v['change']:+.3g} {_si(v['unit'])}".strip()
-    return f"{v['parameter']} moved by {by}, farther than a machine differs from its drawing"
-
-
-def _far_remedy(found: Finding) -> str:
-    return (
-        "Check units, the order of the readings, and the frame of the measurements"
-        f"{options(found.values['options'])}"
-    )
-
-
-def options(left: tuple[str, ...]) -> str:
-    """Return options that were not used and may help, in brackets; empty if there are none."""
-    return f" ({'; '.join(_OPTIONS[one] for one in left)})" if left else ""
-
-
 def _outliers(found: Finding) -> str:
     v, count = found.values, len(found.rows)
     which = "data row" if count == 1 else "the worst data row"
@@ -118,11 +73,6 @@ def _outliers(found: Finding) -> str:
 def _outliers_remedy(found: Finding) -> str:
     them = "it" if len(found.rows) == 1 else "them"
     return f"Look at {them}, or use a robust loss (--robust reject)"
-
-
-def _few(found: Finding) -> str:
-    v = found.values
-    return f"{', '.join(v['legs'])}: {v['poses']} poses for {v['unknowns']} parameters"
 
 
 def _held_out(found: Finding) -> str:
@@ -152,32 +102,6 @@ def _runs(found: Finding) -> str:
     )
 
 
-def _tie(found: Finding) -> str:
-    v = found.values
-    return (
-        f"{v['name']} is tied over the legs, and the measurements contradict that "
-        f"(p = {v['p_value']:.2g})"
-    )
-
-
-def _one_body(found: Finding) -> str:
-    v = found.values
-    by = size(v["shift"], v["turn"])
-    return (
-        f"{100 * v['share']:.0f} % of what the nominal model is off by (in squares) is one motion "
-        f"of the {v['frame']}'s frame, by {by}; parameters that differ each in its own way hardly "
-        f"move so (p = {v['p_value']:.1g})"
-    )
-
-
-def _one_body_remedy(found: Finding) -> str:
-    how = {
-        "unknown-frame": "Is the tracker's frame the base's (--unknown-frame)?",
-        "unknown-target": "Is the target the platform's origin (--unknown-target)?",
-    }[found.values["option"]]
-    return f"{how} Else where the frame lies is taken for errors of the machine"
-
-
 def _unequal(found: Finding) -> str:
     v = found.values
     return (
@@ -195,18 +119,6 @@ def _unequal_remedy(found: Finding) -> str:
     )
 
 
-def _held(found: Finding) -> str:
-    v = found.values
-    parts = [groups_in_words(v["groups"])] if v["groups"] else []
-    parts += [f"{listed(v['weak'])} are weakly determined"] if v["weak"] else []
-    return f"these measurements do not determine everything: {'; '.join(parts)}"
-
-
-def _unused(found: Finding) -> str:
-    v = found.values
-    return f"{v['unused']} of {v['total']} measured poses serve other legs only"
-
-
 def _excess(found: Finding) -> str:
     more = (
         f"residuals are {found.values['excess']:.3g} times as large as the noise given makes them"
@@ -216,7 +128,6 @@ def _excess(found: Finding) -> str:
     )
 
 
-_P = "probability of such a value, or a larger one, if the model is right"
 RESULTS: dict[str, Wording] = {
     "not-converged": Wording(
         "The fit did not converge",
@@ -326,90 +237,12 @@ RESULTS: dict[str, Wording] = {
         "those, the worst first.",
         "Look for a slip there first, or leave such rows out (--robust reject)",
     ),
-    "few-poses": Wording(
-        "Few poses",
-        {
-            "legs": "names of the legs",
-            "poses": "number of poses of each",
-            "unknowns": "number of parameters of each",
-        },
-        _few,
-        "So few equations that residuals are small whatever the machine is.",
-        "Measure more: two or three times as many poses as parameters are advised",
-    ),
-    "unused-poses": Wording(
-        "Poses that serve one leg only",
-        {"unused": "number of poses that do not serve every leg", "total": "number of poses"},
-        _unused,
-        "Each leg was identified by the poses of its set only.",
-        "--poses all lets every leg use every pose",
-        "info",
-    ),
-    "weakly-determined": Wording(
-        "Weakly determined parameters",
-        {
-            "parameter": "id of the worst",
-            "half": "half width of its 95 % interval [unit]",
-            "unit": "its unit",
-            "held": "whether undetermined directions were held already",
-        },
-        _weak,
-        "A standard error is larger than machines differ from their drawings: the number is noise. "
-        "The finding's parameters are all of them.",
-        _weak_remedy,
-    ),
-    "undetermined-held": Wording(
-        "Undetermined parameters were held",
-        {
-            "groups": "ids of parameters that move together, a tuple for each lost direction",
-            "weak": "ids of parameters that are weakly determined and were held too",
-        },
-        _held,
-        "What is named was held as near to nominal as can be: the machine is calibrated where it "
-        "was measured; elsewhere it may be off.",
-        "Held as near to nominal as can be, so that the machine is calibrated where it was "
-        "measured only",
-    ),
-    "far-from-nominal": Wording(
-        "A parameter moved far",
-        {
-            "parameter": "id",
-            "change": "identified less nominal [unit]",
-            "unit": "its unit",
-            "options": 'options that were not used: of "unknown-frame", "unknown-target"',
-        },
-        _far,
-        "A parameter moved by more than 5 % of the mechanism's size, or 0.05 rad or 1. If the "
-        "drawing is known roughly only, say so (--rough).",
-        _far_remedy,
-    ),
-    "moved-as-one-body": Wording(
-        "Parameters moved as one body",
-        {
-            "frame": '"base" or "platform"',
-            "share": "share of the squares of the nominal model's error",
-            "shift": "translation of the frame [m]",
-            "turn": "rotation of the frame [rad]; None for a platform that does not turn",
-            "p_value": "probability of so much motion as one body by chance",
-            "option": '"unknown-frame" or "unknown-target"',
-        },
-        _one_body,
-        "More likely the tracker, or the target, was not aligned, than that the machine is such.",
-        _one_body_remedy,
-    ),
-    "tie-contradicted": Wording(
-        "A tie does not hold",
-        {"name": "name of the tied parameters, or several with commas", "p_value": _P},
-        _tie,
-        "The legs differ in this parameter by more than their standard errors explain (1 %).",
-        "Leave the tie out (--tie)",
-    ),
     "held-out-worse": Wording(
         "Held-out rows miss by more than is expected",
         {
             "held_out": "root mean square residual of held-out rows [standard deviations]",
             "expected": "the same, as expected",
-            "p_value": _P,
+            "p_value": P_VALUE,
         },
         _held_out,
         "Rows that a fit has not seen miss by more than is explained (p below 0.001).",
@@ -424,7 +257,7 @@ RESULTS: dict[str, Wording] = {
     ),
     "runs-differ": Wording(
         "Runs differ",
-        {"ratio": "spread over the runs, in predicted standard errors", "p_value": _P},
+        {"ratio": "spread over the runs, in predicted standard errors", "p_value": P_VALUE},
         _runs,
         "Runs, calibrated each alone, spread more than their standard errors say (p below 0.001). "
         "The finding's parameters are the three that differ most.",

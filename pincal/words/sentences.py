@@ -2,7 +2,7 @@
 
 ``finding("chi2-too-large", chi2=2.1, ...)`` makes a ``Finding`` and checks that it has the values
 which its sentence needs; ``sentence(found)`` says it. The codes are, with their values, titles
-and remedies, in ``pincal.words.results``, ``freedoms`` and ``hypotheses``.
+and remedies, in ``pincal.words``: ``results``, ``parameters``, ``freedoms``, ``hypotheses``.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from typing import Any
 from pincal.model.finding import Finding
 from pincal.words import hypotheses
 from pincal.words.freedoms import FREEDOMS
+from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
 from pincal.words.wording import Wording
 
 #: What is said of each code.
-WORDINGS: Mapping[str, Wording] = {**RESULTS, **FREEDOMS}
+WORDINGS: Mapping[str, Wording] = {**RESULTS, **PARAMETERS, **FREEDOMS}
 
 
 def finding(
@@ -48,7 +49,7 @@ def finding(
 def sentence(found: Finding) -> str:
     """Return what was found and what to do about it.
 
-    It begins with a small letter, as it stands behind ``warning:``, and ends without a full stop.
+    It begins with a small letter, as it follows ``warning:``, and ends without a full stop.
     """
     if found.code not in WORDINGS:
         return hypotheses.sentence(found)

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
-from pincal.errors import PincalError
 from pincal.words.numbers import SMALL, Measured, shown_in
 
 if TYPE_CHECKING:
@@ -84,6 +83,17 @@ class Table:
     """What to know of it."""
     grouped: bool = False
     """Whether the first column heads groups of rows: said once in each."""
+    heads: bool = True
+    """Whether columns have heads; a list of facts has none."""
+    wrap: bool = True
+    """Whether words may be broken over lines where a terminal is narrow."""
+
+    def only(self, *names: str, caption: str = "") -> Table:
+        """Return the table with some of its columns, those that it has, and another caption."""
+        kept = [i for i, column in enumerate(self.columns) if column.name in names]
+        rows = [[row[i] for i in kept] for row in self.rows]
+        columns = tuple(self.columns[i] for i in kept)
+        return replace(self, columns=columns, rows=rows, caption=caption)
 
     def cells(self) -> list[list[str]]:
         """Return all cells as text, those of a group's name but once."""
@@ -116,12 +126,10 @@ class Table:
         """Return the rows as a pandas DataFrame, raw values in SI; uncertainties in own columns.
 
         Raises:
-            PincalError: pandas is not installed.
+            ImportError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise PincalError("a DataFrame needs pandas: pip install pandas") from error
+        import pandas  # nothing else needs it
+
         found = []
         for row in self.rows:
             record: dict[str, Any] = {}
@@ -141,10 +149,10 @@ class Table:
 
     def html(self) -> str:
         """Return the table as HTML, in a frame that scrolls where the page is too narrow."""
-        from pincal.words.pages import environment
+        from pincal.words.pages import rendered
 
-        template = environment("pincal.words").get_template("table.html")
-        return template.render(table=self, sides=self.aligned, short=len(self.rows) <= _SHORT)
+        short = len(self.rows) <= _SHORT
+        return rendered("table.html", table=self, sides=self.aligned, short=short)
 
     def __html__(self) -> str:
         """Return the table for templates, which escape text but not this."""
@@ -160,9 +168,10 @@ class Table:
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
+        style = box.SIMPLE_HEAD if self.heads else None
+        drawn = RichTable(box=style, pad_edge=False, show_header=self.heads)
         for place, (column, side) in enumerate(zip(self.columns, self.aligned, strict=True)):
-            fold = side == "left" and not (place and self.grouped)
+            fold = self.wrap and side == "left" and not (place and self.grouped)
             drawn.add_column(Text(column.head), justify=side, no_wrap=not fold)
         cells = self.cells()
         for row, after in zip(cells, [*cells[1:], [""]], strict=False):

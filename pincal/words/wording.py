@@ -10,6 +10,10 @@ from pincal.model.finding import Finding, Severity
 
 #: Words that need no values, or a function of the finding.
 Words: TypeAlias = str | Callable[[Finding], str]
+#: Groups of parameters in a sentence; result.json has all.
+LISTED = 4
+#: What a p-value of a finding is.
+P_VALUE = "probability of such a value, or a larger one, if the model is right"
 
 
 @dataclass(frozen=True)
@@ -37,11 +41,11 @@ class Wording:
         return self.remedy if isinstance(self.remedy, str) else self.remedy(found)
 
 
-def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = 4) -> str:
+def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = LISTED) -> str:
     """Return which parameters move together, a list cut where it is long.
 
     Args:
-        groups: Ids of parameters; one that stands alone has no effect.
+        groups: Ids of parameters; one that is alone has no effect.
         most: How many groups are listed.
     """
     parts = [

@@ -1,0 +1,1 @@
+"""A mechanism as a flat picture, in files and on pages."""

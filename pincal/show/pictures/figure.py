@@ -1,0 +1,146 @@
+"""A scene drawn by matplotlib: ground, workspace, ghosts, the mechanism, names, a legend."""
+
+from __future__ import annotations
+
+from itertools import cycle
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from pincal.model.measurements import EVERY_LEG
+from pincal.show.pictures.painting import paint, placed
+from pincal.show.pictures.svg import drawing
+from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
+from pincal.show.view.looks import TOWARDS_VIEWER, frame_axes, grid_step, ground, set_colour
+from pincal.show.view.scene import Scene
+from pincal.words.pages import clean
+
+Array = NDArray[np.float64]
+
+
+def scene_figure(scene: Scene, row: int) -> Figure:
+    """Return a figure of a scene, the mechanism at one of its poses."""
+    with drawing():
+        width, height = np.ptp(_extent(scene, row), axis=0)
+        inches = PICTURE.legend + np.clip(PICTURE.width * height / width, *PICTURE.heights)
+        figure = Figure(figsize=(PICTURE.width, float(inches)), layout="constrained")
+        draw_scene(figure.subplots(), scene, row)
+    return figure
+
+
+def _axes_of_view(planar: bool) -> Array:
+    """Return what points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
+    if planar:
+        return np.eye(3)
+    towards = np.array(TOWARDS_VIEWER) / np.linalg.norm(TOWARDS_VIEWER)
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    return np.stack((right, np.cross(towards, right), towards))
+
+
+def _extent(scene: Scene, row: int) -> Array:
+    """Return the least and largest of what is seen, right and up, shape (2, 2), [m]."""
+    V = _axes_of_view(scene.planar)
+    tips = np.array([2 * axis.T_link_shape[:3, 3] for axis in frame_axes(scene)])
+    T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
+    points = np.concatenate(
+        (scene.points(), tips @ T_base_platform[:3, :3].T + T_base_platform[:3, 3])
+    )
+    low, high = np.nanmin(points @ V[:2].T, axis=0), np.nanmax(points @ V[:2].T, axis=0)
+    margin = 0.06 * float(np.max(high - low))
+    return np.stack((low - margin, high + margin))
+
+
+def draw_scene(axes: Axes, scene: Scene, row: int) -> Axes:
+    """Draw a scene, the mechanism at one of its poses."""
+    V = _axes_of_view(scene.planar)
+    low, high = _extent(scene, row)
+    edge = PICTURE.edge * float(np.linalg.norm(high - low))
+    axes.add_collection(
+        LineCollection(list(ground(scene) @ V[:2].T), colors=GROUND, lw=0.5, zorder=0)
+    )
+    legend = [Line2D([], [], color=GROUND, lw=0.8, label=f"grid {1e3 * grid_step(scene):.6g} mm")]
+    if scene.cloud:
+        colours = np.where(scene.cloud.domain, DOMAIN, CARRIED)
+        at, up = (scene.cloud.positions @ V[:2].T).T
+        axes.scatter(at, up, s=1.5, c=colours.tolist(), lw=0, zorder=0.3, rasterized=True)
+    if len(scene.plan.poses) > 1:
+        legend += _ghosts(axes, scene, V)
+    frame = frame_axes(scene)
+    shapes = [(shape, np.eye(4)) for shape in frame]
+    T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
+    shapes += [(shape, T_base_platform) for shape in frame]
+    paint(axes, [*shapes, *placed(scene.body, row)], V, edge)
+    if scene.identified:
+        paint(axes, placed(scene.identified.body, row), V, edge, IDENTIFIED)
+        label = f"identified, errors × {scene.identified.magnify:g}"
+        legend.append(_dot(IDENTIFIED, label))
+    legend.append(_dot(ACTIVE, "active joint"))
+    if any(leg.passive for leg in scene.mechanism.legs):
+        legend.append(_dot(PASSIVE, "passive joint"))
+    _name_legs(axes, scene, V, (low + high) / 2)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set_axis_off()
+    axes.legend(
+        handles=legend,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        ncols=int(np.clip(PICTURE.line / max(len(str(one.get_label())) for one in legend), 1, 3)),
+        frameon=False,
+        handlelength=1.2,
+        columnspacing=1.4,
+    )
+    return axes
+
+
+def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
+    """Return a legend's line: a dot and its meaning."""
+    return Line2D([], [], marker=marker, ls="", ms=5, color=colour, label=label)
+
+
+def _short(name: str) -> str:
+    """Return a name, its middle left out where there is no room for it."""
+    most = PICTURE.letters
+    return clean(name if len(name) <= most else f"{name[: most - 9]}…{name[-8:]}")
+
+
+def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
+    """Draw all poses as lines from joint to joint, by set, and return their legend."""
+    skeletons = scene.body.skeletons() @ V[:2].T
+    at = scene.body.placements[:, scene.body.part("platform/body"), :3, 3] @ V[:2].T
+    faint = float(np.clip(8 / len(at), 0.12, 0.5))
+    legend = []
+    for name, marker in zip(dict.fromkeys(scene.sets), cycle(MARKERS), strict=False):
+        own = np.array(scene.sets) == name
+        colour = set_colour(scene, name)
+        lines = skeletons[own].reshape(-1, 2, 2)
+        lines = lines[np.isfinite(lines).all(axis=(1, 2))]
+        axes.add_collection(
+            LineCollection(list(lines), colors=colour, lw=0.7, alpha=faint, zorder=0.5)
+        )
+        axes.plot(*at[own].T, marker, ms=3, color=colour, zorder=0.6)
+        whose = f" for {_short(name)}" if name not in ("", EVERY_LEG) else ""
+        count = f"{own.sum()} pose{'s' if own.sum() > 1 else ''}"
+        legend.append(_dot(colour, f"{count}{whose}", marker))
+    return legend
+
+
+def _name_legs(axes: Axes, scene: Scene, V: Array, middle: Array) -> None:
+    """Write the legs' names at their feet, away from the mechanism."""
+    feet = np.array([leg.joints[0].placement.xyz for leg in scene.mechanism.legs]) @ V[:2].T
+    outward = feet - middle
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
+    for leg, foot, (right, up) in zip(scene.mechanism.legs, feet, outward.tolist(), strict=True):
+        axes.annotate(
+            _short(leg.name),
+            (float(foot[0]), float(foot[1])),
+            xytext=(13 * right, 13 * up),
+            textcoords="offset points",
+            ha="center" if abs(right) < 0.4 else "left" if right > 0 else "right",
+            va="center" if abs(up) < 0.4 else "bottom" if up > 0 else "top",
+            size=8,
+        )

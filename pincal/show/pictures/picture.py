@@ -1,0 +1,100 @@
+"""``pincal.picture``: a view's scene as a flat picture, for pages that nothing moves on.
+
+Mechanisms in a plane are seen from above, others from the side, in parallel projection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform
+
+from pincal.errors import MeasurementError
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
+from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
+
+if TYPE_CHECKING:  # matplotlib is imported where it is needed
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture of a scene: the mechanism at one pose, all other poses as faint lines."""
+
+    scene: Scene
+    row: int = 0
+    """Which pose the mechanism is drawn at."""
+
+    def draw(self, axes: Axes) -> Axes:
+        """Draw into axes; as its makers meant it, inside ``pincal.show.pictures.svg.drawing()``."""
+        from pincal.show.pictures.figure import draw_scene
+
+        return draw_scene(axes, self.scene, self.row)
+
+    def figure(self) -> Figure:
+        """Return a figure of its own."""
+        from pincal.show.pictures.figure import scene_figure
+
+        return scene_figure(self.scene, self.row)
+
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the picture as .svg, .png or .pdf, whole or not at all, and return its path.
+
+        The same picture gives the same bytes.
+
+        Raises:
+            FileError: the name ends otherwise, or the file exists and ``force`` is not set, or
+                it cannot be written.
+        """
+        from pincal.show.pictures.files import save_figure
+
+        return save_figure(self.figure(), path, force=force)
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture for notebooks."""
+        from pincal.show.pictures.files import figure_bytes
+
+        return figure_bytes(self.figure(), "png")
+
+
+def picture(
+    mechanism: Mechanism,
+    poses: Plan | ArrayLike | RigidTransform | None = None,
+    *,
+    row: int = 0,
+    workspace: ArrayLike | None = None,
+    identified: Mechanism | None = None,
+    magnify: float = MAGNIFY,
+) -> Picture:
+    """Return a picture of a mechanism: ``save(path)``, ``figure()``, ``draw(axes)``.
+
+    What ``view`` shows, without a browser: mechanisms in a plane from above, others from the
+    side.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        poses: As for ``view``; home if not given.
+        row: Which of them the mechanism is drawn at; all others are faint lines, by set.
+        workspace: As for ``view``.
+        identified: The calibrated mechanism, drawn over the nominal one.
+        magnify: Factor on what differs between its parameters and the nominal ones.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
+            is not one of this mechanism.
+        MeasurementError: no poses, too many or not whole, no such row; a workspace of a wrong
+            shape; a factor that is not positive.
+    """
+    plan = plan_of(mechanism, [mechanism.platform.home] if poses is None else poses)
+    if not 0 <= row < max(len(plan.poses), 1):
+        raise MeasurementError(
+            f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"
+        )
+    cloud = None if workspace is None else np.asarray(workspace, np.float64)
+    return Picture(scene(mechanism, plan, cloud, identified, magnify), row)

@@ -1,0 +1,1 @@
+"""A calibration as one page: to read, print and keep."""

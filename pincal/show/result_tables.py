@@ -1,0 +1,154 @@
+"""Tables of a calibration, in the units in which people read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pincal.calibration.result import CalibrationResult, IdentifiedParameter
+from pincal.show.results import (
+    Series,
+    legs_series,
+    observed_series,
+    parameters,
+    readings_exact,
+)
+from pincal.words.numbers import SMALL, VALUES, fixed, shown_in
+from pincal.words.table import Cell, Column, Table, Value
+
+_HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
+SIGMA = "σ: what the noise alone makes of residuals"
+CONDITION = "condition: of the leg's whitened identification Jacobian, columns scaled"
+
+
+def calibration_tables(result: CalibrationResult) -> list[Table]:
+    """Return all tables of a calibration that a terminal shows."""
+    tables = [parameters_table(result), legs_table(result)]
+    tables += [outside_table(result)] if result.external else []
+    tables += [observed_table(result)] if result.observed else []
+    tables += [outliers_table(result)] if result.outliers and result.loss != "none" else []
+    return tables
+
+
+def parameters_table(result: CalibrationResult) -> Table:
+    """Return identified parameters with 95 % intervals and changes."""
+    given = [p.given.replace("fixed", "") for _, p in parameters(result)]
+    rows: list[Sequence[Value]] = [(leg.name, *_cells(p)) for leg, p in parameters(result)]
+    heads: tuple[str, ...] = ("leg", *_HEADS)
+    if any(given):
+        heads, rows = (
+            (*heads, "given"),
+            [(*row, one) for row, one in zip(rows, given, strict=True)],
+        )
+    return Table(
+        f"{result.nominal.name}: parameters, nominal and identified",
+        tuple(map(Column, heads)),
+        rows,
+        "change [σ]: by how many standard errors the parameter moved",
+        grouped=True,
+    )
+
+
+def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
+    """Return the cells of a parameter below ``_HEADS``."""
+    half, change = (p.high - p.low) / 2, p.identified - p.nominal
+    known = half > 0.0
+    interval = fixed(half, half, p.unit) if known else (p.given or "held") if half == 0.0 else ""
+    return (
+        p.name,
+        Cell(p.nominal, fixed(p.nominal, half, p.unit)),
+        Cell(p.identified, fixed(p.identified, half, p.unit)),
+        Cell(half if known else None, interval),
+        Cell(p.unit, VALUES[p.unit]),
+        Cell(change, "" if p.given == "fixed" else fixed(change, half, p.unit, sign="+")),
+        Cell(change / p.std, f"{change / p.std:+.1f}") if p.std > 0.0 else None,
+    )
+
+
+def outside_table(result: CalibrationResult) -> Table:
+    """Return the unknowns outside the mechanism: frames and targets."""
+    return Table(
+        "Outside the mechanism",
+        tuple(map(Column, ("unknown", "start", *_HEADS[2:5]))),
+        [_cells(p)[:5] for p in result.external],
+        "frame: where the base is in the frame of the measurements (rx, ry, rz a rotation vector); "
+        "others: where what was measured is on the platform",
+    )
+
+
+def legs_table(result: CalibrationResult) -> Table:
+    """Return residuals, rank and condition of each leg."""
+    exact = readings_exact(result)
+    sizes = () if exact else ("rms before", "rms after", "σ", "unit")
+    columns = [Column(name) for name in ("leg", *sizes, "poses")]
+    rows: list[Sequence[Value]] = [
+        (
+            leg.name,
+            *(() if exact else _sizes(one)),
+            leg.n_poses,
+            f"{leg.rank} of {len(leg.parameters)}",
+            leg.condition,
+        )
+        for leg, one in zip(result.legs, legs_series(result), strict=True)
+    ]
+    return Table(
+        "Legs; readings were taken as exact" if exact else "Legs: residuals, rank and condition",
+        (*columns, Column("rank", align="right"), Column("condition", format=".3g")),
+        rows,
+        CONDITION if exact else f"{SIGMA}; {CONDITION}",
+    )
+
+
+def observed_table(result: CalibrationResult) -> Table:
+    """Return how the measured quantities of the platform fit, where poses are unknowns."""
+    exact = readings_exact(result)  # only then readings give poses before
+    heads = ("rms before", "rms after", "σ") if exact else ("rms misfit", "σ")
+    return Table(
+        "The platform as measured, at the estimated poses",
+        tuple(map(Column, ("measured", "rows", *heads, "unit"))),
+        [
+            (one.name, len(one.rows), *_sizes(one)[0 if exact else 1 :])
+            for one in observed_series(result)
+        ],
+    )
+
+
+def _sizes(one: Series) -> tuple[Cell, ...]:
+    """Return root mean squares before and after, σ, and the unit."""
+    cells = [Cell(value, f"{shown_in(value, one.unit):.4f}") for value in one.rms]
+    return (*cells, Cell(one.unit, SMALL[one.unit]))
+
+
+def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
+    """Return the worst of the rows that do not fit."""
+    every = {leg.name for leg in result.legs}
+    more = len(result.outliers) - most
+    return Table(
+        f"Rows that do not fit, the worst first (robust loss: {result.loss})",
+        (
+            Column("data row"),
+            Column("residual [σ]", format=".1f"),
+            Column("weight", format=".2f"),
+            Column("of"),
+            Column("what"),
+        ),
+        [
+            (
+                one.row + 1,
+                one.sigma,
+                Cell(0.0, "rejected") if one.weight == 0.0 else one.weight,
+                "all legs" if set(one.legs) == every else ", ".join(one.legs),
+                f"{one.quantity} off by {one.off:.1f} σ",
+            )
+            for one in result.outliers[:most]
+        ],
+        f"and {more} more in result.json" if more > 0 else "",
+    )
+
+
+def runs_table(names: Sequence[str], spread: Sequence[float], predicted: Sequence[float]) -> Table:
+    """Return the spread of parameters over runs against their standard errors."""
+    return Table(
+        "Spread of the parameters over the runs, against their standard errors, in SI",
+        (Column("parameter"), Column("spread", format=".3g"), Column("predicted", format=".3g")),
+        list(zip(names, map(float, spread), map(float, predicted), strict=True)),
+    )

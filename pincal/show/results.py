@@ -1,0 +1,117 @@
+"""What pages and tables ask of a calibration's result: the one place that knows how it is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.result import CalibrationResult, IdentifiedParameter, LegResult
+from pincal.model.finding import Finding
+from pincal.words.sentences import sentence
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Residuals of a leg, or of a measured quantity of the platform."""
+
+    name: str
+    unit: str
+    rows: NDArray[np.intp]
+    before: Array
+    after: Array
+    sigma: Array
+    of_leg: bool
+
+    @property
+    def rms(self) -> tuple[float, float, float]:
+        """Root mean squares before, after, and of the standard deviations."""
+        before, after, sigma = (
+            float(np.sqrt(np.mean(values**2))) for values in (self.before, self.after, self.sigma)
+        )
+        return before, after, sigma
+
+
+def legs_series(result: CalibrationResult) -> list[Series]:
+    """Return the residuals of the legs."""
+    scale = np.sqrt(result.reduced_chi2) if result.noise_source == "estimated" else 1.0
+    return [
+        Series(
+            leg.name,
+            leg.unit,
+            leg.rows,
+            leg.residuals_before,
+            leg.residuals,
+            leg.sigma * scale,
+            of_leg=True,
+        )
+        for leg in result.legs
+    ]
+
+
+def observed_series(result: CalibrationResult) -> list[Series]:
+    """Return the residuals of what was measured of the platform, where poses are unknowns."""
+    return [
+        Series(
+            one.name,
+            one.unit,
+            one.rows,
+            one.residuals_before,
+            one.residuals,
+            one.sigmas,
+            of_leg=False,
+        )
+        for one in result.observed
+    ]
+
+
+def noisy_series(result: CalibrationResult) -> list[Series]:
+    """Return residuals that carry noise: of the legs, or of the platform if readings are exact."""
+    return observed_series(result) if readings_exact(result) else legs_series(result)
+
+
+def readings_exact(result: CalibrationResult) -> bool:
+    """Return whether legs close by construction, so that only the platform can miss something."""
+    return bool(result.observed) and not any((leg.sigma > 0.0).any() for leg in result.legs)
+
+
+def turns(result: CalibrationResult) -> bool:
+    """Return whether the platform has an orientation."""
+    return "rad" in result.nominal.platform.units
+
+
+def parameters(result: CalibrationResult) -> Iterator[tuple[LegResult, IdentifiedParameter]]:
+    """Yield every parameter of the legs with its leg."""
+    for leg in result.legs:
+        for p in leg.parameters:
+            yield leg, p
+
+
+def warnings(result: CalibrationResult) -> list[str]:
+    """Return the warnings; one that several legs share is said once, with their names."""
+    legs: dict[str, list[str]] = {}
+    for one in result.warnings:
+        text = sentence(one) if isinstance(one, Finding) else one
+        name, colon, rest = text.partition(": ")
+        own = bool(colon) and name in result.nominal.leg_names
+        legs.setdefault(rest if own else text, []).extend([name] if own else [])
+    return [f"{', '.join(names)}: {text}" if names else text for text, names in legs.items()]
+
+
+def gauge(result: CalibrationResult) -> list[str]:
+    """Return what was fixed by choice, lists cut where they are long (result.json has all)."""
+    return [sentence(one) for one in result.gauge]
+
+
+def contradicted(result: CalibrationResult) -> bool:
+    """Return whether noise, held-out rows, runs or ties contradict the model."""
+    return (
+        result.excess > 1.0
+        or (result.validation is not None and bool(result.validation.findings))
+        or (result.runs is not None and not result.runs.agree)
+        or not all(tie.holds for tie in result.ties)
+    )

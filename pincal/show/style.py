@@ -1,0 +1,61 @@
+"""How drawings look: colours, markers, sizes; one place for plots, pictures and pages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+#: Okabe and Ito's colours, distinct in every common colour-blindness.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "^", "s", "D", "v", "P", "X")
+HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
+#: Joints in the exported URDFs.
+ACTIVE, PASSIVE = "#d95e03", "#1f78b5"
+IDENTIFIED = "#7A33AD"
+#: Positions of a fundamental domain, and those that follow from it.
+DOMAIN, CARRIED = COLOURS[0], "#A9CBE8"
+GROUND = "#D4D4D4"
+#: Width of a page's figure [inch], that of A4 between its margins; most height.
+WIDTH, HEIGHT = 7.4, 9.5
+#: Points from which they are drawn as pixels: a vector picture stays small.
+MANY = 1500
+
+
+@dataclass(frozen=True)
+class PictureStyle:
+    """Sizes in pictures of mechanisms."""
+
+    width: float = 5.2
+    """Of the figure, [inch]."""
+    heights: tuple[float, float] = (1.8, 6.0)
+    """Least and most of what is drawn, [inch]."""
+    legend: float = 0.5
+    """Height for the legend below, [inch]."""
+    letters: int = 28
+    """Of the longest name."""
+    line: int = 75
+    """Letters of a legend's line."""
+    edge: float = 0.0025
+    """Thickness of outlines, of the scene's diagonal."""
+    dark: float = 0.55
+    """Brightness of an outline, of its shape's."""
+    piece: float = 10.0
+    """Length of a rod's piece, of its radius."""
+    pieces: int = 40
+    """Of a rod, at most."""
+
+
+PICTURE = PictureStyle()
+
+
+class Look(NamedTuple):
+    """What distinguishes a leg or a set from the others, in colour and in black and white."""
+
+    colour: str
+    marker: str
+    hatch: str
+
+
+def look(index: int) -> Look:
+    """Return the look of a leg or set by its number."""
+    return Look(*(own[index % len(own)] for own in (COLOURS, MARKERS, HATCHES)))

@@ -1,0 +1,253 @@
+"""What a calibration or a forecast means, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.validation import Validation
+from pincal.design.forecast import Forecast
+from pincal.design.platform_error import PlatformError
+from pincal.estimation.weak import WeakPair
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.show.results import gauge, turns
+from pincal.show.workspace_errors import WorkspaceErrors
+from pincal.words.numbers import amount, listed, size
+from pincal.words.results import noise
+from pincal.words.sentences import finding, sentence
+from pincal.words.wording import LISTED
+
+_NO_FREEDOM = (
+    "as many unknowns as measured values: residuals vanish whatever the machine is, and show "
+    "nothing; measure more poses"
+)
+_MISSES = 10.0  # by how many σ a fit misses its own rows that is none
+_MANY = 1e5  # poses: more are not measured
+_PAIRS = 3  # of weakly determined parameters
+_BEST = (
+    "the best that any calibration can reach: --method latent does, --method together --poses all "
+    "comes near where poses are measured in full"
+)
+_ALONE = "calibrate without options, which takes each leg alone by the poses of its set"
+
+
+def calibration_summary(
+    data: Measurements, result: CalibrationResult, errors: WorkspaceErrors | None
+) -> list[str]:
+    """Return what a calibration means.
+
+    Args:
+        data: What was measured.
+        result: The calibration.
+        errors: The platform's over the workspace; None if the fit did not converge.
+    """
+    lines = [result.message, noise_line(result)]
+    if result.gauge:
+        lines.append(
+            "fixed by choice, of equal parameters those nearest to nominal: "
+            + "; ".join(gauge(result))
+        )
+    lines += tie_lines(result)
+    if result.converged:
+        lines += weak_lines(result.weak, result.nominal)
+    if errors is not None:
+        lines.append(_platform(result, errors))
+    lines += check_lines(result)
+    if result.shift is not None and result.outliers:
+        count = len(result.outliers)
+        rows = "the row that does" if count == 1 else f"the {count} rows that do"
+        lines.append(
+            f"with {rows} not fit, parameters would move by up to {result.shift:.1f} standard "
+            "errors"
+        )
+    unused = len(data) - min(leg.n_poses for leg in result.legs)
+    if unused and result.poses == "own" and data.sets is not None:
+        lines.append(sentence(finding("unused-poses", unused=unused, total=len(data))))
+    return lines
+
+
+def noise_line(result: CalibrationResult) -> str:
+    """Return what the noise is, or how the residuals compare with it."""
+    dof, chi2 = result.degrees_of_freedom, result.reduced_chi2
+    if result.noise_source in ("estimated", "repeats") and result.noise:
+        where = "the residuals" if result.noise_source == "estimated" else "repeated rows"
+        sizes = dict(vars(result.noise))
+        if not turns(result):
+            sizes["orientation"] = None
+        text = f"noise estimated from {where}: {noise(sizes)}"
+        if result.noise_source == "estimated":
+            return text
+        return f"{text}; {f'reduced χ² {chi2:.3g}' if dof else _NO_FREEDOM}"
+    if not dof:
+        return _NO_FREEDOM
+    return (
+        f"reduced χ² {chi2:.3g} on {dof} degrees of freedom; near 1 the residuals are as large as "
+        "the noise given makes them"
+    )
+
+
+def tie_lines(result: CalibrationResult) -> list[str]:
+    """Return whether ties hold."""
+    return [
+        f"tie of {one.name}: {'holds' if one.holds else 'contradicted'} "
+        f"(p = {one.p_value:.2g}, {one.restrictions} parameters fewer)"
+        for one in result.ties
+    ]
+
+
+def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
+    """Return by how much the platform was off, and by about how much it should be now."""
+    turning, more = turns(result), result.excess
+    before = platform_size(errors.mean_before(), turning)
+    text = f"platform, root mean square {errors.where}: "
+    if not (result.promises and result.corrects):
+        return (
+            f"{text}the calibrated model differs from the nominal one by {before}, but no accuracy "
+            f"can be promised of it: residuals are {more:.3g} times as large as the noise given "
+            f"makes them{'' if result.corrects else ', and hardly fell'}"
+        )
+    frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
+    after = platform_size(errors.mean_after(), turning, more)
+    limit = platform_size(errors.limit, turning, more)
+    scaled = f", {more:.2g} times as large as the noise given says, as residuals are"
+    return (
+        f"{text}the nominal model was off by {before}, the calibrated one by about {after}{frames} "
+        f"(expected by the parameters' uncertainties{scaled if more > 1.0 else ''}; 95 of 100 such "
+        f"calibrations stay below {limit}; ± of single parameters may be larger where they "
+        "compensate each other)"
+    )
+
+
+def platform_size(sizes: tuple[float, float], turns: bool, by: float = 1.0) -> str:
+    """Return errors of the platform, [m] and [rad], times a factor."""
+    return size(by * sizes[0], by * sizes[1] if turns else None)
+
+
+def check_lines(result: CalibrationResult) -> list[str]:
+    """Return how held-out rows and runs compare."""
+    lines, one = [], result.validation
+    if one is not None:
+        text = held_out_line(one)
+        if one.position is not None and one.fit <= _MISSES:
+            text += f". Platform: {amount(one.position[1], 'm')} held out, "
+            text += f"{1e3 * one.position[0]:.3g} in the fit"
+            if one.orientation is not None:
+                text += f"; {amount(one.orientation[1], 'rad')} and {1e3 * one.orientation[0]:.3g}"
+            text += " (measuring noise included)"
+        lines.append(f"{text} ({one.folds} folds)")
+    if result.runs is not None:
+        lines.append(
+            f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
+            f"much as their standard errors say (p = {result.runs.p_value:.2g})"
+        )
+    return lines
+
+
+def held_out_line(one: Validation) -> str:
+    """Return how rows that a fit has not seen compare with its own, where these fit at all."""
+    if one.fit > _MISSES:
+        return (
+            f"held-out rows show nothing: the fit misses even its own rows by {one.fit:.3g} σ. "
+            "Look at the warnings first"
+        )
+    return (
+        f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
+        f"{one.expected:.2f} σ are expected held out"
+    )
+
+
+def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
+    """Return which pairs of parameters are weakly determined; legs alike in one line."""
+    alike: dict[tuple[str, ...], list[WeakPair]] = {}
+    for pair in pairs:
+        leg, _, name = pair.first.partition(".")
+        other_leg, _, other = pair.second.partition(".")
+        key = (name, other, "") if leg == other_leg else (f"{leg}.{name}", f"{other_leg}.{other}")
+        alike.setdefault(key, []).append(pair)
+    lines = [_weak_line(own, mechanism) for own in alike.values()]
+    if len(lines) > _PAIRS:
+        lines[_PAIRS:] = [f"{len(lines) - _PAIRS} more such pairs (--json)"]
+    return lines
+
+
+def _weak_line(pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
+    """Return a line on a pair of parameters, of one leg or alike of several; the weakest counts."""
+    worst = pairs[0]
+    legs = list(dict.fromkeys(pair.first.partition(".")[0] for pair in pairs))
+    ids = [worst.first, worst.second]
+    both = [(leg, name) for leg, _, name in (one.partition(".") for one in ids)]
+    whose = ""
+    if len(legs) > 1 and both[0][0] == both[1][0]:
+        ids = [name for _, name in both]
+        whose = " of every leg" if len(legs) == len(mechanism.legs) else f" of {', '.join(legs)}"
+    known = [
+        f"{amount(worst.known[i], mechanism.leg(leg).units[name])} instead of "
+        f"{amount(worst.std[i], mechanism.leg(leg).units[name]).split(' ')[0]} for {ids[i]}"
+        for i, (leg, name) in enumerate(both)
+    ]
+    return (
+        f"{ids[0]} and {ids[1]}{whose} are weakly determined together, correlation "
+        f"{worst.correlation:+.3f}: if the other one were known, the standard error would be "
+        f"{' and '.join(known)}"
+    )
+
+
+def forecast_lines(
+    found: Forecast, error: PlatformError, planned: int, alone: PlatformError | None
+) -> list[str]:
+    """Return what a plan determines, and what error of the platform that gives.
+
+    Arguments are those of ``forecast_table``.
+    """
+    turning = "rad" in found.mechanism.platform.units
+    lines = [*_rank(found), *weak_lines(found.weak, found.mechanism)]
+    best = f"; {_BEST}" if error.position < np.inf else ""
+    lines.append(f"platform over the workspace: {_expected(error, turning)}{best}")
+    if alone is not None:
+        lines.append(f"{_ALONE}: {_expected(alone, turning)}")
+    if found.poses < planned:
+        lines.append(f"{planned - found.poses} of {planned} poses are out of reach")
+    return lines
+
+
+def _rank(found: Forecast) -> list[str]:
+    """Return what is not determined: first what is no fault of the plan, then what is."""
+    rank, count = found.rank, found.gauge.shape[1]
+    start = f"rank {rank.rank} of {rank.n_params}"
+    groups = rank.sentences
+    lines = [start if count else f"{start}, condition {rank.condition:.3g}"]
+    if count:
+        which = f" ({groups[0]})" if len(groups) == 1 else ""
+        lines = [
+            f"{start}: {count} {'is a freedom' if count == 1 else 'are freedoms'} of frames, or of "
+            f"redundant parameters{which}, which such measurements cannot determine. Of "
+            "equal parameters those nearest to nominal are meant, and errors of the platform are "
+            "what no motion of the base or platform frame explains"
+        ]
+    if found.lost.shape[1]:
+        more = f"; and {len(groups) - LISTED} more (--json)" if len(groups) > LISTED else ""
+        lines.append(f"not determined (—): {'; '.join(groups[:LISTED])}{more}")
+    return lines
+
+
+def _expected(error: PlatformError, turning: bool) -> str:
+    """Return an error of the platform, and what of it is not determined."""
+    sizes = {"position": (error.position, "m")}
+    if turning:
+        sizes["orientation"] = (error.orientation, "rad")
+    known = [amount(value, unit) for value, unit in sizes.values() if value < np.inf]
+    lost = [f"{name} not determined" for name, (value, _) in sizes.items() if not value < np.inf]
+    return ", ".join([*([f"root mean square {listed(known)}"] if known else []), *lost])
+
+
+def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
+    """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
+    many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
+    text = f"for {1e3 * accuracy:g} mm: {many} with --method latent"
+    text += "" if alone is None else f", {alone:,.0f} with each leg alone"
+    if _MANY < needed < np.inf:
+        text += ", which nobody measures: that takes less noise, not more poses"
+    return text

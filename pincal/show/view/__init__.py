@@ -1,0 +1,1 @@
+"""A mechanism that moves, as a page in the browser."""

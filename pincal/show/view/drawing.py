@@ -1,0 +1,133 @@
+"""A scene as meshcat's drawing commands.
+
+meshcat's own ``Visualizer`` draws; where it has its window, a recorder keeps what would be sent
+to a server, so that no process is started and the commands can be put into a page.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.show.style import CARRIED, DOMAIN, GROUND, IDENTIFIED
+from pincal.show.view.bodies import Body
+from pincal.show.view.looks import frame_axes, ground, set_colour
+from pincal.show.view.scene import Scene
+from pincal.show.view.shapes import Shape
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)  # of pyzmq, when meshcat asks for it
+    import meshcat
+    import meshcat.geometry as g
+import umsgpack
+
+Array = NDArray[np.float64]
+_I = np.eye(4)
+#: Turns three.js' cylinders, which lie along y, to lie along z.
+_UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+class _Recorder:
+    """Takes the place of meshcat's window; keeps commands, packed as for its viewer."""
+
+    def __init__(self) -> None:
+        self.commands: list[bytes] = []
+
+    def send(self, command: Any) -> None:
+        self.commands.append(umsgpack.packb(command.lower()))
+
+
+class _Dots(g.PointsMaterial):  # type: ignore[misc]
+    """Points of a size in pixels, near and far."""
+
+    def lower(self, object_data: Any) -> dict[str, Any]:
+        return {**super().lower(object_data), "sizeAttenuation": False}
+
+
+def commands(scene: Scene) -> list[bytes]:
+    """Return what draws a scene in meshcat's viewer, at no pose yet.
+
+    Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``bodies.Part``);
+    ``sets/1`` and ``ghosts/1`` for the first set and so on; ``cloud``, ``base axes``, ``grid``.
+    """
+    recorder = _Recorder()
+    draw = meshcat.Visualizer(window=recorder)
+    for path in ("/Grid", "/Axes"):
+        draw[path].set_property("visible", False)
+    for key in ("top_color", "bottom_color"):
+        draw["/Background"].set_property(key, [1.0, 1.0, 1.0])
+    _lines(draw["grid"], ground(scene), GROUND)
+    axes = frame_axes(scene)
+    _axes(draw["base axes"], axes)
+    _body(draw["mechanism"], scene.body)
+    _axes(draw["mechanism/platform/body/axes"], axes)
+    if scene.identified:
+        _body(draw["identified"], scene.identified.body, IDENTIFIED, opacity=0.45)
+    if scene.cloud:
+        colours = np.where(scene.cloud.domain[:, None], _rgb(DOMAIN), _rgb(CARRIED))
+        _dots(draw["cloud"], scene.cloud.positions, colours, 2)
+    positions = scene.body.placements[:, scene.body.part("platform/body"), :3, 3]
+    skeletons = scene.body.skeletons()
+    for number, name in enumerate(dict.fromkeys(scene.sets), 1):
+        own = np.array(scene.sets) == name
+        colour = set_colour(scene, name)
+        _dots(draw[f"sets/{number}"], positions[own], _rgb(colour), 7)
+        lines = skeletons[own].reshape(-1, 2, 3)
+        lines = lines[np.isfinite(lines).all(axis=(1, 2))]
+        _lines(draw[f"ghosts/{number}"], lines, colour, opacity=0.45)
+    return recorder.commands
+
+
+def viewer_script() -> str:
+    """Return meshcat's viewer, three.js and all."""
+    return (Path(meshcat.viewer_assets_path()) / "dist" / "main.min.js").read_text("utf-8")
+
+
+def _body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None:
+    """Draw the shapes of a body's parts, in their own colours or in one."""
+    for part in body.parts:
+        for number, shape in enumerate(part.shapes, 1):
+            material = _matt(colour or shape.colour, opacity)
+            node = draw[f"{part.path}/shape {number}"]
+            node.set_object(_geometry(shape), material)
+            node.set_transform(shape.T_link_shape @ (_UPRIGHT if shape.kind == "cylinder" else _I))
+
+
+def _geometry(shape: Shape) -> Any:
+    if shape.kind == "box":
+        return g.Box(shape.size)
+    if shape.kind == "cylinder":
+        radius, length = shape.size
+        return g.Cylinder(length, radius)
+    return g.Sphere(*shape.size)
+
+
+def _axes(draw: Any, shapes: tuple[Shape, ...]) -> None:
+    """Draw the axes of a frame."""
+    for name, shape in zip("xyz", shapes, strict=True):
+        draw[name].set_object(_geometry(shape), _matt(shape.colour))
+        draw[name].set_transform(shape.T_link_shape @ _UPRIGHT)
+
+
+def _dots(draw: Any, positions: Array, colours: Array, pixels: float) -> None:
+    """Draw positions (N, 3) in one colour (3,) or in one for each."""
+    every = np.ascontiguousarray(np.broadcast_to(colours, positions.shape).T)
+    draw.set_object(g.Points(g.PointsGeometry(positions.T, every), _Dots(size=pixels)))
+
+
+def _lines(draw: Any, segments: Array, colour: str, opacity: float = 1.0) -> None:
+    """Draw segments (n, 2, 3)."""
+    material = g.LineBasicMaterial(int(colour[1:], 16), opacity=opacity)
+    draw.set_object(g.LineSegments(g.PointsGeometry(segments.reshape(-1, 3).T), material))
+
+
+def _matt(colour: str, opacity: float = 1.0) -> Any:
+    return g.MeshLambertMaterial(int(colour[1:], 16), opacity=opacity)
+
+
+def _rgb(colour: str) -> Array:
+    return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255

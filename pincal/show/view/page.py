@@ -1,0 +1,135 @@
+"""A scene as one HTML page that needs nothing else: meshcat's viewer, the scene, a panel.
+
+All text that comes from people's files goes through JSON and becomes text nodes. The page's
+security policy bars requests to any host.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.show.style import DOMAIN, IDENTIFIED
+from pincal.show.view.bodies import Body
+from pincal.show.view.drawing import commands, viewer_script
+from pincal.show.view.looks import TOWARDS_VIEWER, grid_step, set_colour
+from pincal.show.view.scene import Scene
+from pincal.words.numbers import FACTORS, POSES, SMALL
+from pincal.words.pages import rendered
+
+Array = NDArray[np.float64]
+
+
+def page(scene: Scene, source: str = "") -> str:
+    """Return the page of a scene.
+
+    Args:
+        scene: What to show.
+        source: Where it comes from, in words.
+    """
+    text = json.dumps(_data(scene, source), ensure_ascii=False, separators=(",", ":"))
+    return rendered(
+        "view.html",
+        title=scene.mechanism.name,
+        meshcat=viewer_script(),
+        data=text.replace("<", "\\u003c"),
+    )
+
+
+def _data(scene: Scene, source: str) -> dict[str, Any]:
+    """Return all that the page's script needs, for JSON."""
+    names = list(dict.fromkeys(scene.sets))
+    bodies = {"mechanism": scene.body}
+    if scene.identified:
+        bodies["identified"] = scene.identified.body
+    return {
+        "name": scene.mechanism.name,
+        "description": scene.mechanism.description,
+        "source": source,
+        "planar": scene.planar,
+        "towards": TOWARDS_VIEWER,
+        "bounds": scene.bounds().tolist(),
+        "grid": f"grid {1e3 * grid_step(scene):.6g} mm",
+        "commands": [base64.b64encode(command).decode() for command in commands(scene)],
+        "bodies": [_body(root, body) for root, body in bodies.items()],
+        "sets": [{"name": name, "colour": set_colour(scene, name)} for name in names],
+        "set": [names.index(name) for name in scene.sets],
+        "rows": _rows(scene),
+        "legs": [
+            {
+                "name": leg.name,
+                "colour": set_colour(scene, leg.name),
+                "foot": list(leg.joints[0].placement.xyz),
+            }
+            for leg in scene.mechanism.legs
+        ],
+        "layers": _layers(scene),
+    }
+
+
+def _body(root: str, body: Body) -> dict[str, Any]:
+    """Return a body's paths, and its placements as columns of 3, N x n_parts x 4 x 3 doubles."""
+    columns = np.ascontiguousarray(body.placements[:, :, :3].swapaxes(2, 3), dtype="<f8")
+    return {
+        "paths": [f"meshcat/{root}/{part.path}" for part in body.parts],
+        "matrices": base64.b64encode(columns.tobytes()).decode(),
+        "problems": list(body.problems),
+    }
+
+
+def _rows(scene: Scene) -> list[dict[str, Any]]:
+    """Return the table under the slider: what each row is, and its value at each pose."""
+    platform = scene.mechanism.platform
+    coordinates = zip(platform.coordinates, platform.units, scene.plan.poses.T, strict=True)
+    rows = [_row("pose", name, unit, POSES, values) for name, unit, values in coordinates]
+    names, units = scene.mechanism.reading_names, scene.mechanism.reading_units
+    by_readings = scene.mechanism.by_readings
+    readings = {"given" if by_readings else "nominal": scene.readings}
+    if scene.plan.readings is not None and not by_readings:
+        readings["measured"] = scene.plan.readings
+    for group, read in readings.items():
+        for name, unit, values in zip(names, units, read.T, strict=True):
+            rows.append(_row(group, name, unit, POSES, values))
+    if scene.identified:
+        errors = zip(platform.freedoms, platform.units, scene.identified.errors.T, strict=True)
+        rows += [_row("error", name, unit, SMALL, values) for name, unit, values in errors]
+    return rows
+
+
+def _row(
+    group: str, name: str, unit: str, units: Mapping[str, str], values: Array
+) -> dict[str, Any]:
+    shown = (values * FACTORS[units[unit]]).round(4)
+    return {
+        "group": group,
+        "name": name,
+        "unit": units[unit],
+        "values": [float(v) if np.isfinite(v) else None for v in shown],
+    }
+
+
+def _layers(scene: Scene) -> list[dict[str, Any]]:
+    """Return what can be shown or hidden: paths, names, and what to say about them."""
+    layers: list[tuple[str, str, bool]] = [("mechanism", "mechanism", True)]
+    if scene.identified:
+        factor = f"{scene.identified.magnify:g}"
+        layers.append(("identified", f"identified, errors × {factor}", True))
+    layers += [("sets", "poses, as dots", True), ("ghosts", "poses, as ghosts", False)]
+    if scene.cloud:
+        cloud = scene.cloud
+        count = f"{len(cloud.positions):,}"
+        if cloud.given > len(cloud.positions):
+            count += f" of {cloud.given:,}"
+        share = f"; dark: fundamental domain of {cloud.group}" if not cloud.domain.all() else ""
+        layers.append(("cloud", f"workspace, {count} positions{share}", True))
+    layers += [("base axes", "base frame", True), ("grid", "grid", True)]
+    colours = {"identified": IDENTIFIED, "cloud": DOMAIN}
+    return [
+        {"path": f"meshcat/{path}", "name": name, "shown": shown, "colour": colours.get(path, "")}
+        for path, name, shown in layers
+    ]

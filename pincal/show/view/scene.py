@@ -1,0 +1,193 @@
+"""What a view shows: a mechanism at poses, an identified one beside it, a cloud of positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from pincal.design.simulate import platform_errors
+from pincal.errors import MeasurementError, MechanismError
+from pincal.kinematics.configurations import joints_at
+from pincal.kinematics.forward import forward
+from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.show.view.bodies import Body, body
+from pincal.symmetry.detect import symmetry_group
+from pincal.symmetry.domain import in_domain
+
+Array = NDArray[np.float64]
+MOST_POSES = 2000
+MOST_POINTS = 100_000
+MAGNIFY = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """The identified machine, driven by the nominal model's readings, its errors magnified."""
+
+    body: Body
+    magnify: float
+    errors: Array
+    """Unmagnified twists from the nominal to the identified pose, shape (N, dof); NaN if none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Positions of a workspace."""
+
+    positions: Array
+    """Shape (N, 3), base frame, [m]; at most ``MOST_POINTS``, evenly drawn from all."""
+    domain: NDArray[np.bool_]
+    """Which lie in a fundamental domain, shape (N,); all where there is no symmetry."""
+    group: str
+    """Name of the mechanism's symmetry group."""
+    given: int
+    """Number of positions before some were left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """All that a view shows."""
+
+    mechanism: Mechanism
+    plan: Plan
+    body: Body
+    readings: Array
+    """Sensor readings, shape (N, n_legs), [rad] or [m]; NaN where not reached."""
+    identified: Identified | None = None
+    cloud: Cloud | None = None
+
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """Set of each pose: a leg's name, ``"all"`` for every leg, empty where there are none."""
+        if self.plan.sets is None:
+            return ("",) * len(self.plan.poses)
+        return tuple(name or EVERY_LEG for name in self.plan.sets)
+
+    @property
+    def planar(self) -> bool:
+        """Whether all moves in the x-y plane."""
+        return len(self.mechanism.platform.closure_rows) == 2
+
+    def points(self) -> Array:
+        """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
+        bodies = [self.body] + ([self.identified.body] if self.identified else [])
+        feet = [leg.joints[0].placement.xyz for leg in self.mechanism.legs]
+        parts = [one.placements[:, :, :3, 3].reshape(-1, 3) for one in bodies]
+        clouds = [self.cloud.positions] if self.cloud else []
+        return np.concatenate((feet, *parts, *clouds))
+
+    def bounds(self) -> Array:
+        """Return least and largest coordinates of all that is drawn, shape (2, 3), [m]."""
+        every = self.points()
+        return np.stack((np.nanmin(every, axis=0), np.nanmax(every, axis=0)))
+
+
+def scene(
+    mechanism: Mechanism,
+    plan: Plan,
+    workspace: Array | None = None,
+    identified: Mechanism | None = None,
+    magnify: float = MAGNIFY,
+) -> Scene:
+    """Return the scene of a mechanism at the poses of a plan.
+
+    Args:
+        mechanism: The nominal mechanism.
+        plan: The poses, and the sets they belong to.
+        workspace: Positions, shape (M, 2) or (M, 3), or poses that begin with them, [m].
+        identified: The identified mechanism, to be shown beside the nominal one.
+        magnify: Factor on the differences of its parameters.
+
+    Raises:
+        MechanismError: poses of a wrong shape; an identified mechanism with other parameters.
+        MeasurementError: no poses, too many or not whole; a workspace of a wrong
+            shape; a factor that is not positive.
+    """
+    if not 0 < len(plan.poses) <= MOST_POSES:
+        raise MeasurementError(
+            f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
+            "are better seen as a workspace cloud (--workspace)"
+        )
+    if not np.isfinite(plan.poses).all():
+        raise MeasurementError(
+            f"{int((~np.isfinite(plan.poses).all(axis=1)).sum())} of {len(plan.poses)} poses are "
+            "not whole; those that a calibration with latent poses estimated can be drawn: "
+            "result.estimated_poses, or poses.csv in the folder of the result"
+        )
+    found = Scene(
+        mechanism,
+        plan,
+        body(mechanism, plan),
+        joints_at(mechanism, plan).readings,
+    )
+    if identified is not None:
+        found = replace(found, identified=_identified(found, identified, magnify))
+    return found if workspace is None else replace(found, cloud=_cloud(mechanism, workspace))
+
+
+def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> Plan:
+    """Return poses in any form as a plan.
+
+    Raises:
+        MechanismError: poses of a wrong shape.
+    """
+    if isinstance(poses, Plan):
+        return poses
+    given = poses if isinstance(poses, RigidTransform) else np.asarray(poses, np.float64)
+    return Plan(mechanism.platform.coordinates_of(given))
+
+
+def _cloud(mechanism: Mechanism, workspace: Array) -> Cloud:
+    """Return the positions of a workspace, and which are of a fundamental domain."""
+    lengths = mechanism.platform.units.count("m")
+    given = np.asarray(workspace, dtype=np.float64)
+    if given.ndim != 2 or given.shape[1] < lengths or not np.isfinite(given).all():
+        raise MeasurementError(
+            f"a workspace has shape (M, {lengths}) or more, finite positions first; got "
+            f"{given.shape}"
+        )
+    rows = np.arange(len(given))
+    if len(given) > MOST_POINTS:
+        rows = np.sort(np.random.default_rng(0).choice(len(given), MOST_POINTS, replace=False))
+    positions = np.zeros((len(rows), 3))
+    positions[:, :lengths] = given[rows, :lengths]
+    group = symmetry_group(mechanism)
+    return Cloud(positions, in_domain(group, positions), group.name, len(given))
+
+
+def _identified(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
+    """Return where the identified machine goes when the nominal model commands the poses.
+
+    Differences of parameters are magnified, not those of poses, so that what is drawn is a
+    mechanism whose loops close; to first order its platform's error is magnified alike.
+    """
+    mechanism, poses = scene.mechanism, scene.plan.poses
+    names = [[(leg.name, leg.parameter_names) for leg in m.legs] for m in (mechanism, identified)]
+    if names[0] != names[1] or mechanism.platform.kind != identified.platform.kind:
+        raise MechanismError(
+            f"the identified {identified.name!r} has other legs or parameters than "
+            f"{mechanism.name!r}; expected a calibration of the mechanism that is viewed"
+        )
+    if not (np.isfinite(magnify) and magnify > 0.0):
+        raise MeasurementError(f"errors magnified by {magnify}; expected a factor above 0")
+    off = {
+        leg.name: leg.nominal + magnify * (identified.leg(leg.name).nominal - leg.nominal)
+        for leg in mechanism.legs
+    }
+    machine = mechanism.with_parameters(off)
+    driven = np.flatnonzero(np.isfinite(scene.readings).all(axis=1))
+    solution = forward(machine, scene.readings[driven], poses[driven])
+    reached = driven[solution.converged]
+    there = Plan(solution.poses[solution.converged], readings=scene.readings[reached])
+    at = body(machine, there)
+    placements = np.full((len(poses), *at.placements.shape[1:]), np.nan)
+    placements[reached] = at.placements
+    why = dict.fromkeys(range(len(poses)), "the nominal model does not reach this pose")
+    why |= dict(zip(driven.tolist(), solution.reasons, strict=True))
+    why |= dict(zip(reached.tolist(), at.problems, strict=True))
+    everywhere = replace(at, placements=placements, problems=tuple(why.values()))
+    return Identified(everywhere, magnify, platform_errors(mechanism, identified, scene.plan))

@@ -1,0 +1,118 @@
+"""``pincal.view``: a mechanism in the browser, in a file, or in a notebook, by the same page."""
+
+from __future__ import annotations
+
+import html
+from functools import cached_property
+from pathlib import Path
+from weakref import finalize
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from pincal.errors import WorkspaceError
+from pincal.files.output import writing
+from pincal.kinematics.configurations import home_of
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
+from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
+
+Array = NDArray[np.float64]
+_SAMPLED = 24
+
+
+class View:
+    """A view of a mechanism: a page to open, to save, or to see in a notebook."""
+
+    def __init__(self, scene: Scene, source: str = "") -> None:
+        self.scene = scene
+        self._source = source
+
+    def html(self) -> str:
+        """Return the page, which needs no server and no network."""
+        return self._page
+
+    @cached_property
+    def _page(self) -> str:
+        from pincal.show.view.page import page  # imports meshcat: slow
+
+        return page(self.scene, self._source)
+
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the page to a file, whole or not at all, and return its path.
+
+        Raises:
+            FileError: the file exists and ``force`` is not set, or cannot be written.
+        """
+        with writing(path, force=force) as scratch:
+            scratch.write_text(self.html(), encoding="utf-8")
+        return Path(path)
+
+    @cached_property
+    def url(self) -> str:
+        """Where browsers of this machine find the page, until ``close`` or the process ends."""
+        from pincal.show.view.server import PageServer
+
+        server = PageServer(self.html())
+        self._close = finalize(self, server.close)
+        return server.url
+
+    def close(self) -> None:
+        """Stop serving the page, if it was asked for by ``url``."""
+        if self.__dict__.pop("url", None):
+            self._close()
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame of its own, for notebooks."""
+        return (
+            '<iframe sandbox="allow-scripts allow-downloads" style="width: 100%; height: 600px; '
+            f'border: 0" srcdoc="{html.escape(self.html())}"></iframe>'
+        )
+
+
+def view(
+    mechanism: Mechanism,
+    poses: Plan | ArrayLike | RigidTransform | None = None,
+    *,
+    workspace: ArrayLike | None = None,
+    identified: Mechanism | None = None,
+    magnify: float = MAGNIFY,
+    source: str = "",
+) -> View:
+    """Return a view of a mechanism at poses: ``url``, ``save(path)``, or shown by a notebook.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        poses: A plan or measurements, coordinates of shape (N, dof), [m] and [rad], or
+            transforms; home and some of the workspace if not given. At most 2000.
+        workspace: Positions or poses of a workspace, shape (M, n), x, y and, in space, z first,
+            [m]; those of a fundamental domain of the mechanism's symmetry group are dark.
+        identified: The calibrated mechanism, shown where it goes when the nominal one's
+            readings drive it.
+        magnify: Factor on what differs between its parameters and the nominal ones.
+        source: Where it comes from, in words, for the page.
+
+    Raises:
+        MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
+            is not one of this mechanism.
+        MeasurementError: no poses, too many or not whole; a workspace of a wrong
+            shape; a factor that is not positive.
+    """
+    plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
+    cloud = None if workspace is None else np.asarray(workspace, np.float64)
+    return View(scene(mechanism, plan, cloud, identified, magnify), source)
+
+
+def _some_poses(mechanism: Mechanism) -> Plan:
+    """Return home and, where there is a workspace, some of its configurations."""
+    from pincal.workspace.sampling import sample_configurations
+
+    home = home_of(mechanism)
+    try:
+        more = sample_configurations(mechanism, _SAMPLED)
+    except WorkspaceError:  # none with the default margins
+        return home
+    read = [plan.readings for plan in (home, more) if plan.readings is not None]
+    readings = np.concatenate(read) if read else None
+    return Plan(np.concatenate((home.poses, more.poses)), readings=readings)

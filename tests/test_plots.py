@@ -1,0 +1,92 @@
+"""Plots of a result show the result's numbers, into axes that are given or new."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import pincal
+from pincal.show import plots
+
+NOISE = pincal.Noise(1e-4, 1e-4)
+
+
+@pytest.fixture(scope="module")
+def result() -> pincal.CalibrationResult:
+    """Calibration of a 5R with one parameter fixed."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = pincal.disturb(mechanism, 2e-3, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, NOISE, 3).measurements
+    return pincal.calibrate(mechanism, data, noise=NOISE, fixed=["leg_1.k"])
+
+
+def test_residuals_in_standard_deviations(result: pincal.CalibrationResult) -> None:
+    """One series a leg, each residual over its standard deviation at its row."""
+    axes = plots.residuals(result)
+    for leg, line in zip(result.legs, axes.lines, strict=False):
+        np.testing.assert_array_equal(line.get_xdata(), leg.rows + 1)
+        np.testing.assert_allclose(line.get_ydata(), leg.residuals / leg.sigma)
+    assert axes.get_xlabel() == "data row"
+
+
+def test_changes_over_their_uncertainty(result: pincal.CalibrationResult) -> None:
+    """A bar for each parameter that was identified, none for one that was fixed."""
+    axes = plots.parameters(result)
+    for leg, bars in zip(result.legs, axes.containers, strict=True):
+        free = [p for p in leg.parameters if p.given != "fixed"]
+        heights = [2 * (p.identified - p.nominal) / (p.high - p.low) for p in free]
+        np.testing.assert_allclose([bar.get_height() for bar in bars], heights)
+    assert len(axes.containers[0]) == len(axes.containers[1]) - 1
+
+
+def test_correlations(result: pincal.CalibrationResult) -> None:
+    """The image holds the correlations of all that was identified, its axes the ids."""
+    axes = plots.correlation(result)
+    (image,) = axes.images
+    free = np.diagonal(result.covariance) > 0.0
+    own = result.covariance[np.ix_(free, free)]
+    std = np.sqrt(np.diagonal(own))
+    np.testing.assert_allclose(image.get_array(), own / np.outer(std, std))
+    names = [label.get_text() for label in axes.get_xticklabels()]
+    assert len(names) == free.sum()
+    assert names[0].startswith("leg_1.")
+    assert "leg_1.k" not in names
+
+
+def test_expected_errors_over_the_workspace(
+    result: pincal.CalibrationResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pixel's value is the expected error there; without a workspace it is refused."""
+    axes = plots.error_map(result)
+    image = axes.images[0]
+    values, (left, right, low, high) = image.get_array(), image.get_extent()
+    place = tuple(np.argwhere(np.isfinite(values.filled(np.nan)))[40])
+    x = left + (right - left) * (place[1] + 0.5) / values.shape[1]
+    y = low + (high - low) * (place[0] + 0.5) / values.shape[0]
+    expected = pincal.expected_error(result, np.array([[x, y]]))
+    assert values[place] == pytest.approx(1e3 * expected.position, rel=1e-6)
+
+    def fail(*_: object) -> None:
+        raise pincal.WorkspaceError("none")
+
+    monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
+    with pytest.raises(pincal.WorkspaceError, match="no workspace"):
+        plots.error_map(result)
+
+
+@pytest.mark.parametrize("draw", [plots.residuals, plots.parameters, plots.correlation])
+def test_axes_that_are_given_are_drawn_into(draw: object, result: pincal.CalibrationResult) -> None:
+    """And returned; names that matplotlib would hide stay visible."""
+    hidden = tuple(replace(leg, name=f"_{leg.name}") for leg in result.legs)
+    figure = Figure()
+    axes = figure.subplots()
+    assert isinstance(axes, Axes)
+    assert draw(replace(result, legs=hidden), axes) is axes  # type: ignore[operator]
+    by_name = getattr(result.plot, draw.__name__)  # type: ignore[attr-defined]
+    assert by_name(axes) is axes
