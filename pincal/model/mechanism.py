@@ -50,8 +50,8 @@ class Mechanism:
         readings = self.reading_names
         if taken := [name for name in readings if name in RESERVED or name.startswith("sigma_")]:
             raise MechanismError(
-                f"mechanism {self.name!r}: a reading named {taken[0]!r} cannot be distinguished from "
-                f"that column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
+                f"mechanism {self.name!r}: a reading named {taken[0]!r} cannot be distinguished "
+                f"from that column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
             )
         if len(set(readings)) != len(readings):
             raise MechanismError(
