@@ -184,7 +184,7 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     calibration.check_whole()
     calibration.check_counts()
     unknowns = calibration.unknowns(tied=tied)
-    groups = _groups(calibration, tied)
+    groups = _groups(calibration)
     if calibration.options.setup.plain:
         return Fits(calibration, _fit_groups(calibration, groups, unknowns, None))
     problem = calibration.started(calibration.latent_problem)
@@ -231,14 +231,13 @@ def _fit_groups(
     return fits
 
 
-def _groups(calibration: Calibration, tied: bool) -> list[list[int]]:
+def _groups(calibration: Calibration) -> list[list[int]]:
     """Return the legs that are identified at once: those that share a tie, or all."""
     legs, options = calibration.mechanism.legs, calibration.options
     if options.method == "all-legs":
         return [list(range(len(legs)))]
-    shared = options.tied if tied else ()
     together = [
-        i for i, leg in enumerate(legs) if any(name in leg.parameter_names for name in shared)
+        i for i, leg in enumerate(legs) if any(name in leg.parameter_names for name in options.tied)
     ]
     alone = [[i] for i in range(len(legs)) if i not in together]
     return [together, *alone] if together else alone
