@@ -23,6 +23,8 @@ from pincal.cli.app import app
 
 KINDS = ["3RRR", "5R", "4cable"]
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
+#: Readings that are too many for the freedoms cannot be exact.
+READ = {"4cable": ["--noise-reading", "1e-5"]}
 DISTURB = ["--disturb", "0.001"]
 COMMANDS = {c.name or c.callback.__name__: c for c in app.registered_commands if c.callback}
 
@@ -40,8 +42,9 @@ def chain(kind: str, folder: Path, seed: int = 1) -> Path:
     done("workspace", kind, "--count", 400, *seeded, "-o", candidates)
     done("select", kind, "--count", 12, "--candidates", candidates, *seeded, "-o", plan)
     disturbed = [*DISTURB, *seeded, "--truth", folder / "truth"]
-    done("simulate", kind, plan, *NOISE, *disturbed, "-o", measured)
-    done("calibrate", kind, measured, *NOISE, "-o", folder / "result")
+    noise = [*NOISE, *READ.get(kind, [])]
+    done("simulate", kind, plan, *noise, *disturbed, "-o", measured)
+    done("calibrate", kind, measured, *noise, "-o", folder / "result")
     return folder
 
 
@@ -73,7 +76,7 @@ def test_result_says_everything(kind: str, chains: dict[str, Path]) -> None:
     mechanism = pincal.load_mechanism(kind)
     data = pincal.read_measurements(chains[kind] / "measured.csv", mechanism)
     assert result["converged"] is True
-    assert result["method"] == "per-leg"
+    assert result["method"] == "all-legs"
     assert [leg["name"] for leg in result["legs"]] == list(mechanism.leg_names)
     for found, leg in zip(result["legs"], mechanism.legs, strict=True):
         parameters = found["parameters"]
@@ -195,7 +198,8 @@ def test_tables_on_stdout_name_what_was_found(
 ) -> None:
     """Calibrate prints each leg and parameter on stdout, and the file written on stderr."""
     output = tmp_path / "result"
-    outcome = done("calibrate", kind, chains[kind] / "measured.csv", *NOISE, "-o", output)
+    noise = [*NOISE, *READ.get(kind, [])]
+    outcome = done("calibrate", kind, chains[kind] / "measured.csv", *noise, "-o", output)
     for leg in pincal.load_mechanism(kind).legs:
         assert leg.name in outcome.out
         assert all(name in outcome.out for name in leg.parameter_names)

@@ -181,9 +181,9 @@ def _whole(table: Table, mechanism: Mechanism) -> None:
     if missing and len(missing) < len(needed):
         unit = platform.units[platform.coordinates.index(missing[0])]
         raise MeasurementError(
-            f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} [{unit}]', or say "
-            "--method latent, which calibrates with poses that were measured in part. The file "
-            f"has {', '.join(table.units)}"
+            f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} [{unit}]'; "
+            "only all legs together (without --per-leg) are calibrated with poses that were "
+            f"measured in part. The file has {', '.join(table.units)}"
         )
 
 
