@@ -168,6 +168,8 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     if not sample.oriented or given.rows is None:
         return ()
     left = np.array([one.left for one in given.fits if one.rows > 1])
+    if not left.size:
+        return ()
     usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), 1e-300)
     times = np.nan_to_num(left / usual).max(axis=0)
     far = np.flatnonzero(times > _FAR)
