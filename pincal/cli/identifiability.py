@@ -37,7 +37,7 @@ def identifiability(
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="Number of poses without a plan.")] = 50,
 ) -> None:
-    """Say what measurements will determine before they are made.
+    """Say beforehand what measurements will determine.
 
     Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
     calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
