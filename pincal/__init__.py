@@ -24,6 +24,7 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
+from pincal.estimation.losses import Loss
 from pincal.estimation.observability import (
     Identifiability,
     Indices,
@@ -41,6 +42,7 @@ from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse
 from pincal.kinematics.readers import free_of_collision
 from pincal.kinematics.singularity import margins
+from pincal.model.instrument import Condition, Instrument
 from pincal.model.leg import Joint, Leg
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -77,6 +79,7 @@ __all__ = [
     "Axis",
     "Calibration",
     "CalibrationResult",
+    "Condition",
     "ConfigurationChoice",
     "Distance",
     "Element",
@@ -88,9 +91,11 @@ __all__ = [
     "IdentifiedParameter",
     "Indices",
     "Inscribed",
+    "Instrument",
     "InverseSolution",
     "Joint",
     "Leg",
+    "Loss",
     "Margins",
     "MeasurementError",
     "Measurements",
