@@ -50,7 +50,7 @@ from pincal.model.parameter import Parameter
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical
 from pincal.model.platform import Platform
 from pincal.model.platform_kind import PlatformKind
-from pincal.model.sensor import Sensor
+from pincal.model.sensor import Sensor, Term
 from pincal.model.setup import Distance, Setup, Target
 from pincal.show.pictures.picture import Picture, picture
 from pincal.show.report.report import Report, report
@@ -123,6 +123,7 @@ __all__ = [
     "SymmetryError",
     "SymmetryGroup",
     "Target",
+    "Term",
     "Validation",
     "View",
     "Workspace",

@@ -14,7 +14,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import pincal
+from pincal.estimation.leg_condition import LegCondition
 from pincal.estimation.observation import Observation
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import Demand
+from pincal.kinematics.inverse import sensor_law
+from pincal.symmetry.elements import mirror, rotations
 
 Array = NDArray[np.float64]
 EXACT = pincal.Noise(position=0.0, orientation=0.0)
@@ -185,3 +190,74 @@ def test_a_loss_of_ones_own_is_as_good_as_a_named_one(tmp_path: Path) -> None:
     assert loaded.loss == "mine"
     with pytest.raises(pincal.MeasurementError, match="'mine' is code"):
         loaded.options.loss.weigh(np.ones(1))  # type: ignore[union-attr]
+
+
+def _sine(psi: Array) -> Array:
+    return np.sin(3.0 * psi)
+
+
+def _sine_slope(psi: Array) -> Array:
+    return 3.0 * np.cos(3.0 * psi)
+
+
+def _with_terms(name: str) -> pincal.Mechanism:
+    """Return a bundled mechanism of which each sensor has two terms."""
+    robot = pincal.load_mechanism(name)
+    legs = []
+    for leg in robot.legs:
+        sine = pincal.Term("a", _sine, _sine_slope, leg.reading_units[0])
+        square = pincal.Term("b", np.square, lambda psi: 2.0 * psi, "1")
+        sensor = replace(leg.sensors[0], terms=(sine, square))
+        values = (*leg.parameters, ("a", 0.02), ("b", -0.01))
+        legs.append(replace(leg, sensors=(sensor,), parameters=values))
+    return replace(robot, legs=tuple(legs))
+
+
+@pytest.mark.parametrize("name", ["3RRR", "5R", "6UPS", "delta"])
+def test_terms_of_sensors_are_differentiated(name: str) -> None:
+    """Demands by reading and by every parameter; readings and positions are each other's."""
+    robot = _with_terms(name)
+    leg = robot.legs[0]
+    matrices = robot.platform.transforms([robot.platform.home]).as_matrix()
+    psi = pincal.inverse(robot, [robot.platform.home]).readings[:, :1]
+    law = sensor_law(LegClosure(leg, robot.platform))
+    np.testing.assert_allclose(law.reading(law.position(psi)), psi, rtol=0.0, atol=1e-14)
+
+    def demand(step: Array, readings: Array) -> Demand:
+        condition = LegCondition(leg, robot.platform, readings, "closure", np.arange(1))
+        return condition(leg.nominal + step, matrices)[0]
+
+    n = len(leg.nominal)
+    here = demand(np.zeros(n), psi)
+    assert_derivative(here.parameter, lambda step: demand(step, psi).value, precision=1e-13)
+    assert_derivative(
+        here.reading, lambda step: demand(np.zeros(n), psi + step).value, precision=1e-13
+    )
+
+
+def test_terms_without_noise_are_found() -> None:
+    """Inverse and forward kinematics, simulation and calibration know them."""
+    robot = _with_terms("3RRR")
+    truth = pincal.disturb(robot, 1e-3, seed=3)
+    rng = np.random.default_rng(0)
+    poses = robot.platform.home + [0.06, 0.06, 0.3] * rng.uniform(-1.0, 1.0, (40, 3))
+    readings = pincal.inverse(truth, poses).readings
+    np.testing.assert_allclose(pincal.forward(truth, readings, poses).poses, poses, atol=1e-10)
+    data = pincal.simulate(robot, truth, pincal.Plan(poses), EXACT).measurements
+    result = pincal.calibrate(robot, data, noise=pincal.Noise())
+    for leg, true in zip(result.identified.legs, truth.legs, strict=True):
+        np.testing.assert_allclose(leg.nominal, true.nominal, rtol=0.0, atol=1e-9)
+
+
+def test_terms_turn_with_their_legs_and_are_not_saved(tmp_path: Path) -> None:
+    """A leg that is carried by a mirror reads as the mirror image does."""
+    robot = _with_terms("3RRR")
+    with pytest.raises(pincal.MechanismError, match="'a' is code"):
+        robot.save(tmp_path / "r")
+    five = _with_terms("5R")
+    turns = (rotations(1)[0], mirror(np.pi / 2))
+    pair = pincal.generate("pair", five.legs[0], turns, five.platform, "Two legs, mirrored.")
+    poses = five.platform.home + np.array([[0.01, 0.02], [-0.02, 0.01]])
+    here, there = (pincal.inverse(pair, one).readings for one in (poses, poses * [-1.0, 1.0]))
+    np.testing.assert_allclose(here, there[:, ::-1], rtol=0.0, atol=1e-12)
+    assert len(pincal.symmetry_group(pair).elements) == 2
