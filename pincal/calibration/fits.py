@@ -115,6 +115,8 @@ def _all_legs(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     """
     mechanism, options = calibration.mechanism, calibration.options
     problem, unknowns = calibration.latent_problem, calibration.unknowns(tied=tied)
+    if options.setup.plain and not (options.tied or options.hold_undetermined):
+        calibration.check_counts()
     if before is None:
         problem = calibration.started(problem)
         gauge = find_gauge(mechanism, problem, unknowns)

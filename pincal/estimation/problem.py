@@ -291,6 +291,35 @@ class Problem:
         own = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)[:, :, columns]
         return np.concatenate((noise, own), axis=2)
 
+    def evened(self, stack: Stack) -> Problem | None:
+        """Return the problem with every quantity at least as uncertain as is typical.
+
+        Its optimum is nearby and has no narrow valleys: where readings are exact, a pose near a
+        singularity of the nominal machine goes far astray. None where nothing changes, or where an
+        arm carries the platform.
+
+        Args:
+            stack: Conditions at some state.
+        """
+        if not self.latent or any(leg.is_arm for leg in self.legs):
+            return None
+        lengths = np.array([unit == "m" for unit in self.observation.units], dtype=bool)
+        size = max(leg.size for leg in self.legs)
+        rows = np.linalg.norm(stack.noise[:, : self.leg_rows[-1].stop], axis=2)
+        seen = self.sigma_observed * np.where(lengths, 1.0, size)
+        seen = seen[self.observation.measured]
+        noisy = next((one for one in (seen[seen > 0.0], rows[rows > 0.0]) if len(one)), None)
+        if noisy is None:
+            return None
+        typical = float(np.median(noisy))
+        observed = np.maximum(self.sigma_observed, np.where(lengths, typical, typical / size))
+        follow = [np.median(np.linalg.norm(one.reading, axis=1), axis=0) for one in stack.demands]
+        floors = typical / np.maximum(np.concatenate(follow), 1e-300)
+        readings = np.maximum(self.sigma_readings, np.where(np.isfinite(floors), floors, 0.0))
+        if (observed == self.sigma_observed).all() and (readings == self.sigma_readings).all():
+            return None
+        return replace(self, sigma_observed=observed, sigma_readings=readings)
+
     def moved(self, linear: Linear, step: Array) -> State:
         """Return the state after a step of all unknowns, shape (n,), the poses following."""
         state, stack, n = linear.state, linear.stack, self.n_parameters

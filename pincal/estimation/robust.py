@@ -15,7 +15,7 @@ from pincal.estimation.fit import Fit, fit, without
 from pincal.estimation.losses import LOSSES, Loss, outlying
 from pincal.estimation.problem import State
 from pincal.estimation.solve import System
-from pincal.estimation.unobservable import check_weakly_determined
+from pincal.estimation.unobservable import check_covariance, check_weakly_determined
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -88,10 +88,13 @@ def robust_fit(
         MeasurementError: residuals that do not exist, or have no noise.
     """
     try:
-        return _fitted(system, rows, loss, partial(fit, start=start, progress=progress))
+        found = _fitted(system, rows, loss, partial(fit, start=start, progress=progress))
     except ObservabilityError as error:
         check_weakly_determined(mechanism, system.problem, system.unknowns, error)
         raise
+    if not found.fit.converged:
+        check_covariance(mechanism, system.problem, found.fit.covariance)
+    return found
 
 
 def _fitted(
