@@ -490,7 +490,7 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
             marks=pytest.mark.slow,
         ),
         ("nothing", {}, "2 measured quantities, which do not fix the 3 freedoms"),
-        ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "nothing that was measured has noise"),
+        ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "carry no noise at all"),
     ],
 )
 def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> None:
