@@ -202,6 +202,7 @@ class Leg:
                 units[sensor.gain] = "1"
             if isinstance(sensor.offset, str):
                 units[sensor.offset] = unit
+            units |= {term.parameter: term.unit for term in sensor.terms}
         return units
 
     @property

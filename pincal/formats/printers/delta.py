@@ -70,6 +70,19 @@ class DeltaPrinter:
                 f"{1e3 * min(self.arms):g} mm; a radius above 0 and longer rods are expected"
             )
 
+    @property
+    def firmware_lines(self) -> str:
+        """The parameters in the units of firmware."""
+        numbers = np.degrees(self.angles) % 360.0, 1e3 * np.array(self.arms)
+        rows = zip("abc", *numbers, 1e3 * np.array(self.endstops), strict=True)
+        return "\n".join(
+            [f"delta radius {1e3 * self.radius:.4f} mm"]
+            + [
+                f"tower {n}: angle {a:.4f}°, arm {b:.4f} mm, endstop {c:.4f} mm"
+                for n, a, b, c in rows
+            ]
+        )
+
     def mechanism(self, name: str, description: str = "") -> Mechanism:
         """Return the printer as a mechanism; readings are the ways down from the endstops, [m].
 
