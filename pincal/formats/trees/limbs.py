@@ -207,8 +207,8 @@ def point_platform(
         raise MechanismError(
             f"{tree.source}: one loop of {len(way)} joints ({', '.join(names)}; driven: "
             f"{', '.join(n for n in names if n in driven) or 'none'}) has no platform that can be "
-            "recognised; name it with --platform LINK (of a five-bar with a drive in either leg it is "
-            "the point of the middle joint)"
+            "recognised; name it with --platform LINK (of a five-bar with a drive in either leg it "
+            "is the point of the middle joint)"
         )
     back = tuple(Pass(one.bond, not one.forth) for one in reversed(way))
     limbs = []
