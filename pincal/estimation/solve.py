@@ -27,10 +27,13 @@ _POSE_STEPS = 10
 _FIRST_ORDER = 1e-6  # of the mechanism's size, and [rad]: poses this near are solved
 _SHORTEST = 1e-2  # of a step: poses that need shorter ones stay where they are
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad], that poses take at once
-_DAMPING = 1e-6, 1e10  # least and largest, relative to the squares of the columns
+_DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
 _ROWS_FOLLOW = 1e-3  # of the cost, by which it may grow as rows follow the state
+_PROBE = 0.1  # of a step, at which its bend is measured
+_BEND = 0.75  # of a step, twice its second-order part at most
 _NO_STEP = 1e-9  # of a standard error
 _NEAR = 0.1  # of a residual's standard deviation: the evened problem is left
+_SLOW = 1e-6  # of a standard error: nearer only if each step halves the distance
 _NEGLIGIBLE = 1e-3  # of a standard error: what is left where no step falls further
 _ROUNDING = 1e-10  # of the cost: falls that are predicted smaller cannot be judged by it
 
@@ -141,6 +144,19 @@ class Normal:
         """How far the optimum is, to first order: root of the fall of the cost, in σ."""
         return float(np.linalg.norm(self.c))
 
+    def fall(self, step: Array) -> float:
+        """Return by how much the cost falls by a step, shape (n,), to first order."""
+        return float(self.c @ self.c - ((self.c + self.R @ (step * self.lengths)) ** 2).sum())
+
+    def solve(self, gradient: Array, damping: float) -> Array:
+        """Return (JᵀJ + damping)⁻¹ g of a gradient of shape (n,), shape (n,)."""
+        n = len(self.c)
+        R = np.asarray(
+            np.linalg.qr(np.concatenate((self.R, np.sqrt(damping) * np.eye(n))), mode="r")
+        )
+        half = np.linalg.solve(R.T, gradient / self.lengths)
+        return np.asarray(np.linalg.solve(R, half)) / self.lengths
+
     def step(self, damping: float = 0.0) -> Array:
         """Return the least-squares step, shape (n,); damping relative to squares of columns."""
         R, c, n = self.R, self.c, len(self.c)
@@ -195,7 +211,11 @@ def search(
             break
         if progress and evaluations % 5 == 0:
             progress(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
-        trial, count = _trial(problem, here, T @ normal.step(damping))
+        step = normal.step(damping)
+        if damping > 0.0:
+            step = step + _along_the_valley(system, here, weights, normal, step, damping)
+            evaluations += 1
+        trial, count = _trial(problem, here, T @ step)
         evaluations += count
         blind = normal.decrement**2 <= _ROUNDING * cost
         better = False
@@ -209,8 +229,13 @@ def search(
             elif system.loss is None:
                 better = better and new_cost <= highest
         if better and trial is not None:
+            fall = cost - min(system.cost_in(here, trial, weights), new_cost)
+            damping *= _change(fall / max(normal.fall(step), 1e-300))
+            damping, growth = (damping if damping > _DAMPING[0] else 0.0), 10.0
+            slow = blind and new.decrement > 0.5 * normal.decrement
             here, weights, scale, cost, normal = trial, new_weights, new_scale, new_cost, new
-            damping, growth = (0.1 * damping if damping > _DAMPING[0] else 0.0), 10.0
+            if slow and normal.decrement <= _SLOW:  # rounding, or less than matters to anyone
+                break
         elif blind:  # nothing but rounding is left
             break
         else:
@@ -220,6 +245,42 @@ def search(
     left = normal.decrement / max(unit, 1e-300)
     there = normal.decrement <= max(_NO_STEP, 10.0 * _rounding(system, here))
     return Found(here, weights, scale, evaluations, left, there or left <= _NEGLIGIBLE)
+
+
+def _along_the_valley(
+    system: System, here: Linear, weights: Array, normal: Normal, step: Array, damping: float
+) -> Array:
+    """Return the second-order part of a step (geodesic acceleration, Transtrum and Sethna 2012).
+
+    Along a curved valley it lets steps be long that would else climb its walls. Zero where it is
+    not small against the step.
+    """
+    problem, T = system.problem, system.unknowns.map
+    try:
+        with np.errstate(all="ignore"):
+            probe = problem.stack(problem.moved(here, _PROBE * (T @ step)))
+    except (MeasurementError, np.linalg.LinAlgError):
+        return np.zeros_like(step)
+    weighted = system.problem.weighted
+    there = here.white(probe.value[:, :, None])[:, :, 0] if weighted else probe.value / system.unit
+    value, jacobian = system.minimised(here)
+    slope = (there - value) / _PROBE - jacobian @ (T @ step)
+    bent = 2.0 / _PROBE * slope * np.sqrt(weights)[:, None]
+    J = (jacobian @ T) * np.sqrt(weights)[:, None, None]
+    change = -0.5 * normal.solve(np.einsum("nmk,nm->k", J, bent), damping)
+    if not np.isfinite(change).all():
+        return np.zeros_like(step)
+    small = 2.0 * np.linalg.norm(change * normal.lengths) <= _BEND * np.linalg.norm(
+        step * normal.lengths
+    )
+    return change if small else np.zeros_like(step)
+
+
+def _change(gain: float) -> float:
+    """Return the factor on the damping after a step, by its fall over the predicted one."""
+    if gain > 0.75:
+        return 0.1
+    return 1.0 if gain > 0.25 else 4.0
 
 
 def near_start(
