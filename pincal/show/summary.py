@@ -61,7 +61,7 @@ def calibration_summary(
             "errors"
         )
     unused = len(data) - min(leg.n_poses for leg in result.legs)
-    if unused and result.poses == "own" and data.sets is not None:
+    if unused and not result.options.every_pose and data.sets is not None:
         lines.append(sentence(finding("unused-poses", unused=unused, total=len(data))))
     return lines
 
