@@ -23,14 +23,14 @@ from measured import (
     targets,
     workspace,
 )
+from pincal.identification.calibrate import calibration_task
+from pincal.identification.latent_fit import latent_problem
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.estimation.gauge import find_gauge
 from pincal.estimation.observation import Observation
-from pincal.identification.calibrate import calibration_task
-from pincal.identification.latent_fit import latent_problem
 from pincal.kinematics.closure import largest_size
 
 KINDS = ["5R", "3RRR", "6UPS"]

@@ -7,10 +7,10 @@ import re
 import numpy as np
 import pytest
 from measured import machine
-
-import pincal
 from pincal.identification.latent import LatentLinear
 from pincal.identification.scales import redundancies
+
+import pincal
 
 
 def warned(noise: pincal.Noise, seed: int) -> list[str]:
