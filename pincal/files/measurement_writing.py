@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import write_table
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Plan
@@ -22,7 +23,7 @@ Columns = dict[str, Array | tuple[str, ...]]
 
 def write_poses(
     path: str | Path,
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     plan: Plan,
     *,
     orientation: str = "tilt-torsion",
@@ -40,26 +41,28 @@ def write_poses(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
+    mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses to write", MeasurementError)
     planned = Plan(plan.poses, plan.sets, plan.readings)
     write_table(path, columns_of(mechanism, planned, orientation), force=force)
 
 
 def write_readings(
-    path: str | Path, mechanism: Mechanism, readings: Array, *, force: bool = False
+    path: str | Path, mechanism: GivenMechanism, readings: Array, *, force: bool = False
 ) -> None:
     """Write readings to a CSV file.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
+    mechanism = as_mechanism(mechanism)
     columns = _reading_columns(mechanism, readings)
     write_table(path, columns, force=force)
 
 
 def write_measurements(
     path: str | Path,
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     data: Measurements,
     *,
     setup: Setup | None = None,
@@ -77,6 +80,7 @@ def write_measurements(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
+    mechanism = as_mechanism(mechanism)
     must_be(data, Measurements, "measurements to write", MeasurementError)
     write_table(path, columns_of(mechanism, data, setup=setup), force=force)
 

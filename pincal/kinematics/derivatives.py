@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closure import Closure, LegClosure
 from pincal.kinematics.inverse import close, matrix_chunks, sensor_law
@@ -122,7 +123,7 @@ def leg_demand(
 
 
 def identification_jacobian(
-    mechanism: Mechanism, leg: str, poses: Poses, parameters: Array | None = None
+    mechanism: GivenMechanism, leg: str, poses: Poses, parameters: Array | None = None
 ) -> Array:
     """Return the identification Jacobian of one leg: ∂(predicted reading)/∂parameter.
 
@@ -142,6 +143,7 @@ def identification_jacobian(
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
+    mechanism = as_mechanism(mechanism)
     transforms = mechanism.platform.transforms(poses)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     law = sensor_law(closure)

@@ -158,7 +158,7 @@ class Measurements(Plan):
     """What was measured, row by row; NaN where it was not.
 
     Without a ``Setup`` that says otherwise, ``poses`` are those of the platform in the base
-    frame. Estimators with latent poses take rows in which part of a pose, or all of it, is NaN.
+    frame. Of all legs together, part of a pose, or all of it, may be NaN: not measured.
     """
 
     readings: Array = field()

@@ -27,11 +27,8 @@ _NO_FREEDOM = (
 _MISSES = 10.0  # by how many σ a fit misses its own rows that is none
 _MANY = 1e5  # poses: more are not measured
 _PAIRS = 3  # of weakly determined parameters
-_BEST = (
-    "the best that any calibration can reach: --method latent does, --method together --poses all "
-    "comes near where poses are measured in full"
-)
-_ALONE = "calibrate without options, which takes each leg alone by the poses of its set"
+_BEST = "the best that any calibration can reach; 'pincal calibrate' does"
+_ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
 
 
 def calibration_summary(
@@ -246,8 +243,8 @@ def _expected(error: PlatformError, turning: bool) -> str:
 def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
     """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
     many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-    text = f"for {1e3 * accuracy:g} mm: {many} with --method latent"
-    text += "" if alone is None else f", {alone:,.0f} with each leg alone"
+    text = f"for {1e3 * accuracy:g} mm: {many}"
+    text += "" if alone is None else f", {alone:,.0f} with --per-leg"
     if _MANY < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"
     return text

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import SymmetryError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import inverse
@@ -116,13 +117,14 @@ class SymmetryGroup:
 
 
 @lru_cache(maxsize=64)
-def symmetry_group(mechanism: Mechanism, tolerance: float = 1e-6) -> SymmetryGroup:
+def symmetry_group(mechanism: GivenMechanism, tolerance: float = 1e-6) -> SymmetryGroup:
     """Return the symmetry group of a mechanism's nominal geometry, limits, modes and sensors.
 
     Args:
         mechanism: The mechanism.
         tolerance: Largest deviation, relative to the leg's size for lengths, [rad] for angles.
     """
+    mechanism = as_mechanism(mechanism)
     legs = [canonical(leg) for leg in mechanism.legs]
     elements, permutations, breaks = [], [], []
     for element in _candidates(mechanism, legs):
