@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import pincal
+from pincal.files.measurement_writing import write_readings
 
 Array = NDArray[np.float64]
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
@@ -263,7 +264,7 @@ def test_the_command_line_tells_symmetry_and_contradiction(
     assert "mirror at azimuth 150°" in told
     readings = pincal.inverse(cables, poses[:5]).readings
     readings[2, 3] += 0.05
-    pincal.write_readings(tmp_path / "readings.csv", cables, readings)
+    write_readings(tmp_path / "readings.csv", cables, readings)
     said = done("forward", "4cable", tmp_path / "readings.csv", "-o", tmp_path / "poses.csv").err
     found = pincal.read_poses(tmp_path / "poses.csv", cables).poses
     assert "(row 3, line_" in said

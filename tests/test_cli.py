@@ -20,6 +20,7 @@ from marks import some_slow
 
 import pincal
 from pincal.cli.app import app
+from pincal.files.measurements import read_readings
 
 KINDS = ["3RRR", "5R", "4cable"]
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
@@ -120,7 +121,7 @@ def test_calibrated_mechanism_serves_as_mech(
     readings = {}
     for name, mech in {"true": chains[kind] / "truth", "before": kind, "after": calibrated}.items():
         done("inverse", mech, chains[kind] / "plan.csv", "-o", tmp_path / name)
-        readings[name] = pincal.read_readings(tmp_path / name, mechanism)
+        readings[name] = read_readings(tmp_path / name, mechanism)
     before, after = (np.abs(readings[n] - readings["true"]).max() for n in ("before", "after"))
     assert after < 0.1 * before
 

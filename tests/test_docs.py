@@ -159,7 +159,8 @@ def raised() -> set[str]:
 def test_every_error_is_raised_and_explained() -> None:
     """Each class of error says its causes and remedies and is raised; wrong input raises no other.
 
-    ``TypeError`` is for wrong calls, ``ValueError`` for what a reader turns into one of pincal's.
+    ``TypeError`` and ``AttributeError`` are for wrong calls, ``ValueError`` for what a reader turns
+    into one of pincal's.
     """
     kinds = {
         name: kind
@@ -167,7 +168,7 @@ def test_every_error_is_raised_and_explained() -> None:
         if isinstance(kind, type) and issubclass(kind, Exception)
     }
     names = raised() - {"error_type"}  # a reader's argument
-    assert names - set(kinds) <= {"TypeError", "ValueError", "SystemExit"}
+    assert names - set(kinds) <= {"TypeError", "ValueError", "AttributeError", "SystemExit"}
     assert set(kinds) - names == {"PincalError"}
     for name in names & set(kinds):
         assert "Causes: " in str(kinds[name].__doc__)

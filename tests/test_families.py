@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal import Joint, Leg, along, placed, polar
+from pincal.estimation.observability import identifiability
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.reach import reach_of
@@ -174,7 +175,7 @@ def test_what_cannot_be_told_apart_is_named(case: str) -> None:
     with pytest.raises(pincal.ObservabilityError, match=rf"leg_1(?s:.*)({what})"):
         pincal.calibrate(mechanism, data, method="per-leg")
     C = pincal.identification_jacobian(mechanism, "leg_1", plan.poses)
-    found = pincal.identifiability(C, mechanism.legs[0].parameter_names)
+    found = identifiability(C, mechanism.legs[0].parameter_names)
     assert found.rank == len(machine.legs[0].parameters)
     assert all(any(part in group for group in found.groups) for part in what.split("|"))
 

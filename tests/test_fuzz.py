@@ -22,6 +22,8 @@ from test_formats import CONFIG
 
 import pincal
 from pincal.errors import PincalError
+from pincal.files import measurements
+from pincal.files.measurement_writing import write_readings
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.delta import DeltaPrinter, Expressed
 from pincal.formats.printers.klipper import read_klipper, write_klipper
@@ -86,10 +88,10 @@ def read_plan(path: Path) -> None:
 
 
 def read_readings(path: Path) -> None:
-    readings = pincal.read_readings(path, PLANE)
+    readings = measurements.read_readings(path, PLANE)
     assert np.isfinite(readings).all()
-    pincal.write_readings(path, PLANE, readings, force=True)
-    assert equal(pincal.read_readings(path, PLANE), readings)
+    write_readings(path, PLANE, readings, force=True)
+    assert equal(measurements.read_readings(path, PLANE), readings)
 
 
 def read_measurements(path: Path) -> None:

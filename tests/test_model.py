@@ -13,6 +13,8 @@ import pytest
 import pincal
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.given import as_measurements, as_mechanism, as_plan, as_setup
+from pincal.files.measurement_writing import write_readings
+from pincal.files.measurements import read_readings
 
 THREE = pincal.load_mechanism("3RRR")
 POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))
@@ -285,18 +287,18 @@ def test_a_kind_of_ones_own_is_identified_and_kept(tmp_path: Path) -> None:
         lambda: pincal.load_mechanism(None),
         lambda: pincal.load_arm(3, "tool"),
         lambda: pincal.read_measurements(None, THREE),
-        lambda: pincal.read_measurements("m.csv", "3RRR"),
+        lambda: pincal.read_measurements("m.csv", 3),
         lambda: pincal.read_measurements("m.csv", THREE, "setup.yaml"),
         lambda: pincal.read_poses([1.0], THREE),
         lambda: pincal.read_poses("p.csv", None),
-        lambda: pincal.read_readings(3, THREE),
+        lambda: read_readings(3, THREE),
         lambda: pincal.read_setup(None),
         lambda: pincal.write_measurements("m.csv", THREE, POSES),
         lambda: pincal.write_measurements("m.csv", None, pincal.Plan(POSES)),
         lambda: pincal.write_poses("p.csv", THREE, POSES),
         lambda: pincal.write_poses(None, THREE, pincal.Plan(POSES)),
-        lambda: pincal.write_readings("r.csv", THREE, None),
-        lambda: pincal.write_readings("r.csv", "3RRR", READINGS),
+        lambda: write_readings("r.csv", THREE, None),
+        lambda: write_readings("r.csv", 3, READINGS),
         lambda: THREE.save(None),
         lambda: as_mechanism(3.0),
         lambda: as_plan("3RRR".split, THREE),

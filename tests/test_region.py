@@ -13,7 +13,11 @@ from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.workspace.articular import equal_sums
+from pincal.workspace.axes import Axis
+from pincal.workspace.box import default_grid, default_samples
 from pincal.workspace.criteria import Criteria
+from pincal.workspace.positions import Samples
 
 NONE = pincal.Margins.none()
 BUNDLED = ["5R", "3RRR", "6UPS"]
@@ -121,7 +125,7 @@ def test_symmetry_changes_nothing_but_the_work(
     """A fundamental domain gives the very set that computing all positions gives."""
     name, platform = any_mechanism.name, any_mechanism.platform
     if grid == "samples":
-        asked = pincal.default_samples(any_mechanism, 3000)
+        asked = default_samples(any_mechanism, 3000)
     else:
         asked = pincal.Grid.of(*(POLAR if grid == "polar" else CARTESIAN)[name])
     turns = pincal.Orientations.of(platform, *TURNS[name]) if TURNS[name] else None
@@ -302,7 +306,7 @@ def test_samples_measure_the_area_too() -> None:
     fine = pincal.Grid.of("x=-0.8:0.8:0.01", "y=-0.8:0.8:0.01")
     area = pincal.compute_workspace(mechanism, "constant-orientation", fine).measure
     for seed in range(5):
-        samples = pincal.Samples(6000, 0.9, seed=seed, elements=pincal.rotations(3))
+        samples = Samples(6000, 0.9, seed=seed, elements=pincal.rotations(3))
         found = pincal.compute_workspace(mechanism, "constant-orientation", samples)
         assert found.measure == pytest.approx(area, abs=1.5 * found.uncertainty + 2e-3)
         assert found.uncertainty < 0.1
@@ -320,7 +324,7 @@ def test_parts_beyond_singularities_are_told() -> None:
     assert found.count - kept.count == found.apart > 0
     assert kept.apart == 0
     with pytest.raises(pincal.WorkspaceError, match="samples have no neighbours"):
-        pincal.compute_workspace(mechanism, "reachable", pincal.Samples(900, 2.0), connected=True)
+        pincal.compute_workspace(mechanism, "reachable", Samples(900, 2.0), connected=True)
 
 
 def test_parts_hang_together_around_the_full_turn(hexapod: pincal.Mechanism) -> None:
@@ -347,9 +351,9 @@ def test_articular_space_is_as_symmetric_as_the_workspace(
         assert check.solved == check.inside == check.asked == 1000
         assert check.off < 1e-9
     readings = pincal.articular_space(mechanism, poses)
-    across = pincal.equal_sums(readings)
+    across = equal_sums(readings)
     np.testing.assert_allclose(across[:, 2], readings.sum(axis=1) / np.sqrt(3), atol=1e-12)
-    rolled = pincal.equal_sums(np.roll(readings, 1, axis=1))  # a third of a turn in the plane
+    rolled = equal_sums(np.roll(readings, 1, axis=1))  # a third of a turn in the plane
     turn = np.exp(2j * np.pi / 3)
     expected = (across[:, 0] + 1j * across[:, 1]) * turn
     np.testing.assert_allclose(rolled[:, 0] + 1j * rolled[:, 1], expected, atol=1e-12)
@@ -384,7 +388,7 @@ def test_jobs_change_nothing(hexapod: pincal.Mechanism, monkeypatch: pytest.Monk
 )
 def test_axes_are_read(text: str, values: list[float]) -> None:
     """Both forms, units, and a full turn whose ends are one."""
-    np.testing.assert_allclose(pincal.Axis.parse(text).values, values, atol=1e-15)
+    np.testing.assert_allclose(Axis.parse(text).values, values, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -408,7 +412,7 @@ def test_axes_are_read(text: str, values: list[float]) -> None:
 def test_wrong_axes_are_refused(text: str, message: str) -> None:
     """Each says what is wrong with it."""
     with pytest.raises(pincal.WorkspaceError, match=message):
-        pincal.Axis.parse(text)
+        Axis.parse(text)
 
 
 @pytest.mark.parametrize(
@@ -600,7 +604,7 @@ def test_a_workspace_is_saved_and_shown(tmp_path: Path) -> None:
 def test_inscribed_circles_need_a_grid() -> None:
     """Samples, a line and an empty workspace have none."""
     mechanism = pincal.load_mechanism("3RRR")
-    for asked in (pincal.Samples(100, 1.0), pincal.Grid.of("x=0:1:0.1", "y=0")):
+    for asked in (Samples(100, 1.0), pincal.Grid.of("x=0:1:0.1", "y=0")):
         found = pincal.compute_workspace(mechanism, "reachable", asked)
         with pytest.raises(pincal.WorkspaceError, match="needs a grid"):
             pincal.largest_inscribed(found)
@@ -612,7 +616,7 @@ def test_inscribed_circles_need_a_grid() -> None:
 @pytest.mark.parametrize("any_mechanism", some_slow(BUNDLED, "6UPS"), indirect=True)
 def test_default_grids_hold_the_workspace(any_mechanism: pincal.Mechanism) -> None:
     """Nothing that counts lies beyond; rotations make the grid polar."""
-    grid = pincal.default_grid(any_mechanism)
+    grid = default_grid(any_mechanism)
     assert grid.polar == (any_mechanism.name != "5R")
     poses = workspace(any_mechanism.name, 2000)
     reach = [np.abs(axis.values).max() + axis.step for axis in grid.axes]
@@ -620,4 +624,4 @@ def test_default_grids_hold_the_workspace(any_mechanism: pincal.Mechanism) -> No
         assert np.linalg.norm(poses[:, :2], axis=1).max() <= reach[0]
     else:
         assert (np.abs(poses[:, :2]).max(axis=0) <= reach[:2]).all()
-    assert pincal.default_grid(any_mechanism, ["x=0:1:0.5"]).axes[0].values.size == 3
+    assert default_grid(any_mechanism, ["x=0:1:0.5"]).axes[0].values.size == 3

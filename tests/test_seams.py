@@ -261,3 +261,17 @@ def test_terms_turn_with_their_legs_and_are_not_saved(tmp_path: Path) -> None:
     here, there = (pincal.inverse(pair, one).readings for one in (poses, poses * [-1.0, 1.0]))
     np.testing.assert_allclose(here, there[:, ::-1], rtol=0.0, atol=1e-12)
     assert len(pincal.symmetry_group(pair).elements) == 2
+
+
+def test_old_names_say_where_they_are_now() -> None:
+    """What version 0.1 had at the top is found with a warning; all that is public is there."""
+    for name in pincal.__all__:
+        assert getattr(pincal, name).__name__ == name
+        assert name in dir(pincal)
+    for module, names in pincal._MOVED.items():
+        for name in names.split():
+            assert name not in pincal.__all__
+            with pytest.warns(DeprecationWarning, match=f"is now {module}.{name}"):
+                assert getattr(pincal, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        pincal.nothing  # noqa: B018

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 import pincal
 from pincal.errors import FileError, MeasurementError, PincalError
 from pincal.files.input import LARGEST
+from pincal.files.measurement_writing import write_readings
+from pincal.files.measurements import read_readings
 from pincal.files.tables import read_table, write_table
 
 Array = NDArray[np.float64]
@@ -95,8 +97,8 @@ def test_poses_and_readings_read_back_bit_for_bit(
     plan = pincal.read_poses(spare, mechanism)
     assert bits(plan.poses) == bits(data.poses)
     assert plan.sets == data.sets
-    pincal.write_readings(spare, mechanism, data.readings, force=True)
-    assert bits(pincal.read_readings(spare, mechanism)) == bits(data.readings)
+    write_readings(spare, mechanism, data.readings, force=True)
+    assert bits(read_readings(spare, mechanism)) == bits(data.readings)
 
 
 def poses_of(path: Path, text: str, encoding: str = "utf-8") -> Array:

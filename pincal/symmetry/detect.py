@@ -272,13 +272,11 @@ def _sensors_differ(
     a, b = carried.sensors[index], leg.sensors[index]
     if [one.basis for one in a.terms] != [one.basis for one in b.terms]:
         return "terms of the sensor", None
-    for first, second in zip(a.terms, b.terms, strict=True):
-        amplitudes = (
-            carried.nominal_by_name[first.parameter],
-            leg.nominal_by_name[second.parameter],
-        )
-        if abs(amplitudes[0] - amplitudes[1]) > tolerance:
-            return "terms of the sensor", abs(amplitudes[0] - amplitudes[1])
+    for one, other in zip(a.terms, b.terms, strict=True):
+        amplitude = carried.nominal_by_name[one.parameter]
+        apart = abs(amplitude - leg.nominal_by_name[other.parameter])
+        if apart > tolerance:
+            return "terms of the sensor", apart
     if (a.form, a.direction) != (b.form, b.direction):
         return "form or direction of the sensor", None
     gains, offsets = zip(
