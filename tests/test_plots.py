@@ -69,7 +69,7 @@ def test_expected_errors_over_the_workspace(
     place = tuple(np.argwhere(np.isfinite(values.filled(np.nan)))[40])
     x = left + (right - left) * (place[1] + 0.5) / values.shape[1]
     y = low + (high - low) * (place[0] + 0.5) / values.shape[0]
-    expected = pincal.expected_error(result, np.array([[x, y]]))
+    expected = result.expected_error(np.array([[x, y]]))
     assert values[place] == pytest.approx(1e3 * expected.position, rel=1e-6)
 
     def fail(*_: object) -> None:
@@ -90,3 +90,40 @@ def test_axes_that_are_given_are_drawn_into(draw: object, result: pincal.Calibra
     assert draw(replace(result, legs=hidden), axes) is axes  # type: ignore[operator]
     by_name = getattr(result.plot, draw.__name__)  # type: ignore[attr-defined]
     assert by_name(axes) is axes
+
+
+CASES = {
+    "per-leg": ("5R", {"method": "per-leg"}),
+    "all-legs": ("5R", {}),
+    "noisy readings": ("5R", {"noise": pincal.Noise(1e-4, 1e-4, 1e-4)}),
+    "arm": ("UR5", {}),
+    "cables": ("4cable", {"noise": pincal.Noise(0.0, 0.0, 1e-4)}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_kind_of_result_plots(case: str) -> None:
+    """Legs alone and together, exact and noisy readings, an arm, a machine without poses."""
+    name, options = CASES[case]
+    noise = options.get("noise", NOISE)
+    mechanism = pincal.load_mechanism(name) if name != "UR5" else arm()
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    plan = planned(mechanism)
+    data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
+    if case == "cables":
+        data = replace(data, poses=np.full_like(data.poses, np.nan))
+    result = pincal.calibrate(mechanism, data, **{"noise": noise, **options})
+    shown = result.plot.residuals()
+    white = np.concatenate([line.get_ydata() for line in shown.lines[:-3]])
+    assert 0.1 < np.sqrt(np.mean(white**2)) < 1.5
+    bars = [bar for one in result.plot.parameters().containers for bar in one]
+    free = [p for leg in result.legs for p in leg.parameters if p.high > p.low]
+    assert len(bars) == len(free)
+    (image,) = result.plot.correlation().images
+    assert np.abs(image.get_array()).max() <= 1.0 + 1e-9
+    if mechanism.by_readings:
+        with pytest.raises(pincal.WorkspaceError, match="no workspace"):
+            result.plot.error_map()
+    else:
+        values = result.plot.error_map().images[0].get_array().compressed()
+        assert ((values > 0.0) & np.isfinite(values)).any()

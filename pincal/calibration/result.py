@@ -21,6 +21,7 @@ from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter, Parameters
+from pincal.words.numbers import SMALL, Measured, shown_in
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
@@ -62,8 +63,13 @@ class IdentifiedParameter(Parameter):
         """Identified less nominal value."""
         return self.identified - self.nominal
 
+    @property
+    def text(self) -> str:
+        """Identified value ± half its 95 % interval, in the unit in which people read it."""
+        return Measured(self.identified, (self.high - self.low) / 2, self.unit).text()
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class LegResult:
     """Calibration of one leg."""
 
@@ -88,6 +94,27 @@ class LegResult:
     """Residuals with nominal parameters, shape (n_residuals,)."""
     residuals: Array
     """Residuals with identified parameters, shape (n_residuals,)."""
+    quantity: str = "closure"
+    """What residuals are of: ``"closure"``, or ``"reading"``."""
+
+    def __repr__(self) -> str:
+        return (
+            f"LegResult({self.name!r}, {len(self.parameters)} parameters, rank {self.rank}, "
+            f"{self.quantity} residuals {self._fell})"
+        )
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.name}: {self.quantity} residuals {self._fell} (root mean square), "
+            f"{self.n_residuals} from {self.n_poses} poses",
+            f"rank {self.rank} of {len(self.parameters)}, condition {self.condition:.3g}",
+        ]
+        return "\n".join([*lines, *(f"  {p.id}  {p.text}" for p in self.parameters)])
+
+    @property
+    def _fell(self) -> str:
+        before, after = (shown_in(one, self.unit) for one in (self.rms_before, self.rms_after))
+        return f"{before:.3g} → {after:.3g} {SMALL[self.unit]}"
 
     @property
     def n_poses(self) -> int:
@@ -368,24 +395,10 @@ class CalibrationResult:
         )
 
     def __str__(self) -> str:
-        """Return a page: the fit, all parameters with their 95 % intervals, warnings."""
-        lines = [
-            f"{self.nominal.name}: {self.method}, {self.message}",
-            f"reduced χ² {self.reduced_chi2:.3g} on {self.degrees_of_freedom} degrees of freedom",
-            "",
-            f"{'parameter':16s} {'nominal':>12s} {'identified':>14s} {'± 95 %':>10s}",
-        ]
-        every: tuple[Any, ...] = self.parameters
-        for p in every:
-            half = p.given if p.given == "fixed" else f"{(p.high - p.low) / 2:.2g}"
-            lines.append(f"{p.id:16s} {p.nominal:12.6f} {p.identified:14.7f} {half:>10s} {p.unit}")
-        lines.append("")
-        lines += [
-            f"{leg.name}: rms residual {leg.rms_before:.3g} to {leg.rms_after:.3g} {leg.unit}, "
-            f"{leg.n_residuals} residuals, rank {leg.rank}, condition {leg.condition:.3g}"
-            for leg in self.legs
-        ]
-        return "\n".join(lines + [f"warning: {text}" for text in self.warnings])
+        """Return a page: how it was made, its tables, what it means, warnings."""
+        from pincal.show.notebook import result_text
+
+        return result_text(self)
 
     def save(self, folder: str | Path, *, force: bool = False, report: Page | None = None) -> Path:
         """Write the result to a folder: ``load_result`` gives it back.

@@ -69,9 +69,9 @@ def outside_table(result: CalibrationResult) -> Table:
     return Table(
         "Outside the mechanism",
         tuple(map(Column, ("unknown", "start", *_HEADS[2:5]))),
-        [_cells(p)[:5] for p in result.external],
-        "frame: where the base is in the frame of the measurements (rx, ry, rz a rotation vector); "
-        "others: where what was measured is on the platform",
+        [(p.id, *_cells(p)[1:5]) for p in result.external],
+        "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
+        "vector); others: where what was measured is on the platform",
     )
 
 

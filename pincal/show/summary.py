@@ -11,7 +11,6 @@ from pincal.calibration.validation import Validation
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.weak import WeakPair
-from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, turns
 from pincal.show.workspace_errors import WorkspaceErrors
@@ -27,24 +26,19 @@ _NO_FREEDOM = (
 _MISSES = 10.0  # by how many σ a fit misses its own rows that is none
 _MANY = 1e5  # poses: more are not measured
 _PAIRS = 3  # of weakly determined parameters
-_BEST = (
-    "the best that any calibration can reach: --method latent does, --method together --poses all "
-    "comes near where poses are measured in full"
-)
-_ALONE = "calibrate without options, which takes each leg alone by the poses of its set"
+_BEST = "the best that any calibration can reach: calibrate does by default, with all legs together"
+_ALONE = "each leg alone by the poses of its set (--method per-leg)"
 
 
-def calibration_summary(
-    data: Measurements, result: CalibrationResult, errors: WorkspaceErrors | None
-) -> list[str]:
+def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
     """Return what a calibration means.
 
     Args:
-        data: What was measured.
         result: The calibration.
         errors: The platform's over the workspace; None if the fit did not converge.
     """
-    lines = [result.message, noise_line(result)]
+    data = result.measurements
+    lines = [f"{method_line(result)}; {result.message}", noise_line(result)]
     if result.gauge:
         lines.append(
             "fixed by choice, of equal parameters those nearest to nominal: "
@@ -64,9 +58,20 @@ def calibration_summary(
             "errors"
         )
     unused = len(data) - min(leg.n_poses for leg in result.legs)
-    if unused and result.poses == "own" and data.sets is not None:
+    if unused and not result.options.every_pose and data.sets is not None:
         lines.append(sentence(finding("unused-poses", unused=unused, total=len(data))))
     return lines
+
+
+def method_line(result: CalibrationResult) -> str:
+    """Return how parameters were identified."""
+    options = result.options
+    if options.latent:
+        return "all legs together, the poses estimated with the parameters"
+    if options.method == "all-legs":
+        return "all legs together, the poses taken as measured"
+    own = result.measurements.sets is not None and not options.every_pose
+    return f"each leg alone by {'the poses of its set' if own else 'all poses'}, taken as measured"
 
 
 def noise_line(result: CalibrationResult) -> str:
@@ -246,7 +251,7 @@ def _expected(error: PlatformError, turning: bool) -> str:
 def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
     """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
     many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-    text = f"for {1e3 * accuracy:g} mm: {many} with --method latent"
+    text = f"for {1e3 * accuracy:g} mm: {many} with all legs together"
     text += "" if alone is None else f", {alone:,.0f} with each leg alone"
     if _MANY < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"

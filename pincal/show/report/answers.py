@@ -33,8 +33,9 @@ _TONES = {
 
 def warning_lines(result: CalibrationResult) -> list[str]:
     """Return what the reader should know first."""
-    lines = warnings(result)
-    return lines if result.converged else [f"The fit did not converge: {result.message}", *lines]
+    if result.converged:
+        return warnings(result)
+    return [f"The fit did not converge: {result.message}", *warnings(result)]
 
 
 def answers(found: Findings, notes: Sequence[str]) -> Answers:
