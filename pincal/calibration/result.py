@@ -33,7 +33,14 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 _PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
+_MISSED = 0.01  # standard deviations, below which a leg misses nothing
 _FELL = 0.5  # of the residuals: less must be left of them if anything was corrected
+
+
+def _whitened(parts: list[tuple[Array, Array, Array]]) -> tuple[Array, Array]:
+    before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
+    noisy = sigma > 0.0
+    return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]
 
 
 class Page(Protocol):
@@ -304,15 +311,23 @@ class CalibrationResult:
         return self.excess <= _PROMISED
 
     @property
+    def whitened(self) -> tuple[Array, Array]:
+        """Residuals in standard deviations, before and after, of all that carries noise.
+
+        Of the legs and of the platform: where the search started, poses made from readings leave
+        all to the platform.
+        """
+        parts = [(leg.residuals_before, leg.residuals, leg.sigma) for leg in self.legs]
+        parts += [(one.residuals_before, one.residuals, one.sigmas) for one in self.observed]
+        return _whitened(parts)
+
+    @property
     def corrects(self) -> bool:
         """Whether residuals fell by half at least, in standard deviations, or are noise."""
-        parts = [(leg.residuals_before, leg.residuals, leg.sigma) for leg in self.legs]
-        if not any((sigma > 0.0).any() for *_, sigma in parts):
-            parts = [(one.residuals_before, one.residuals, one.sigmas) for one in self.observed]
-        before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
-        noisy = sigma > 0.0
-        squares = [((values[noisy] / sigma[noisy]) ** 2).sum() for values in (before, after)]
-        return self.excess == 1.0 or bool(squares[1] <= _FELL**2 * squares[0])
+        legs = _whitened([(one.residuals_before, one.residuals, one.sigma) for one in self.legs])
+        shown = legs if np.abs(legs[0]).max(initial=0.0) > _MISSED else self.whitened
+        before, after = ((one**2).sum() for one in shown)
+        return self.excess == 1.0 or bool(after <= _FELL**2 * before)
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""

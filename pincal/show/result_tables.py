@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from pincal.calibration.result import CalibrationResult, IdentifiedParameter
 from pincal.show.results import (
     Series,
@@ -114,7 +116,10 @@ def observed_table(result: CalibrationResult) -> Table:
 
 def _sizes(one: Series) -> tuple[Cell, ...]:
     """Return root mean squares before and after, σ, and the unit."""
-    cells = [Cell(value, f"{shown_in(value, one.unit):.4f}") for value in one.rms]
+    cells = [
+        Cell(value, "" if np.isnan(value) else f"{shown_in(value, one.unit):.4f}")
+        for value in one.rms
+    ]
     return (*cells, Cell(one.unit, SMALL[one.unit]))
 
 

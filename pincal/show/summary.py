@@ -168,8 +168,8 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     """Return which pairs of parameters are weakly determined; legs alike in one line."""
     alike: dict[tuple[str, ...], list[WeakPair]] = {}
     for pair in pairs:
-        leg, _, name = pair.first.partition(".")
-        other_leg, _, other = pair.second.partition(".")
+        leg, _, name = pair.first.rpartition(".")
+        other_leg, _, other = pair.second.rpartition(".")
         key = (name, other, "") if leg == other_leg else (f"{leg}.{name}", f"{other_leg}.{other}")
         alike.setdefault(key, []).append(pair)
     lines = [_weak_line(own, mechanism) for own in alike.values()]
@@ -181,9 +181,9 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
 def _weak_line(pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
     """Return a line on a pair of parameters, of one leg or alike of several; the weakest counts."""
     worst = pairs[0]
-    legs = list(dict.fromkeys(pair.first.partition(".")[0] for pair in pairs))
+    legs = list(dict.fromkeys(pair.first.rpartition(".")[0] for pair in pairs))
     ids = [worst.first, worst.second]
-    both = [(leg, name) for leg, _, name in (one.partition(".") for one in ids)]
+    both = [(leg, name) for leg, _, name in (one.rpartition(".") for one in ids)]
     whose = ""
     if len(legs) > 1 and both[0][0] == both[1][0]:
         ids = [name for _, name in both]
