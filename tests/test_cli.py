@@ -23,6 +23,8 @@ from pincal.cli.app import app
 
 KINDS = ["3RRR", "5R", "4cable"]
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
+#: Readings that are too many for the freedoms cannot be exact.
+READ = {"4cable": ["--noise-reading", "1e-5"]}
 DISTURB = ["--disturb", "0.001"]
 COMMANDS = {c.name or c.callback.__name__: c for c in app.registered_commands if c.callback}
 
@@ -40,8 +42,9 @@ def chain(kind: str, folder: Path, seed: int = 1) -> Path:
     done("workspace", kind, "--count", 400, *seeded, "-o", candidates)
     done("select", kind, "--count", 12, "--candidates", candidates, *seeded, "-o", plan)
     disturbed = [*DISTURB, *seeded, "--truth", folder / "truth"]
-    done("simulate", kind, plan, *NOISE, *disturbed, "-o", measured)
-    done("calibrate", kind, measured, *NOISE, "-o", folder / "result")
+    noise = [*NOISE, *READ.get(kind, [])]
+    done("simulate", kind, plan, *noise, *disturbed, "-o", measured)
+    done("calibrate", kind, measured, *noise, "-o", folder / "result")
     return folder
 
 
@@ -73,7 +76,7 @@ def test_result_says_everything(kind: str, chains: dict[str, Path]) -> None:
     mechanism = pincal.load_mechanism(kind)
     data = pincal.read_measurements(chains[kind] / "measured.csv", mechanism)
     assert result["converged"] is True
-    assert result["method"] == "per-leg"
+    assert result["method"] == "all-legs"
     assert [leg["name"] for leg in result["legs"]] == list(mechanism.leg_names)
     for found, leg in zip(result["legs"], mechanism.legs, strict=True):
         parameters = found["parameters"]
@@ -83,7 +86,7 @@ def test_result_says_everything(kind: str, chains: dict[str, Path]) -> None:
         assert all(0.0 < p["std"] < 0.01 for p in parameters)
         assert all(p["interval_95"][0] < p["identified"] < p["interval_95"][1] for p in parameters)
         assert found["rank"] == len(parameters)
-        assert found["n_residuals"] == data.serves(leg.name).sum() > 9
+        assert found["n_residuals"] == len(data) > 9
         assert 1.0 < found["condition"] < 1e4
         assert found["rms_after"] < 0.1 * found["rms_before"]
 
@@ -195,7 +198,8 @@ def test_tables_on_stdout_name_what_was_found(
 ) -> None:
     """Calibrate prints each leg and parameter on stdout, and the file written on stderr."""
     output = tmp_path / "result"
-    outcome = done("calibrate", kind, chains[kind] / "measured.csv", *NOISE, "-o", output)
+    noise = [*NOISE, *READ.get(kind, [])]
+    outcome = done("calibrate", kind, chains[kind] / "measured.csv", *noise, "-o", output)
     for leg in pincal.load_mechanism(kind).legs:
         assert leg.name in outcome.out
         assert all(name in outcome.out for name in leg.parameter_names)
@@ -352,7 +356,7 @@ BAD = {
     "file-missing": Case("calibrate 3RRR absent.csv", ["absent.csv", "No such file"]),
     "file-is-folder": Case("calibrate 3RRR truth", ["truth", "directory"]),
     "column-missing": Case(
-        "calibrate 3RRR measured.csv",
+        "calibrate 3RRR measured.csv --per-leg",
         ["measured.csv", "'phi'", "'phi [rad]'"],
         edited("measured.csv", "phi [rad]", "angle [rad]"),
     ),
@@ -377,7 +381,7 @@ BAD = {
         edited("measured.csv", ",", ";"),
     ),
     "other-mechanisms-table": Case(
-        "calibrate 3RRR 5R-files/measured.csv", ["5R-files/measured.csv", "'phi'"]
+        "calibrate 3RRR 5R-files/measured.csv", ["5R-files/measured.csv", "'leg_3'"]
     ),
     "other-mechanisms-sets": Case("simulate 5R plan.csv", ["plan.csv", "line 26", "'leg_3'", "5R"]),
     "header-only": Case("inverse 3RRR t.csv", ["t.csv", "rows"], table(POSES)),

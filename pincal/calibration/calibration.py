@@ -253,9 +253,10 @@ class Calibration:
             own = free.part([leg.name])
             n = own.map.shape[1] - int(np.isfinite(own.priors).sum())
             equations = len(self.mechanism.platform.closing(leg.closes)) - len(leg.passive)
-            least = -(-(n if self.noise.known else n + 1) // equations)
+            scale = not (self.noise.known or self.options.latent)
+            least = -(-(n + scale) // equations)
             if count < least:
-                why = "" if self.noise.known else " and the scale of the noise"
+                why = " and the scale of the noise" if scale else ""
                 raise ObservabilityError(
                     f"{leg.name}: {count} measured poses for {n} parameters{why}; at least {least} "
                     f"are needed, {2 * least} or more advised"

@@ -30,6 +30,7 @@ from pincal.words.sentences import finding, sentence, sentences
 Array = NDArray[np.float64]
 _STILL = 1e-3  # of a leg's size, and [rad]: readings that differ by less hardly move
 _FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
+_ROUNDED = 1e-12  # of a leg's size: what rounding leaves of exact rows
 _FAR = 10.0  # times the median that a row misses by: a slip, if fewer than one row in so many
 
 
@@ -172,8 +173,11 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     """
     if not sample.oriented or given.rows is None:
         return ()
-    left = np.array([one.left for one in given.fits if one.rows > 1])
-    usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), 1e-300)
+    judged = [one.left for one in given.fits if one.rows > 1]
+    if not judged:
+        return ()
+    left = np.array(judged)
+    usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), _ROUNDED)
     times = np.nan_to_num(left / usual).max(axis=0)
     far = np.flatnonzero(times > _FAR)
     if not 0 < len(far) <= max(1.0, len(times) / _FAR):

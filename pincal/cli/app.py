@@ -13,10 +13,11 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from functools import wraps
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 import typer
@@ -73,13 +74,15 @@ def command(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that registers a command with ``--quiet``.
 
+    A parameter that is a dataclass is a group of options: each field is one of its own.
+
     Args:
         name: What is typed, if not the function's name.
         answers: Whether the command calls ``answer``, so that it can have ``--json`` too.
     """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        own = inspect.signature(function, eval_str=True)
+        single = _ungrouped(function)
         more = {"quiet": Quiet} | ({"as_json": Json} if answers else {})
         options = [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
@@ -87,17 +90,49 @@ def command(
         ]
 
         @wraps(function)
-        def run(*, quiet: bool = False, as_json: bool = False, **options: Any) -> None:
+        def run(*, quiet: bool = False, as_json: bool = False, **given: Any) -> None:
             with _turned_down(quiet, as_json):
-                function(**options)
+                single(**given)
 
-        parameters = [*own.parameters.values(), *options]
-        run.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
-        run.__annotations__ = {one.name: one.annotation for one in parameters}
+        _show(run, [*inspect.signature(single).parameters.values(), *options])
         app.command(name)(run)
         return function
 
     return register
+
+
+def _ungrouped(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose groups of options are options one by one."""
+    groups: dict[str, type[Any]] = {}
+    single = []
+    for one in inspect.signature(function, eval_str=True).parameters.values():
+        if isinstance(one.annotation, type) and is_dataclass(one.annotation):
+            groups[one.name] = one.annotation
+            kinds = get_type_hints(one.annotation, include_extras=True)
+            own = [(each.name, each.default, kinds[each.name]) for each in fields(one.annotation)]
+        else:
+            own = [(one.name, one.default, one.annotation)]
+        single += [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind
+            )
+            for name, default, kind in own
+        ]
+
+    @wraps(function)
+    def run(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
+        function(**given)
+
+    _show(run, single)
+    return run
+
+
+def _show(function: Callable[..., None], parameters: Sequence[inspect.Parameter]) -> None:
+    """Give a function the signature that typer reads."""
+    function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    function.__annotations__ = {one.name: one.annotation for one in parameters}
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -31,7 +31,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.setups import SetupFile, UnknownFrame, UnknownTarget, setup_from
+from pincal.cli.options import SetupOptions
 from pincal.errors import MeasurementError, PincalError
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import load_mechanism, mechanism_files
@@ -46,7 +46,7 @@ from pincal.show.summary import calibration_summary
 
 
 class Method(StrEnum):
-    """Which unknowns were identified at once in version 0.1."""
+    """Which parameters were identified at once, as version 0.1 said it."""
 
     per_leg = "per-leg"
     together = "together"
@@ -77,6 +77,132 @@ class Robust(StrEnum):
     reject = "reject"
 
 
+@dataclass(frozen=True)
+class MethodOptions:
+    """What is identified at once, and what is minimised."""
+
+    per_leg: Annotated[
+        bool,
+        typer.Option("--per-leg", help="Each leg alone, poses as measured: the papers' way."),
+    ] = False
+    method: Annotated[Method | None, typer.Option(hidden=True)] = None
+    residual: Annotated[
+        Residual, typer.Option(help="Whitened loop closure, or readings as in the papers.")
+    ] = Residual.closure
+    poses: Annotated[
+        Poses | None,
+        typer.Option(help="With --per-leg: for each leg the poses of its set (own), or all."),
+    ] = None
+
+    @property
+    def alone(self) -> bool:
+        """Whether each leg is identified alone."""
+        return self.per_leg or self.method is Method.per_leg
+
+    def remark_replaced(self) -> None:
+        """Say what replaces options of version 0.1."""
+        if self.method is Method.per_leg:
+            remark("--method per-leg is now --per-leg")
+        elif self.method is not None:
+            remark(f"--method {self.method.value} is now the default: leave it out")
+        if self.poses is not None and not self.alone:
+            remark("--poses is for --per-leg; all legs at once use every pose")
+
+
+@dataclass(frozen=True)
+class GivenNoise:
+    """How well was measured, where that is known."""
+
+    noise_position: Annotated[
+        float | None, typer.Option(help="Standard deviation of measured positions [m].")
+    ] = None
+    noise_orientation: Annotated[
+        float | None, typer.Option(help="Standard deviation of measured angles [rad].")
+    ] = None
+    noise_reading: Annotated[
+        float | None, typer.Option(help="Standard deviation of readings [rad or m].")
+    ] = None
+
+    def of(self, mechanism: Mechanism, data: Measurements) -> Noise | None:
+        """Return the noise given, or None if none was.
+
+        Raises:
+            MeasurementError: given in part.
+        """
+        position, orientation = self.noise_position, self.noise_orientation
+        if position is None and orientation is None and self.noise_reading is None:
+            return None
+        angles = np.array([unit == "rad" for unit in mechanism.platform.units])
+        single, measured = set(data.extra) & set(SINGLE_ANGLES), np.isfinite(data.poses)
+        turned = bool(measured[:, angles].any() or single)
+        placed = bool(measured[:, ~angles].any() or set(data.extra) - single)
+        needed = {"--noise-position": position} if placed else {}
+        needed |= {"--noise-orientation": orientation} if turned else {}
+        if None in needed.values():
+            raise MeasurementError(
+                f"give {' and '.join(needed)} with the other noise options, or none of them (the "
+                "scale is then estimated)"
+            )
+        return Noise(position or 0.0, orientation or 0.0, self.noise_reading or 0.0)
+
+
+@dataclass(frozen=True)
+class CalibrateOptions(SetupOptions, GivenNoise, MethodOptions):
+    """How to calibrate."""
+
+    robust: Annotated[
+        Robust, typer.Option(help="Rows that do not fit count less, or are rejected.")
+    ] = Robust.none
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Hold a parameter: l of every leg, leg_1.l of one."),
+    ] = None
+    tie: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="One value for all legs; tested whether it holds."),
+    ] = None
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=SIGMA", help="A nominal value known to SIGMA [m, rad or 1]."),
+    ] = None
+    rough: Annotated[
+        bool,
+        typer.Option("--rough", help="The nominal mechanism is known roughly: fewer checks."),
+    ] = False
+    hold_undetermined: Annotated[
+        bool,
+        typer.Option(
+            "--hold-undetermined",
+            help="Hold what the measurements do not determine as near to nominal as can be.",
+        ),
+    ] = False
+    folds: Annotated[int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")] = FOLDS
+
+    def calibration(self, mechanism: Mechanism, path: Path) -> Calibration:
+        """Return the calibration to be done, by measurements in a file.
+
+        Raises:
+            PincalError: a file that cannot be read, or options that do not fit it.
+        """
+        setup = self.read()
+        self.remark_replaced()
+        data = read_measurements(path, mechanism, setup, partial=not self.alone)
+        options = Options(
+            method="per-leg" if self.alone else "all-legs",
+            residual=self.residual.value,
+            poses="all" if self.poses is Poses.all else "own",
+            noise=self.of(mechanism, data),
+            setup=setup,
+            loss=self.robust.value,
+            fixed=tuple(self.fix or ()),
+            tied=tuple(self.tie or ()),
+            priors=_priors(self.prior or ()),
+            rough=self.rough,
+            hold_undetermined=self.hold_undetermined,
+        )
+        return Calibration(mechanism, data, options)
+
+
 @command(answers=True)
 def calibrate(
     mech: Mech,
@@ -84,59 +210,7 @@ def calibrate(
         Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
     ],
     output: Annotated[Path, output_option("RESULT", "Folder for result and calibrated mechanism.")],
-    per_leg: Annotated[
-        bool,
-        typer.Option("--per-leg", help="Each leg alone, poses as measured: the papers' way."),
-    ] = False,
-    method: Annotated[Method | None, typer.Option(hidden=True)] = None,
-    residual: Annotated[
-        Residual, typer.Option(help="Whitened loop closure, or readings as in the papers.")
-    ] = Residual.closure,
-    poses: Annotated[
-        Poses | None,
-        typer.Option(help="With --per-leg: for each leg the poses of its set (own), or all."),
-    ] = None,
-    noise_position: Annotated[
-        float | None, typer.Option(help="Standard deviation of measured positions [m].")
-    ] = None,
-    noise_orientation: Annotated[
-        float | None, typer.Option(help="Standard deviation of measured angles [rad].")
-    ] = None,
-    noise_reading: Annotated[
-        float | None, typer.Option(help="Standard deviation of readings [rad or m].")
-    ] = None,
-    setup: SetupFile = None,
-    unknown_frame: UnknownFrame = False,
-    unknown_target: UnknownTarget = False,
-    robust: Annotated[
-        Robust, typer.Option(help="Rows that do not fit count less, or are rejected.")
-    ] = Robust.none,
-    fix: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Hold a parameter: l of every leg, leg_1.l of one."),
-    ] = None,
-    tie: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="One value for all legs; tested whether it holds."),
-    ] = None,
-    prior: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=SIGMA", help="A nominal value known to SIGMA [m, rad or 1]."),
-    ] = None,
-    rough: Annotated[
-        bool,
-        typer.Option("--rough", help="The nominal mechanism is known roughly: fewer checks."),
-    ] = False,
-    hold_undetermined: Annotated[
-        bool,
-        typer.Option(
-            "--hold-undetermined",
-            help="Hold what the measurements do not tell as near to nominal as can be.",
-        ),
-    ] = False,
-    folds: Annotated[
-        int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")
-    ] = FOLDS,
+    how: CalibrateOptions,
     force: Force = False,
 ) -> None:
     """Identify the parameters from measurements.
@@ -147,33 +221,18 @@ def calibrate(
     result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
     exit code is 1, and no mechanism is written, if the fit does not converge.
     """
-    if folds == 1:
+    if how.folds == 1:
         raise MeasurementError("--folds 1: expected 2 or more, or 0 for no held-out validation")
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force, folder=True)
-    how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)
-    alone = _alone(per_leg, method, poses)
-    data = read_measurements(measurements, mechanism, how, partial=not alone)
-    options = Options(
-        method="per-leg" if alone else "all-legs",
-        residual=residual.value,
-        poses="all" if poses is Poses.all else "own",
-        noise=_noise(mechanism, data, noise_position, noise_orientation, noise_reading),
-        setup=how,
-        loss=robust.value,
-        fixed=tuple(fix or ()),
-        tied=tuple(tie or ()),
-        priors=_priors(prior or ()),
-        rough=rough,
-        hold_undetermined=hold_undetermined,
-    )
-    with working("identifying parameters") as tell:
-        calibration = Calibration(mechanism, data, replace(options, progress=tell))
-        result, said = _checked(identify(calibration), folds)
-        tell("sampling the workspace for the platform's errors")
-        files = [*mechanism_files(mech), measurements, *([] if setup is None else [setup])]
+    calibration = how.calibration(mechanism, measurements)
+    with working("identifying parameters") as progress:
+        options = replace(calibration.options, progress=progress)
+        result, said = _checked(identify(replace(calibration, options=options)), how.folds)
+        progress("sampling the workspace for the platform's errors")
+        files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
         page = report(result, command=typed(), files=files, notes=said)
-        tell("drawing the report")
+        progress("drawing the report")
         result.save(output, force=force, report=page)
     for table in calibration_tables(result):
         stdout.print(table)
@@ -185,18 +244,6 @@ def calibrate(
     answer(as_json(result))
     if not result.converged:
         raise typer.Exit(1)
-
-
-def _alone(per_leg: bool, method: Method | None, poses: Poses | None) -> bool:
-    """Return whether each leg is identified alone, and say what replaces old options."""
-    if method is Method.per_leg:
-        remark("--method per-leg is now --per-leg")
-    elif method is not None:
-        remark(f"--method {method.value} is now the default: leave it out")
-    alone = per_leg or method is Method.per_leg
-    if poses is not None and not alone:
-        remark("--poses is for --per-leg; all legs at once use every pose")
-    return alone
 
 
 def _checked(result: CalibrationResult, folds: int) -> tuple[CalibrationResult, list[str]]:
@@ -237,31 +284,3 @@ def _priors(said: Sequence[str]) -> dict[str, float]:
                 f"--prior {text!r}: expected a name and a standard deviation, such as l=0.0005 [m]"
             ) from None
     return priors
-
-
-def _noise(
-    mechanism: Mechanism,
-    data: Measurements,
-    position: float | None,
-    orientation: float | None,
-    reading: float | None,
-) -> Noise | None:
-    """Return the noise given, or None if none was.
-
-    Raises:
-        MeasurementError: given in part.
-    """
-    if position is None and orientation is None and reading is None:
-        return None
-    angles = np.array([unit == "rad" for unit in mechanism.platform.units])
-    single, told = set(data.extra) & set(SINGLE_ANGLES), np.isfinite(data.poses)
-    turned = bool(told[:, angles].any() or single)
-    placed = bool(told[:, ~angles].any() or set(data.extra) - single)
-    needed = {"--noise-position": position} if placed else {}
-    needed |= {"--noise-orientation": orientation} if turned else {}
-    if None in needed.values():
-        raise MeasurementError(
-            f"give {' and '.join(needed)} with the other noise options, or none of them (the scale "
-            "is then estimated)"
-        )
-    return Noise(position or 0.0, orientation or 0.0, reading or 0.0)

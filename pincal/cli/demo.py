@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from pincal.cli.app import Force, Seed, app, output_option, remember, stdout, typed, working
-from pincal.cli.calibration import calibrate
-from pincal.cli.selection import select
-from pincal.cli.simulation import simulate
-from pincal.cli.workspace import workspace
+from pincal.cli.calibration import CalibrateOptions, calibrate
+from pincal.cli.selection import SelectOptions, select
+from pincal.cli.simulation import SimulateOptions, simulate
+from pincal.cli.workspace import WorkspaceOptions, workspace
 from pincal.design.simulate import accuracy
 from pincal.errors import FileError
 from pincal.files.measurements import read_poses
@@ -48,16 +48,20 @@ def demo(
     truth, measured, result = folder / "truth", folder / "measurements.csv", folder / "result"
 
     _step("workspace", mech, "--count", "30000", "--seed", seed, "-o", candidates)
-    workspace(mech, candidates, count=30_000, seed=seed, force=force)
+    workspace(mech, candidates, WorkspaceOptions(count=30_000, seed=seed), force)
     choice = ("--count", "24", "--candidates", candidates, "--seed", seed)
     _step("select", mech, *choice, "-o", plan)
-    select(mech, plan, 24, candidates, seed=seed, force=force)
+    select(mech, plan, SelectOptions(count=24, candidates=candidates, seed=seed), force)
+    reading = 1e-4 if mechanism.redundant else 0.0  # readings that are too many cannot be exact
+    read = ("--noise-reading", "1e-4") if reading else ()
     errors = ("--disturb", "0.002", "--seed", seed, "--truth", truth)
-    _step("simulate", mech, plan, *errors, "-o", measured)
-    simulate(mech, plan, measured, 0.002, seed=seed, truth=truth, force=force)
-    noise = ("--noise-position", "1e-4", "--noise-orientation", "1e-4")
+    _step("simulate", mech, plan, *read, *errors, "-o", measured)
+    disturbed = SimulateOptions(1e-4, 1e-4, reading, disturb=0.002, seed=seed, truth=truth)
+    simulate(mech, plan, measured, disturbed, force)
+    noise = ("--noise-position", "1e-4", "--noise-orientation", "1e-4", *read)
     _step("calibrate", mech, measured, *noise, "-o", result)
-    calibrate(mech, measured, result, noise_position=1e-4, noise_orientation=1e-4, force=force)
+    known = CalibrateOptions(noise_position=1e-4, noise_orientation=1e-4, noise_reading=reading)
+    calibrate(mech, measured, result, known, force)
     _title("true machine driven by the nominal and by the calibrated model")
     poses = read_poses(candidates, mechanism).poses
     true_mechanism = load_mechanism(truth)

@@ -1,4 +1,4 @@
-"""``pincal identifiability``: what a plan of measurements will tell, before measuring."""
+"""``pincal identifiability``: what a plan of measurements will determine, before measuring."""
 
 from __future__ import annotations
 
@@ -8,23 +8,12 @@ from typing import Annotated
 
 import typer
 
-from pincal.cli.app import Mech, Seed, answer, command, stdout, working
-from pincal.cli.setups import (
-    Measure,
-    NoiseOrientation,
-    NoisePosition,
-    NoiseReading,
-    SetupFile,
-    UnknownFrame,
-    UnknownTarget,
-    measured_of,
-    setup_from,
-)
+from pincal.cli.app import Mech, answer, command, stdout, working
+from pincal.cli.options import PlanOptions
 from pincal.design.forecast import forecast
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.configurations import check_reached
-from pincal.model.measurements import Noise
 from pincal.show.summary import poses_line
 from pincal.show.tables import forecast_table
 from pincal.workspace.sampling import sample_configurations
@@ -33,52 +22,44 @@ from pincal.workspace.sampling import sample_configurations
 @command(answers=True)
 def identifiability(
     mech: Mech,
+    how: PlanOptions,
     plan: Annotated[
         Path | None,
         typer.Argument(metavar="[PLAN.csv]", help="Poses to measure; else --count random ones."),
     ] = None,
-    measure: Measure = None,
-    noise_position: NoisePosition = 1e-4,
-    noise_orientation: NoiseOrientation = 1e-4,
-    noise_reading: NoiseReading = 0.0,
+    per_leg: Annotated[
+        bool,
+        typer.Option("--per-leg", help="Say also what each leg alone gives, by its own poses."),
+    ] = False,
     accuracy: Annotated[
         float | None,
         typer.Option(help="Wanted root mean square position error over the workspace [m]."),
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="Number of poses without a plan.")] = 50,
-    setup: SetupFile = None,
-    unknown_frame: UnknownFrame = False,
-    unknown_target: UnknownTarget = False,
-    seed: Seed = 0,
 ) -> None:
-    """Say what measurements will tell before they are made.
+    """Say beforehand what measurements will determine.
 
-    Prints the rank, what cannot be told apart, the standard error of each parameter (the
-    Cramér-Rao bound: the best that any calibration can reach, as --method latent does), and the
-    platform error over the workspace; with --accuracy how many poses that takes. Where poses are
-    measured in full, also what 'pincal calibrate' without options gives, each leg alone.
+    Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
+    calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
+    the platform error over the workspace; with --accuracy how many poses that takes. With
+    --per-leg also what 'pincal calibrate --per-leg' will give, where poses are measured in full.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
-    --unknown-target or --setup say otherwise. Parts of poses are calibrated with 'pincal
-    calibrate --method latent'.
+    --unknown-target or --setup say otherwise.
     """
     mechanism = load_mechanism(mech)
-    noise = Noise(noise_position, noise_orientation, noise_reading)
-    how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)
-    measured = measured_of(mechanism, measure or "pose", how)
+    noise, setup = how.noise(), how.read()
+    measured = how.measured(mechanism, setup)
     if plan is not None:
         poses = read_poses(plan, mechanism)
         check_reached(mechanism, poses, str(plan))
     with working("sampling the workspace"):
-        over = sample_configurations(mechanism, 1000, seed)
+        over = sample_configurations(mechanism, 1000, how.seed)
         if plan is None:
-            poses = sample_configurations(mechanism, count, seed + 1)
-    found = forecast(mechanism, poses, noise, measured, how)
+            poses = sample_configurations(mechanism, count, how.seed + 1)
+    found = forecast(mechanism, poses, noise, measured, setup)
     error = found.platform_error(over)
-    whole = how.plain and set(measured) >= set(mechanism.platform.freedoms)
-    own = None
-    if whole and not mechanism.by_readings:
-        own = forecast(mechanism, poses, noise, measured, how, method="per-leg")
+    own = forecast(mechanism, poses, noise, measured, setup, "per-leg") if per_leg else None
     alone = None if own is None else own.platform_error(over)
     stdout.print(forecast_table(found, error, len(poses.poses), alone))
     needed = needed_alone = None

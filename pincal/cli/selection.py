@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 import typer
 
 from pincal.cli.app import (
     Force,
     Mech,
-    Seed,
     answer,
     command,
     output_option,
@@ -20,17 +20,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.setups import (
-    Measure,
-    NoiseOrientation,
-    NoisePosition,
-    NoiseReading,
-    SetupFile,
-    UnknownFrame,
-    UnknownTarget,
-    measured_of,
-    setup_from,
-)
+from pincal.cli.options import PlanOptions
 from pincal.design.select import Protocol, select_poses
 from pincal.design.select_configurations import select_configurations
 from pincal.errors import MechanismError, ObservabilityError, SymmetryError
@@ -42,56 +32,87 @@ from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.inverse import sensor_law
 from pincal.kinematics.readers import free_of_collision
-from pincal.model.measurements import Noise, Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 from pincal.show.tables import choice_table, selection_table
 from pincal.symmetry.detect import symmetry_group
+from pincal.words.table import Table
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 _CONFIGURATIONS = 3000  # candidates, where all parameters are looked at together
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """How many poses are chosen, from which."""
+
+    count: Annotated[
+        int, typer.Option(min=1, help="Poses for each leg; number of orbits with --orbits.")
+    ] = 24
+    candidates: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="Poses to choose from; else 30000 are sampled."),
+    ] = None
+    collision: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="ROBOT.urdf", help="Keep a serial arm free of itself, by this file's geometry."
+        ),
+    ] = None
+    starts: Annotated[int, typer.Option(min=1, help="Starts of the search; the best is kept.")] = 20
+
+
+@dataclass(frozen=True)
+class Protocols:
+    """Which legs poses are for."""
+
+    independent: Annotated[bool, typer.Option("--independent", help="Each leg its own poses.")] = (
+        False
+    )
+    symmetric: Annotated[
+        bool, typer.Option("--symmetric", help="Leg 1's poses, mapped to the other legs.")
+    ] = False
+    orbits: Annotated[
+        bool, typer.Option("--orbits", help="Whole orbits: every pose serves every leg.")
+    ] = False
+    common: Annotated[
+        bool, typer.Option("--common", help="COUNT poses for the parameters of all legs together.")
+    ] = False
+
+    @property
+    def named(self) -> Protocol | None:
+        """The protocol that is named, if any.
+
+        Raises:
+            BadParameter: several.
+        """
+        named = [name for name in get_args(Protocol) if getattr(self, name)]
+        if len(named) > 1:
+            raise typer.BadParameter(f"choose one of --{', --'.join(named)}")
+        return named[0] if named else None
+
+    def of(self, mechanism: Mechanism) -> Protocol:
+        """Return the protocol that is named, or the one that the mechanism's symmetry allows."""
+        if self.named is not None:
+            return self.named
+        try:
+            symmetry_group(mechanism).carriers()
+        except SymmetryError as error:
+            remark(f"independent selection: {error}")
+            return "independent"
+        return "symmetric"
+
+
+@dataclass(frozen=True)
+class SelectOptions(PlanOptions, Protocols, Candidates):
+    """How poses are chosen."""
 
 
 @command(answers=True)
 def select(
     mech: Mech,
     output: Annotated[Path, output_option("PLAN.csv", "Poses to measure, with their sets.")],
-    count: Annotated[
-        int, typer.Option(min=1, help="Poses for each leg; number of orbits with --orbits.")
-    ] = 24,
-    candidates: Annotated[
-        Path | None,
-        typer.Option(metavar="CSV", help="Poses to choose from; else 30000 are sampled."),
-    ] = None,
-    independent: Annotated[
-        bool, typer.Option("--independent", help="Each leg its own poses.")
-    ] = False,
-    symmetric: Annotated[
-        bool, typer.Option("--symmetric", help="Leg 1's poses, mapped to the other legs.")
-    ] = False,
-    orbits: Annotated[
-        bool, typer.Option("--orbits", help="Whole orbits: every pose serves every leg.")
-    ] = False,
-    common: Annotated[
-        bool, typer.Option("--common", help="COUNT poses for the parameters of all legs together.")
-    ] = False,
-    measure: Measure = None,
-    setup: SetupFile = None,
-    unknown_frame: UnknownFrame = False,
-    unknown_target: UnknownTarget = False,
-    collision: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="ROBOT.urdf", help="Keep a serial arm free of itself, by this file's geometry."
-        ),
-    ] = None,
-    starts: Annotated[
-        int, typer.Option(min=1, help="Starts of the search; the best is kept.")
-    ] = 20,
-    noise_position: NoisePosition = 1e-4,
-    noise_orientation: NoiseOrientation = 1e-4,
-    noise_reading: NoiseReading = 0.0,
-    seed: Seed = 0,
+    how: SelectOptions,
     force: Force = False,
 ) -> None:
     """Choose the poses to measure.
@@ -100,66 +121,93 @@ def select(
     protocol named, symmetric where the mechanism allows it, else independent.
 
     If only part of the pose is measured (--measure), or in a tracker's own frame, COUNT poses are
-    chosen for all parameters together by what 'pincal calibrate --method latent' will draw from
-    them; so are the configurations of serial arms, with the readings to drive to.
+    chosen for all parameters together by what 'pincal calibrate' will draw from them; so are the
+    configurations of serial arms, with the readings to drive to.
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force)
-    how = setup_from(setup, unknown_frame=unknown_frame, unknown_target=unknown_target)
-    noise = Noise(noise_position, noise_orientation, noise_reading)
-    if mechanism.by_readings or measure is not None or not how.plain or collision is not None:
-        if independent or symmetric or orbits or common:
+    part = how.measure is not None or not how.read().plain
+    if mechanism.by_readings or part or how.collision is not None:
+        if how.independent or how.symmetric or how.orbits or how.common:
             raise typer.BadParameter(
                 "poses for single legs are of whole poses in the base frame; leave out the protocol"
             )
-        _together(
-            mechanism,
-            output,
-            count,
-            candidates,
-            measured_of(mechanism, measure or "pose", how),
-            how,
-            noise,
-            collision,
-            starts=starts,
-            seed=seed,
-            force=force,
-        )
-        return
-    protocol = _protocol(mechanism, independent, symmetric, orbits, common)
-    with working("choosing poses") as tell:
-        if candidates is None:
-            tell("sampling the workspace")
-            poses = sample_workspace(mechanism, 30_000, seed)
-        else:
-            poses = read_poses(candidates, mechanism).poses
-        selection = select_poses(
-            mechanism,
-            poses,
-            count,
-            protocol,
-            noise=noise,
-            seed=seed,
-            starts=starts,
-            progress=tell,
-        )
-    write_poses(output, mechanism, selection.plan, force=force)
-    stdout.print(selection_table(selection))
-    if selection.unreachable:
-        remark(f"{selection.unreachable} candidate poses are out of reach and were left out")
+        choose = _together
+    else:
+        choose = _by_protocol
+    with working("choosing poses") as progress:
+        plan, table, found = choose(mechanism, how, progress)
+    write_poses(output, mechanism, plan, force=force)
+    stdout.print(table)
+    if found.get("unreachable"):
+        remark(f"{found['unreachable']} candidate poses are out of reach and were left out")
     wrote(output)
-    answer(
-        {
-            "mechanism": mechanism.name,
-            "plan": str(output),
-            "protocol": selection.protocol,
-            "poses": len(selection.plan.poses),
-            "candidates": selection.candidates,
-            "unreachable": selection.unreachable,
-            "efficiency": selection.efficiency,
-            "legs": [asdict(leg) for leg in selection.legs],
-        }
+    more = {"mechanism": mechanism.name, "plan": str(output), "poses": len(plan.poses)}
+    answer(more | found)
+
+
+def _by_protocol(
+    mechanism: Mechanism, how: SelectOptions, progress: Callable[[str], None]
+) -> tuple[Plan, Table, dict[str, Any]]:
+    """Choose poses by a protocol; return the plan, what is printed of it, and its JSON."""
+    noise, protocol = how.noise(), how.of(mechanism)
+    if how.candidates is None:
+        progress("sampling the workspace")
+        poses = sample_workspace(mechanism, 30_000, how.seed)
+    else:
+        poses = read_poses(how.candidates, mechanism).poses
+    chosen = select_poses(
+        mechanism,
+        poses,
+        how.count,
+        protocol,
+        noise=noise,
+        seed=how.seed,
+        starts=how.starts,
+        progress=progress,
     )
+    found = {
+        "protocol": chosen.protocol,
+        "candidates": chosen.candidates,
+        "unreachable": chosen.unreachable,
+        "efficiency": chosen.efficiency,
+        "legs": [asdict(leg) for leg in chosen.legs],
+    }
+    return chosen.plan, selection_table(chosen), found
+
+
+def _together(
+    mechanism: Mechanism, how: SelectOptions, progress: Callable[[str], None]
+) -> tuple[Plan, Table, dict[str, Any]]:
+    """Choose configurations for the parameters of all legs together, as ``_by_protocol`` does."""
+    if how.collision is not None:
+        _check_arm(mechanism)
+    setup, noise = how.read(), how.noise()
+    progress("sampling configurations")
+    if how.candidates is None:
+        offered = sample_configurations(mechanism, _CONFIGURATIONS, how.seed)
+    else:
+        offered = read_poses(how.candidates, mechanism)
+        check_reached(mechanism, offered, str(how.candidates))
+    chosen = select_configurations(
+        mechanism,
+        offered if how.collision is None else _free(mechanism, offered, how.collision),
+        how.count,
+        noise=noise,
+        measured=how.measured(mechanism, setup),
+        setup=setup,
+        seed=how.seed,
+        starts=how.starts,
+        progress=progress,
+    )
+    found = {
+        "candidates": chosen.candidates,
+        "efficiency": chosen.efficiency,
+        "rank": chosen.rank.rank,
+        "unknowns": chosen.rank.n_params,
+        "measured": chosen.measured,
+    }
+    return chosen.plan, choice_table(mechanism, chosen), found
 
 
 def _check_arm(mechanism: Mechanism) -> None:
@@ -170,59 +218,6 @@ def _check_arm(mechanism: Mechanism) -> None:
     """
     if len(mechanism.legs) > 1 or mechanism.legs[0].passive:
         raise MechanismError(f"{mechanism.name!r} is no serial arm; --collision is for such")
-
-
-def _together(
-    mechanism: Mechanism,
-    output: Path,
-    count: int,
-    candidates: Path | None,
-    measured: tuple[str, ...],
-    setup: Setup,
-    noise: Noise,
-    collision: Path | None,
-    *,
-    starts: int,
-    seed: int,
-    force: bool,
-) -> None:
-    """Choose configurations for the parameters of all legs together."""
-    if collision is not None:
-        _check_arm(mechanism)
-    with working("choosing configurations") as tell:
-        tell("sampling configurations")
-        if candidates is None:
-            offered = sample_configurations(mechanism, _CONFIGURATIONS, seed)
-        else:
-            offered = read_poses(candidates, mechanism)
-            check_reached(mechanism, offered, str(candidates))
-        offered = offered if collision is None else _free(mechanism, offered, collision)
-        chosen = select_configurations(
-            mechanism,
-            offered,
-            count,
-            noise=noise,
-            measured=measured,
-            setup=setup,
-            seed=seed,
-            starts=starts,
-            progress=tell,
-        )
-    write_poses(output, mechanism, chosen.plan, force=force)
-    stdout.print(choice_table(mechanism, chosen))
-    wrote(output)
-    answer(
-        {
-            "mechanism": mechanism.name,
-            "plan": str(output),
-            "poses": len(chosen.plan.poses),
-            "candidates": chosen.candidates,
-            "efficiency": chosen.efficiency,
-            "rank": chosen.rank.rank,
-            "unknowns": chosen.rank.n_params,
-            "measured": chosen.measured,
-        }
-    )
 
 
 def _free(mechanism: Mechanism, offered: Plan, collision: Path) -> Plan:
@@ -241,26 +236,3 @@ def _free(mechanism: Mechanism, offered: Plan, collision: Path) -> Plan:
         raise ObservabilityError(f"no candidate is free of collisions by {collision}")
     remark(f"{int((~free).sum())} of {len(free)} candidates collide and were left out")
     return Plan(offered.poses[free], readings=readings[free])
-
-
-def _protocol(
-    mechanism: Mechanism, independent: bool, symmetric: bool, orbits: bool, common: bool
-) -> Protocol:
-    """Return the protocol asked for, or the one that the mechanism's symmetry allows."""
-    named: dict[Protocol, bool] = {
-        "independent": independent,
-        "symmetric": symmetric,
-        "orbits": orbits,
-        "common": common,
-    }
-    asked = [name for name, chosen in named.items() if chosen]
-    if len(asked) > 1:
-        raise typer.BadParameter(f"choose one of --{', --'.join(asked)}")
-    if asked:
-        return asked[0]
-    try:
-        symmetry_group(mechanism).carriers()
-    except SymmetryError as error:
-        remark(f"independent selection: {error}")
-        return "independent"
-    return "symmetric"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +21,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.setups import NoiseOrientation, NoisePosition, NoiseReading
+from pincal.cli.options import NoiseOptions
 from pincal.design.simulate import disturb as disturbed
 from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
@@ -28,8 +29,27 @@ from pincal.files.measurement_writing import write_measurements
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.output import refuse_existing, writing
-from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
+
+
+@dataclass(frozen=True)
+class SimulateOptions(NoiseOptions):
+    """What is simulated."""
+
+    disturb: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of the errors of all parameters [m, rad or 1; default: 0.002]."
+        ),
+    ] = None
+    seed: Seed = 0
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TRUE_MECH",
+            help="Folder for the true mechanism. Without --disturb, if it exists, it is the truth.",
+        ),
+    ] = None
 
 
 @command(answers=True)
@@ -37,23 +57,7 @@ def simulate(
     mech: Mech,
     plan: Annotated[Path, typer.Argument(metavar="PLAN.csv", help="Poses to command.")],
     output: Annotated[Path, output_option("MEASUREMENTS.csv", "Measured poses and readings.")],
-    disturb: Annotated[
-        float | None,
-        typer.Option(
-            help="Standard deviation of the errors of all parameters [m, rad or 1; default: 0.002]."
-        ),
-    ] = None,
-    noise_position: NoisePosition = 1e-4,
-    noise_orientation: NoiseOrientation = 1e-4,
-    noise_reading: NoiseReading = 0.0,
-    seed: Seed = 0,
-    truth: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="TRUE_MECH",
-            help="Folder for the true mechanism. Without --disturb, if it exists, it is the truth.",
-        ),
-    ] = None,
+    how: SimulateOptions,
     force: Force = False,
 ) -> None:
     """Simulate measurements of a disturbed machine.
@@ -64,9 +68,9 @@ def simulate(
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force)
-    noise = Noise(noise_position, noise_orientation, noise_reading)
+    truth, disturb = how.truth, how.disturb
     planned = read_poses(plan, mechanism)
-    parts = np.random.SeedSequence(seed).spawn(2)
+    parts = np.random.SeedSequence(how.seed).spawn(2)
     given = truth is not None and disturb is None and truth.is_dir()
     if truth is not None and given:
         true_mechanism = _same_kind(load_mechanism(truth), mechanism, truth)
@@ -81,7 +85,7 @@ def simulate(
         true_mechanism = disturbed(mechanism, sigma, np.random.default_rng(parts[0]))
     with working("simulating measurements"):
         rng = np.random.default_rng(parts[1])
-        simulation = simulated(mechanism, true_mechanism, planned, noise, rng)
+        simulation = simulated(mechanism, true_mechanism, planned, how.noise(), rng)
     if not len(simulation.measurements):
         reason = simulation.unreachable[0][1]
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")

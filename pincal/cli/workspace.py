@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from pincal.cli.app import (
@@ -21,13 +21,19 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.workspace_answers import articular_answer, poses_answer, region_answer
 from pincal.errors import WorkspaceError
 from pincal.files.measurement_writing import write_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
 from pincal.files.tables import write_table
 from pincal.model.mechanism import Mechanism
+from pincal.show.workspace_answers import (
+    articular_answer,
+    articular_columns,
+    orientation_name,
+    poses_answer,
+    region_answer,
+)
 from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.axes import Axis
 from pincal.workspace.box import closer_grid, default_grid, default_samples
@@ -42,71 +48,125 @@ if TYPE_CHECKING:  # drawing is imported where it is needed
     from matplotlib.figure import Figure
 
 _COUNT = 30_000
-
-Kind = Annotated[str, typer.Option(help=f"What to find: poses, {', '.join(KINDS)} or articular.")]
-AxisTexts = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--axis",
-        metavar="AXIS",
-        help="Axis of the grid, as often as needed: 'x [mm]=-500:500:10' (low:high:step), "
-        "'z=1.8', 'phi [deg]=0,20,40'. Positions: x, y or radius, bearing; z. Orientations: "
-        "phi; azimuth, tilt, torsion; rx, ry, rz; yaw, pitch, roll. "
-        "Those not given: what the legs reach.",
-    ),
-]
-MarginType1 = Annotated[
-    float | None,
-    typer.Option(
-        help="Least distance from type-1 singularities, a dyad's elbow sine [default: 0.23]."
-    ),
-]
-MarginType2 = Annotated[
-    float | None,
-    typer.Option(
-        help="Least distance from type-2 singularities [default: 0.2, at most half of home's]."
-    ),
-]
+_OF_REGIONS = ("samples", "no_symmetry", "connected", "inscribed", "jobs", "scheduler")
 
 
-@command(answers=True)
-def workspace(
-    mech: Mech,
-    output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
-    kind: Kind = "poses",
-    axis: AxisTexts = None,
+@dataclass(frozen=True)
+class WorkspaceOptions:
+    """What is looked for, and how."""
+
+    kind: Annotated[
+        str, typer.Option(help=f"What to find: poses, {', '.join(KINDS)} or articular.")
+    ] = "poses"
+    axis: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--axis",
+            metavar="AXIS",
+            help="Axis of the grid, as often as needed: 'x [mm]=-500:500:10' (low:high:step), "
+            "'z=1.8', 'phi [deg]=0,20,40'. Positions: x, y or radius, bearing; z. Orientations: "
+            "phi; azimuth, tilt, torsion; rx, ry, rz; yaw, pitch, roll. "
+            "Those not given: what the legs reach.",
+        ),
+    ] = None
     count: Annotated[
         int | None, typer.Option(min=1, help="Number of poses (poses, articular) [default: 30000].")
-    ] = None,
+    ] = None
     samples: Annotated[
         int | None, typer.Option(min=1, help="Ask at random positions instead of on a grid.")
-    ] = None,
-    seed: Seed = 0,
-    margin_type1: MarginType1 = None,
-    margin_type2: MarginType2 = None,
+    ] = None
+    seed: Seed = 0
+    margin_type1: Annotated[
+        float | None,
+        typer.Option(
+            help="Least distance from type-1 singularities, a dyad's elbow sine [default: 0.23]."
+        ),
+    ] = None
+    margin_type2: Annotated[
+        float | None,
+        typer.Option(
+            help="Least distance from type-2 singularities [default: 0.2, at most half of home's]."
+        ),
+    ] = None
     no_margins: Annotated[
         bool, typer.Option("--no-margins", help="Only reach and joint limits count.")
-    ] = False,
+    ] = False
     no_symmetry: Annotated[
         bool, typer.Option("--no-symmetry", help="Compute all, not a fundamental domain.")
-    ] = False,
+    ] = False
     connected: Annotated[
         bool,
         typer.Option(
             "--connected",
             help="Keep what hangs together, by position, with the part nearest to home.",
         ),
-    ] = False,
+    ] = False
     inscribed: Annotated[
         bool, typer.Option("--inscribed", help="Find the largest circle or ball inside.")
-    ] = False,
+    ] = False
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.svg|png|pdf", help="Draw the workspace.")
-    ] = None,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 for one a core.")] = 1,
+    ] = None
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one a core.")] = 1
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Run on a Dask cluster.")
-    ] = None,
+    ] = None
+
+    def check(self) -> None:
+        """Raise if options do not go together.
+
+        Raises:
+            WorkspaceError: an unknown kind; samples, of which neighbours are asked.
+            BadParameter: options that a kind of workspace does not have, or that contradict.
+        """
+        kind, regions = self.kind, self.kind in KINDS
+        if not regions and kind not in ("poses", "articular"):
+            raise WorkspaceError(
+                f"--kind {kind}: unknown; expected poses, {', '.join(KINDS)} or articular"
+            )
+        strange = ["count"] if regions else list(_OF_REGIONS)
+        strange += ["axis", "picture"] if kind == "poses" else []
+        given = [one for one in fields(self) if getattr(self, one.name) not in (one.default, [])]
+        wrong = [f"--{one.name.replace('_', '-')}" for one in given if one.name in strange]
+        if wrong:
+            raise typer.BadParameter(f"{', '.join(wrong)}: not for --kind {kind}")
+        if self.samples is not None and (self.connected or self.inscribed):
+            raise WorkspaceError(
+                "samples have no neighbours: --connected and --inscribed need a grid"
+            )
+        if self.no_margins and (self.margin_type1 is not None or self.margin_type2 is not None):
+            raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
+
+    def refuse_existing(self, output: Path, *, force: bool) -> None:
+        """Raise if files cannot be written, or the picture has another ending than pictures."""
+        picture = self.picture
+        for path in (output, picture):
+            if path is not None:
+                refuse_existing(path, force=force)
+        if picture is None:
+            return
+        if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
+            raise typer.BadParameter(f"--picture {picture}: expected a name in .svg, .png or .pdf")
+        if picture.absolute() == output.absolute():
+            raise typer.BadParameter(f"--picture {picture}: is the output too")
+
+    def margins(self) -> Margins:
+        """Return the margins that are kept."""
+        type1 = Margins().type1 if self.margin_type1 is None else self.margin_type1
+        return Margins.none() if self.no_margins else Margins(type1, self.margin_type2)
+
+    def axes(self) -> tuple[list[Axis], list[Axis]]:
+        """Return the axes of positions, and those of orientations."""
+        axes = [Axis.parse(text) for text in self.axis or ()]
+        places = [one for one in axes if one.name in POSITION_AXES]
+        return places, [one for one in axes if one not in places]
+
+
+@command(answers=True)
+def workspace(
+    mech: Mech,
+    output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
+    how: WorkspaceOptions,
     force: Force = False,
 ) -> None:
     """Find a workspace: poses to choose from, or positions.
@@ -123,120 +183,81 @@ def workspace(
 
     Not given, axes hold what the legs reach, drawn close around what counts.
     """
-    regions = kind in KINDS
-    if not regions and kind not in ("poses", "articular"):
-        raise WorkspaceError(
-            f"--kind {kind}: unknown; expected poses, {', '.join(KINDS)} or articular"
-        )
-    _fitting(
-        kind,
-        {
-            "--axis": bool(axis) and kind == "poses",
-            "--picture": picture is not None and kind == "poses",
-            "--count": count is not None and regions,
-            "--samples": samples is not None and not regions,
-            "--no-symmetry": no_symmetry and not regions,
-            "--connected": connected and not regions,
-            "--inscribed": inscribed and not regions,
-            "--jobs": jobs != 1 and not regions,
-            "--scheduler": scheduler is not None and not regions,
-        },
-    )
-    if samples is not None and (connected or inscribed):
-        raise WorkspaceError("samples have no neighbours: --connected and --inscribed need a grid")
-    if no_margins and (margin_type1 is not None or margin_type2 is not None):
-        raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
+    how.check()
     mechanism = load_mechanism(mech)
-    if kind != "poses":
+    if how.kind != "poses":
         refuse_readings(mechanism)
-    for path in (output, picture):
-        if path is not None:
-            refuse_existing(path, force=force)
-    if picture is not None:
-        if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
-            raise typer.BadParameter(f"--picture {picture}: expected a name in .svg, .png or .pdf")
-        if picture.absolute() == output.absolute():
-            raise typer.BadParameter(f"--picture {picture}: is the output too")
-    type1 = Margins().type1 if margin_type1 is None else margin_type1
-    least = Margins.none() if no_margins else Margins(type1, margin_type2)
-    axes = [Axis.parse(text) for text in axis or ()]
-    places = [one for one in axes if one.name in POSITION_AXES]
-    turns = [one for one in axes if one.name not in POSITION_AXES]
-    if kind == "poses":
-        _poses(mechanism, output, count or _COUNT, seed, least, force)
-    elif kind == "articular":
-        _articular(mechanism, output, (places, turns), count or _COUNT, seed, least, picture, force)
-    else:
-        if samples is not None and places:
-            raise WorkspaceError(
-                f"--samples come from all that the legs reach, not on --axis {places[0].name}"
-            )
-        orientations = Orientations.of(mechanism.platform, *turns) if turns else None
-
-        def compute(positions: Positions, text: str) -> Workspace:
-            with counting(text, positions.size) as done:
-                return compute_workspace(
-                    mechanism,
-                    kind,
-                    positions,
-                    orientations,
-                    least,
-                    symmetry=not no_symmetry,
-                    connected=connected,
-                    jobs=jobs,
-                    scheduler=scheduler,
-                    progress=done,
-                )
-
-        if samples is not None:
-            found = compute(default_samples(mechanism, samples, seed), f"{kind} workspace")
-        else:
-            found = compute(default_grid(mechanism, places), f"{kind} workspace")
-            closer = closer_grid(found, [one.name for one in places])
-            if closer is not None:
-                found = compute(closer, "closer around what counts")
-        _report(found, output, inscribed, picture, force)
+    how.refuse_existing(output, force=force)
+    find = {"poses": _poses, "articular": _articular}.get(how.kind, _region)
+    find(mechanism, output, how, force)
 
 
-def _fitting(kind: str, options: dict[str, bool]) -> None:
-    """Raise if options were given that a kind of workspace does not have."""
-    if wrong := [name for name, given in options.items() if given]:
-        raise typer.BadParameter(f"{', '.join(wrong)}: not for --kind {kind}")
-
-
-def _poses(
-    mechanism: Mechanism, output: Path, count: int, seed: int, least: Margins, force: bool
-) -> None:
+def _poses(mechanism: Mechanism, output: Path, how: WorkspaceOptions, force: bool) -> None:
     """Write poses spread over the workspace."""
-    with counting("sampling the workspace", count) as done:
-        plan = sample_configurations(mechanism, count, seed, least, done)
+    least = how.margins()
+    with counting("sampling the workspace", (how.count or _COUNT)) as done:
+        plan = sample_configurations(mechanism, (how.count or _COUNT), how.seed, least, done)
     poses = plan.poses
     write_poses(output, mechanism, plan, force=force)
     platform = mechanism.platform
     box = zip(
         platform.coordinates, poses.min(axis=0), poses.max(axis=0), platform.units, strict=True
     )
-    remark(f"{count} poses, {', '.join(f'{n} {a:.3f} to {b:.3f} {u}' for n, a, b, u in box)}")
+    ranges = ", ".join(f"{n} {a:.3f} to {b:.3f} {u}" for n, a, b, u in box)
+    remark(f"{len(poses)} poses, {ranges}")
     wrote(output)
     answer(poses_answer(mechanism, poses))
 
 
-def _report(
-    found: Workspace, output: Path, inscribed: bool, picture: Path | None, force: bool
-) -> None:
+def _region(mechanism: Mechanism, output: Path, how: WorkspaceOptions, force: bool) -> None:
+    """Write the positions of a workspace."""
+    least, (places, turns) = how.margins(), how.axes()
+    if how.samples is not None and places:
+        raise WorkspaceError(
+            f"--samples come from all that the legs reach, not on --axis {places[0].name}"
+        )
+    orientations = Orientations.of(mechanism.platform, *turns) if turns else None
+
+    def compute(positions: Positions, text: str) -> Workspace:
+        with counting(text, positions.size) as done:
+            return compute_workspace(
+                mechanism,
+                how.kind,
+                positions,
+                orientations,
+                least,
+                symmetry=not how.no_symmetry,
+                connected=how.connected,
+                jobs=how.jobs,
+                scheduler=how.scheduler,
+                progress=done,
+            )
+
+    if how.samples is not None:
+        positions: Positions = default_samples(mechanism, how.samples, how.seed)
+        found = compute(positions, f"{how.kind} workspace")
+    else:
+        found = compute(default_grid(mechanism, places), f"{how.kind} workspace")
+        closer = closer_grid(found, [one.name for one in places])
+        if closer is not None:
+            found = compute(closer, "closer around what counts")
+    _report(found, output, how, force)
+
+
+def _report(found: Workspace, output: Path, how: WorkspaceOptions, force: bool) -> None:
     """Write the positions and the picture of a workspace, and print what it is."""
     from pincal.show.tables import workspace_table
     from pincal.show.workspace_plots import workspace_figure
 
     circle = None
-    if inscribed and found.count:
+    if how.inscribed and found.count:
         with working("looking for the largest circle or ball inside"):
             circle = largest_inscribed(found)
     found.save(output, force=force)
-    stdout.print(workspace_table(found, circle, wanted=inscribed))
+    stdout.print(workspace_table(found, circle, wanted=how.inscribed))
     wrote(output)
-    if picture is not None:
-        _draw(picture, workspace_figure(found, circle), force)
+    if how.picture is not None:
+        _draw(how.picture, workspace_figure(found, circle), force)
     answer(region_answer(found, circle))
 
 
@@ -248,58 +269,29 @@ def _draw(picture: Path, figure: Figure, force: bool) -> None:
     wrote(picture)
 
 
-def _articular(
-    mechanism: Mechanism,
-    output: Path,
-    axes: tuple[list[Axis], list[Axis]],
-    count: int,
-    seed: int,
-    least: Margins,
-    picture: Path | None,
-    force: bool,
-) -> None:
+def _articular(mechanism: Mechanism, output: Path, how: WorkspaceOptions, force: bool) -> None:
     """Write poses and readings, over the whole workspace and at constant orientations."""
     from pincal.show.tables import articular_table
     from pincal.show.workspace_plots import articular_figure
 
-    places, turns = axes
+    least, (places, turns) = how.margins(), how.axes()
     if places and not turns:
         raise WorkspaceError("positions by --axis need orientations to ask there, such as phi=0.4")
     grid = default_grid(mechanism, places)
     single = Orientations.of(mechanism.platform, *turns).rotations if turns else []
-    with counting("sampling the workspace", count) as done:
-        spaces = {"all": sample_workspace(mechanism, count, seed, least, done)}
+    with counting("sampling the workspace", (how.count or _COUNT)) as done:
+        spaces = {"all": sample_workspace(mechanism, (how.count or _COUNT), how.seed, least, done)}
     for rotation in single:
         orientation = Orientations.from_rotations(rotation)
         found = compute_workspace(mechanism, "constant-orientation", grid, orientation, least)
-        spaces[_named(mechanism, orientation)] = found.poses()
+        spaces[orientation_name(mechanism, orientation)] = found.poses()
     readings = {name: articular_space(mechanism, poses) for name, poses in spaces.items()}
     with working("solving the forward kinematics of permuted readings"):
         checks = articular_symmetry(mechanism, spaces["all"][:2000], least)
     table = articular_table(mechanism, readings, checks)
-    platform = mechanism.platform
-    poses, values = (np.concatenate(list(parts.values())) for parts in (spaces, readings))
-    columns: dict[str, list[str] | list[float]] = {
-        "space": [name for name, poses in spaces.items() for _ in poses]
-    }
-    for place, (name, unit) in enumerate(zip(platform.coordinates, platform.units, strict=True)):
-        columns[f"{name} [{unit}]"] = poses[:, place].tolist()
-    read = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
-    for place, (name, unit) in enumerate(read):
-        columns[f"{name} [{unit}]"] = values[:, place].tolist()
-    write_table(output, columns, force=force)
+    write_table(output, articular_columns(mechanism, spaces, readings), force=force)
     stdout.print(table)
     wrote(output)
-    if picture is not None:
-        _draw(picture, articular_figure(mechanism, readings), force)
+    if how.picture is not None:
+        _draw(how.picture, articular_figure(mechanism, readings), force)
     answer(articular_answer(mechanism, readings, checks))
-
-
-def _named(mechanism: Mechanism, orientation: Orientations) -> str:
-    """Return an orientation in the platform's coordinates, as text."""
-    platform = mechanism.platform
-    matrices = np.eye(4)[None].copy()
-    matrices[:, :3, :3] = orientation.rotations.as_matrix()
-    values = platform.from_matrices(matrices)[0] + 0.0
-    turns = zip(platform.coordinates, platform.units, values, strict=True)
-    return ", ".join(f"{name} = {value:.6g} rad" for name, unit, value in turns if unit == "rad")

@@ -26,6 +26,7 @@ from pincal.estimation.observability import (
     scaled_axes,
 )
 from pincal.estimation.weak import WeakPair, weak_pairs
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at, nearby
 from pincal.kinematics.derivatives import leg_demand
@@ -151,7 +152,7 @@ class Forecast(Estimable):
 
 
 def forecast(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     poses: Plan | Array,
     noise: Noise | None = None,
     measured: Sequence[str] | None = None,
@@ -176,6 +177,7 @@ def forecast(
             with ``"per-leg"`` poses that are not measured in full, or do not determine readings.
         MechanismError: poses of a wrong shape, or not finite.
     """
+    mechanism = as_mechanism(mechanism)
     noise, setup, platform = noise or Noise(), setup or Setup(), mechanism.platform
     if method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")

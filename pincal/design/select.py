@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pincal.design.search import Search, SelectionOptions
 from pincal.estimation.observability import Indices, identifiability, indices, r_diagonal
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
@@ -88,7 +89,7 @@ class Selection:
 
 
 def select_poses(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     candidates: Array,
     count: int = 24,
     protocol: Protocol = "symmetric",
@@ -113,6 +114,7 @@ def select_poses(
         SymmetryError: the mechanism lacks the symmetry that ``symmetric`` or ``orbits`` needs.
         MeasurementError: a residual without noise.
     """
+    mechanism = as_mechanism(mechanism)
     search = Search(mechanism, candidates, SelectionOptions(**options))
     names = mechanism.leg_names
     if protocol == "independent":

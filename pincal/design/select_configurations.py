@@ -1,7 +1,7 @@
 """Configurations chosen for all parameters together.
 
 Rows are those of the best estimator (see ``information``), whatever part of the platform is
-measured and wherever the tracker stands. Directions that no candidate determines are left out: the
+measured and wherever the tracker is. Directions that no candidate determines are left out: the
 choice is D-optimal in what can be identified, its efficiency against the bound that no choice
 exceeds.
 """
@@ -20,9 +20,9 @@ from pincal.design.information import information_rows
 from pincal.design.search import SelectionOptions, d_optimal
 from pincal.errors import ObservabilityError
 from pincal.estimation.observability import Identifiability, identifiability, scaled_axes
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
 from pincal.model.measurements import Noise, Plan
-from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class ConfigurationChoice:
 
 
 def select_configurations(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     candidates: Plan | Array,
     count: int,
     *,
@@ -74,6 +74,7 @@ def select_configurations(
         MeasurementError: unknown freedoms, or measurements without noise or equations, or no
             candidate in reach.
     """
+    mechanism = as_mechanism(mechanism)
     how = SelectionOptions(**options)
     plan = as_plan(mechanism, candidates)
     own = distinct(mechanism.platform, plan.poses, plan.readings)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import command
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import inverse
@@ -26,7 +27,9 @@ Array = NDArray[np.float64]
 _LISTED = 30  # poses on a page
 
 
-def disturb(mechanism: Mechanism, sigma: float, seed: int | np.random.Generator = 0) -> Mechanism:
+def disturb(
+    mechanism: GivenMechanism, sigma: float, seed: int | np.random.Generator = 0
+) -> Mechanism:
     """Return the mechanism with normal errors on every identified parameter.
 
     Args:
@@ -37,6 +40,7 @@ def disturb(mechanism: Mechanism, sigma: float, seed: int | np.random.Generator 
     Raises:
         MeasurementError: a negative or infinite sigma.
     """
+    mechanism = as_mechanism(mechanism)
     if not (np.isfinite(sigma) and sigma >= 0.0):
         raise MeasurementError(f"the disturbance is {sigma}; expected 0 or more")
     rng = np.random.default_rng(seed)
@@ -68,8 +72,8 @@ class Simulation:
 
 
 def simulate(
-    mechanism: Mechanism,
-    truth: Mechanism,
+    mechanism: GivenMechanism,
+    truth: GivenMechanism,
     plan: Plan,
     noise: Noise | None = None,
     seed: int | np.random.Generator = 0,
@@ -90,6 +94,8 @@ def simulate(
         MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
             out of its leg's reach.
     """
+    mechanism = as_mechanism(mechanism)
+    truth = as_mechanism(truth)
     noise = noise or Noise()
     rng = np.random.default_rng(seed)
     count, platform = len(plan.poses), mechanism.platform
@@ -172,7 +178,7 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
     return errors
 
 
-def accuracy(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Accuracy:
+def accuracy(model: GivenMechanism, truth: GivenMechanism, poses: Plan | Poses) -> Accuracy:
     """Return the errors of the true mechanism when a model commands its poses.
 
     The root mean squares are the papers' RMSE of commanded against measured pose, without
@@ -181,6 +187,8 @@ def accuracy(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Accurac
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
+    model = as_mechanism(model)
+    truth = as_mechanism(truth)
     errors = sizes(model.platform.units, platform_errors(model, truth, poses))
     reached = np.isfinite(errors).all(axis=1)
     position, orientation = root_mean_squares(errors)

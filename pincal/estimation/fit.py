@@ -13,7 +13,7 @@ from pincal.errors import ObservabilityError
 from pincal.estimation.identifiable import check_information, check_rank
 from pincal.estimation.losses import outlying
 from pincal.estimation.problem import Linear, Problem, State
-from pincal.estimation.solve import System, search, solve_poses
+from pincal.estimation.solve import System, near_start, search, solve_poses
 from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -95,7 +95,12 @@ def fit(
     state = start or problem.start(unknowns.start[: problem.n_parameters])
     first, count = solve_poses(problem, problem.linearise(state))
     check_rank(problem, unknowns, first)
-    found = search(system, first, progress)
+    if not problem.weighted:
+        system = replace(system, unit=float(np.median(np.linalg.norm(first.stack.noise, axis=2))))
+    weights, _ = system.weights(first)
+    highest = system.cost(system.minimised(first)[0], weights, first.state)
+    near, more = near_start(system, first, progress) if start is None else (first, 0)
+    found = search(system, near, progress, highest=highest)
     linear, weights = found.linear, found.weights
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, linear))
@@ -128,7 +133,7 @@ def fit(
         ranks=ranks,
         chi2=chi2,
         degrees_of_freedom=dof,
-        evaluations=found.evaluations + count,
+        evaluations=found.evaluations + count + more,
         converged=found.converged,
         left=found.left,
     )
@@ -168,7 +173,8 @@ def _covariance(system: System, linear: Linear, weights: Array, scale: float) ->
         return inflation * T @ inverse_gram(white) @ T.T
     plain, _ = system.rows(*system.minimised(linear), ones, linear.state)
     bread = inverse_gram(plain)
-    meat = (linear.white.noise.transpose(0, 2, 1) @ (linear.stack.parameter @ T))[used]
+    J = system.minimised(linear)[1] @ T
+    meat = (linear.white.noise.transpose(0, 2, 1) / system.unit @ J)[used]
     flat = meat.reshape(-1, T.shape[1])
     return inflation * T @ bread @ (flat.T @ flat) @ bread @ T.T
 
@@ -180,7 +186,8 @@ def influence(one: Fit) -> Array:
     """
     linear, T, system = one.last, one.unknowns.map, one.system
     _, jacobian = system.minimised(linear)
-    W = linear.white.by_noise if system.problem.weighted else linear.white.noise
+    weighted = system.problem.weighted
+    W = linear.white.by_noise if weighted else linear.white.noise / system.unit
     root = np.sqrt(one.weights)[:, None, None]
     J = jacobian @ T * root
     _, prior = one.unknowns.prior_rows(one.unknowns.start)

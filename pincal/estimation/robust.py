@@ -15,11 +15,12 @@ from pincal.estimation.fit import Fit, fit, without
 from pincal.estimation.losses import LOSSES, Loss, outlying
 from pincal.estimation.problem import State
 from pincal.estimation.solve import System
-from pincal.estimation.unobservable import check_weakly_determined
+from pincal.estimation.unobservable import check_covariance, check_weakly_determined
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _ROUNDS = 10
+_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _LOG_LEAST = -650.0  # of probabilities that floating point can hold
 Progress = Callable[[str], None]
 
@@ -88,10 +89,14 @@ def robust_fit(
         MeasurementError: residuals that do not exist, or have no noise.
     """
     try:
-        return _fitted(system, rows, loss, partial(fit, start=start, progress=progress))
+        found = _fitted(system, rows, loss, partial(fit, start=start, progress=progress))
     except ObservabilityError as error:
         check_weakly_determined(mechanism, system.problem, system.unknowns, error)
         raise
+    fit_is_good = found.fit.chi2 <= _GOOD * max(found.fit.degrees_of_freedom, 1)
+    if not found.fit.converged and (fit_is_good or not system.known):
+        check_covariance(mechanism, system.problem, found.fit.covariance)
+    return found
 
 
 def _fitted(

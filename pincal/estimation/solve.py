@@ -25,9 +25,15 @@ Mask = NDArray[np.bool_]
 _EVALUATIONS = 300
 _POSE_STEPS = 10
 _FIRST_ORDER = 1e-6  # of the mechanism's size, and [rad]: poses this near are solved
+_SHORTEST = 1e-2  # of a step: poses that need shorter ones stay where they are
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad], that poses take at once
-_DAMPING = 1e-6, 1e10  # least and largest, relative to the squares of the columns
+_DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
+_ROWS_FOLLOW = 1e-3  # of the cost, by which it may grow as rows follow the state
+_PROBE = 0.1  # of a step, at which its bend is measured
+_BEND = 0.75  # of a step, twice its second-order part at most
 _NO_STEP = 1e-9  # of a standard error
+_NEAR = 0.1  # of a residual's standard deviation: the evened problem is left
+_SLOW = 1e-6  # of a standard error: nearer only if each step halves the distance
 _NEGLIGIBLE = 1e-3  # of a standard error: what is left where no step falls further
 _ROUNDING = 1e-10  # of the cost: falls that are predicted smaller cannot be judged by it
 
@@ -43,6 +49,8 @@ class System:
     loss: Loss | None = None
     kept: Mask | None = None
     """Rows that take part, shape (N,); all if not given."""
+    unit: float = 1.0
+    """Typical standard deviation of residuals that are minimised unweighted, [rad] or [m]."""
 
     def weights(self, linear: Linear) -> tuple[Array, float]:
         """Return the weight of each row, shape (N,), and the scale of the noise."""
@@ -63,7 +71,7 @@ class System:
         """Return what is minimised, shape (N, m), and its derivatives, shape (N, m, n)."""
         if self.problem.weighted:
             return linear.value, linear.jacobian
-        return linear.stack.value, linear.stack.parameter
+        return linear.stack.value / self.unit, linear.stack.parameter / self.unit
 
     def rows(
         self, value: Array, jacobian: Array, weights: Array, state: State
@@ -87,8 +95,21 @@ class System:
 
     def cost_in(self, here: Linear, trial: Linear, weights: Array) -> float:
         """Return the cost at a trial, in the rows and weights of another state."""
-        value = here.frozen(trial) if self.problem.weighted else trial.stack.value
+        value = here.frozen(trial) if self.problem.weighted else self.minimised(trial)[0]
         return self.cost(value, weights, trial.state)
+
+    def falls(
+        self, here: Linear, trial: Linear, weights: Array, cost: float, new_cost: float
+    ) -> bool:
+        """Return whether a step is a good one.
+
+        Far from the optimum, where rows turn with the state, its own cost falls; near it, in the
+        rows and weights of its beginning.
+        """
+        if self.loss is None and new_cost < cost:
+            return True
+        near = self.loss is not None or new_cost <= (1.0 + _ROWS_FOLLOW) * cost
+        return near and self.cost_in(here, trial, weights) <= cost
 
     def solve(self, linear: Linear, weights: Array) -> Normal:
         """Return the normal equations in square-root form."""
@@ -123,6 +144,19 @@ class Normal:
         """How far the optimum is, to first order: root of the fall of the cost, in σ."""
         return float(np.linalg.norm(self.c))
 
+    def fall(self, step: Array) -> float:
+        """Return by how much the cost falls by a step, shape (n,), to first order."""
+        return float(self.c @ self.c - ((self.c + self.R @ (step * self.lengths)) ** 2).sum())
+
+    def solve(self, gradient: Array, damping: float) -> Array:
+        """Return (JᵀJ + damping)⁻¹ g of a gradient of shape (n,), shape (n,)."""
+        n = len(self.c)
+        R = np.asarray(
+            np.linalg.qr(np.concatenate((self.R, np.sqrt(damping) * np.eye(n))), mode="r")
+        )
+        half = np.linalg.solve(R.T, gradient / self.lengths)
+        return np.asarray(np.linalg.solve(R, half)) / self.lengths
+
     def step(self, damping: float = 0.0) -> Array:
         """Return the least-squares step, shape (n,); damping relative to squares of columns."""
         R, c, n = self.R, self.c, len(self.c)
@@ -147,47 +181,137 @@ class Found:
     converged: bool
 
 
-def search(system: System, start: Linear, progress: Callable[[str], None] | None = None) -> Found:
+def search(
+    system: System,
+    start: Linear,
+    progress: Callable[[str], None] | None = None,
+    *,
+    highest: float = np.inf,
+    enough: float = 0.0,
+) -> Found:
     """Return the optimum near a start, or the best state on the way to it.
 
     Args:
         system: What is minimised.
         start: The conditions where the search begins, poses solved.
         progress: Called with what is being done.
+        highest: Cost above which no step is taken, if that at the start is not lower.
+        enough: Distance from the optimum in standard deviations of residuals at which to stop.
     """
     problem, T = system.problem, system.unknowns.map
     here, damping, growth, evaluations = start, 0.0, 10.0, 1
     weights, scale = system.weights(here)
     normal = system.solve(here, weights)
-    highest = cost = system.cost(system.minimised(here)[0], weights, here.state)
+    cost = system.cost(system.minimised(here)[0], weights, here.state)
+    highest = max(cost, highest) if np.isfinite(highest) else cost
     while normal.decrement > max(_NO_STEP, _rounding(system, here)):
+        if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
+            break
         if evaluations >= _EVALUATIONS or damping > _DAMPING[1]:
             break
         if progress and evaluations % 5 == 0:
             progress(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
-        trial, count = _trial(problem, here, T @ normal.step(damping))
+        step = normal.step(damping)
+        if damping > 0.0:
+            step = step + _along_the_valley(system, here, weights, normal, step, damping)
+            evaluations += 1
+        trial, count = _trial(problem, here, T @ step)
         evaluations += count
-        fall = -np.inf if trial is None else cost - system.cost_in(here, trial, weights)
         blind = normal.decrement**2 <= _ROUNDING * cost
-        better = trial is not None and (fall >= 0.0 or (blind and np.isfinite(fall)))
-        if better and trial is not None:
+        better = False
+        if trial is not None:
             new_weights, new_scale = system.weights(trial)
             new_cost = system.cost(system.minimised(trial)[0], new_weights, trial.state)
             new = system.solve(trial, new_weights)
-            nearer = new.decrement < normal.decrement
-            better = nearer if blind else system.loss is not None or new_cost <= highest
+            better = system.falls(here, trial, weights, cost, new_cost)
+            if blind:
+                better = new.decrement < normal.decrement
+            elif system.loss is None:
+                better = better and new_cost <= highest
         if better and trial is not None:
+            fall = cost - min(system.cost_in(here, trial, weights), new_cost)
+            damping *= _change(fall / max(normal.fall(step), 1e-300))
+            damping, growth = (damping if damping > _DAMPING[0] else 0.0), 10.0
+            slow = blind and new.decrement > 0.5 * normal.decrement
             here, weights, scale, cost, normal = trial, new_weights, new_scale, new_cost, new
-            damping, growth = (0.1 * damping if damping > _DAMPING[0] else 0.0), 10.0
+            if slow and normal.decrement <= _SLOW:  # rounding, or less than matters to anyone
+                break
         elif blind:  # nothing but rounding is left
             break
         else:
             damping, growth = max(damping, _DAMPING[0]) * growth, 2.0 * growth
-    equations = max(int(here.equations[weights > 0.0].sum()) - T.shape[1], 1)
-    unit = 1.0 if system.known else np.sqrt(cost / equations)
+    dof = max(int(here.equations[weights > 0.0].sum()) - T.shape[1], 1)
+    unit = 1.0 if system.known else np.sqrt(cost / dof)
     left = normal.decrement / max(unit, 1e-300)
-    enough = normal.decrement <= max(_NO_STEP, 10.0 * _rounding(system, here))
-    return Found(here, weights, scale, evaluations, left, enough or left <= _NEGLIGIBLE)
+    there = normal.decrement <= max(_NO_STEP, 10.0 * _rounding(system, here))
+    return Found(here, weights, scale, evaluations, left, there or left <= _NEGLIGIBLE)
+
+
+def _along_the_valley(
+    system: System, here: Linear, weights: Array, normal: Normal, step: Array, damping: float
+) -> Array:
+    """Return the second-order part of a step (geodesic acceleration, Transtrum and Sethna 2012).
+
+    Along a curved valley it lets steps be long that would else climb its walls. Zero where it is
+    not small against the step.
+    """
+    problem, T = system.problem, system.unknowns.map
+    try:
+        with np.errstate(all="ignore"):
+            probe = problem.stack(problem.moved(here, _PROBE * (T @ step)))
+    except (MeasurementError, np.linalg.LinAlgError):
+        return np.zeros_like(step)
+    weighted = system.problem.weighted
+    there = here.white(probe.value[:, :, None])[:, :, 0] if weighted else probe.value / system.unit
+    value, jacobian = system.minimised(here)
+    slope = (there - value) / _PROBE - jacobian @ (T @ step)
+    bent = 2.0 / _PROBE * slope * np.sqrt(weights)[:, None]
+    J = (jacobian @ T) * np.sqrt(weights)[:, None, None]
+    change = -0.5 * normal.solve(np.einsum("nmk,nm->k", J, bent), damping)
+    if not np.isfinite(change).all():
+        return np.zeros_like(step)
+    small = 2.0 * np.linalg.norm(change * normal.lengths) <= _BEND * np.linalg.norm(
+        step * normal.lengths
+    )
+    return change if small else np.zeros_like(step)
+
+
+def _change(gain: float) -> float:
+    """Return the factor on the damping after a step, by its fall over the predicted one."""
+    if gain > 0.75:
+        return 0.1
+    return 1.0 if gain > 0.25 else 4.0
+
+
+def near_start(
+    system: System, first: Linear, progress: Callable[[str], None] | None = None
+) -> tuple[Linear, int]:
+    """Return where the search begins: near the optimum of the evened problem, if that is better.
+
+    Args:
+        system: What is minimised.
+        first: The conditions at the start, poses solved.
+        progress: Called with what is being done.
+    """
+    problem = system.problem
+    evened = problem.evened(first.stack)
+    if evened is None:
+        return first, 0
+    easy = replace(system, problem=evened)
+    state = problem.start(first.state.parameters)
+    begin, count = solve_poses(evened, evened.linearise(state))
+    found = search(easy, begin, progress, enough=_NEAR)
+    try:
+        with np.errstate(all="ignore"):
+            near, more = solve_poses(problem, problem.linearise(found.linear.state))
+    except MeasurementError:
+        return first, count + found.evaluations
+    costs = []
+    for one in (first, near):
+        weights, _ = system.weights(one)
+        costs.append(system.cost(system.minimised(one)[0], weights, one.state))
+    better = np.isfinite(costs[1]) and not costs[1] > costs[0]
+    return (near if better else first), count + found.evaluations + more
 
 
 def _trial(problem: Problem, here: Linear, step: Array) -> tuple[Linear | None, int]:
@@ -217,33 +341,41 @@ def _rounding(system: System, linear: Linear) -> float:
 def solve_poses(problem: Problem, linear: Linear) -> tuple[Linear, int]:
     """Return the conditions with poses at their optimum, to second order, and the evaluations.
 
-    Gauss–Newton steps of each pose alone, as long as they get shorter (natural monotonicity); a
-    pose whose steps do not stays where it is.
+    Gauss–Newton steps of each pose alone, shortened until the next one is shorter (natural
+    monotonicity); a pose that finds none stays where it is.
     """
     if not problem.latent:
         return linear, 0
     platform = problem.platform
     size = largest_size(problem.legs, platform)
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
-    count, open_ = 0, np.ones(len(linear.value), dtype=bool)
+    count, share = 0, np.ones(len(linear.value))
     for _ in range(_POSE_STEPS):
-        twists = linear.white.pose_step(linear.stack.value)
-        length = np.abs(twists / scale).max(axis=1)
-        open_ &= np.isfinite(length) & (length > _FIRST_ORDER)
+        twists, length = _pose_steps(linear, scale)
+        open_ = (length > _FIRST_ORDER) & (share > _SHORTEST)
         if not open_.any():
             break
-        short = np.minimum(1.0, _LARGEST_STEP / np.maximum(length, _LARGEST_STEP))
+        short = share * np.minimum(1.0, _LARGEST_STEP / np.maximum(length, _LARGEST_STEP))
         twists = np.where(open_[:, None], twists * short[:, None], 0.0)
         state = linear.state
         matrices = platform.displaced(state.matrices, twists)
         trial = problem.linearise(replace(state, matrices=matrices))
         count += 1
-        after = np.abs(trial.white.pose_step(trial.stack.value) / scale).max(axis=1)
-        worse = open_ & ~(after < length)
+        worse = open_ & ~(_pose_steps(trial, scale)[1] < length)
+        share = np.where(worse, share / 4.0, np.minimum(1.0, 2.0 * share))
         if worse.any():
-            open_ &= ~worse
             kept = np.where(worse[:, None, None], state.matrices, trial.state.matrices)
             trial = problem.linearise(replace(state, matrices=kept))
             count += 1
         linear = trial
     return linear, count
+
+
+def _pose_steps(linear: Linear, scale: Array) -> tuple[Array, Array]:
+    """Return the poses' steps, shape (N, dof), and their lengths over a scale, shape (N,).
+
+    Steps that are not finite count as none.
+    """
+    twists = linear.white.pose_step(linear.stack.value)
+    twists = np.where(np.isfinite(twists).all(axis=1, keepdims=True), twists, 0.0)
+    return twists, np.abs(twists / scale).max(axis=1)

@@ -7,6 +7,7 @@ these directions may move it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,9 +118,26 @@ def check_weakly_determined(
         return
     weak, _ = weakly_determined(mechanism, problem, unknowns)
     if len(weak):
-        raise ObservabilityError(
-            f"{', '.join(taking_part(unknowns.free_labels, weak))} are weakly determined by the "
-            "measured poses: noise moves them farther than machines differ from their drawings. "
-            "Measure poses that tell them apart, hold them as near to nominal as can be "
-            "(--hold-undetermined), or say how well nominal values are known (--prior)"
-        ) from cause
+        raise _weak(taking_part(unknowns.free_labels, weak)) from cause
+
+
+def check_covariance(mechanism: Mechanism, problem: Problem, covariance: Array) -> None:
+    """Raise if noise moves parameters farther than machines differ, where a search was lost.
+
+    Raises:
+        ObservabilityError: that is so; the message names the parameters.
+    """
+    std = np.sqrt(np.diagonal(covariance))[: problem.n_parameters]
+    ids = [f"{leg.name}.{name}" for leg in problem.legs for name in leg.parameter_names]
+    far = std > plausible_changes(mechanism, problem.legs)
+    if far.any():
+        raise _weak([one for one, weak in zip(ids, far, strict=True) if weak])
+
+
+def _weak(ids: Sequence[str]) -> ObservabilityError:
+    return ObservabilityError(
+        f"{', '.join(ids)} are weakly determined by the measured poses: noise moves them farther "
+        "than machines differ from their drawings. Measure poses that differ more (in orientation "
+        "above all), hold them as near to nominal as can be (--hold-undetermined), or say how well "
+        "nominal values are known (--prior)"
+    )

@@ -7,28 +7,16 @@ from typing import Any
 
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError, MechanismError
+from pincal.errors import MeasurementError
 from pincal.files.measurements import read_measurements, read_poses
-from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.mechanism_folders import GivenMechanism as GivenMechanism
+from pincal.files.mechanism_folders import as_mechanism as as_mechanism
 from pincal.files.setups import read_setup
 from pincal.files.tables import is_dataframe
 from pincal.model.checks import array_of, must_be
-from pincal.model.measurements import Measurements, Plan
+from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
-
-
-def as_mechanism(given: Mechanism | str | Path) -> Mechanism:
-    """Return a mechanism that is given as such, by its bundled name, or by its folder.
-
-    Raises:
-        FileError: no such folder, or a file in it is missing.
-        MechanismError: something else, or a file that does not say what it should.
-    """
-    if isinstance(given, Mechanism):
-        return given
-    kinds = (Mechanism, str, Path)
-    return load_mechanism(must_be(given, kinds, "a mechanism, its name or folder", MechanismError))
 
 
 def as_plan(given: Any, mechanism: Mechanism, *, partial: bool = False) -> Plan:
@@ -94,3 +82,14 @@ def as_setup(given: Setup | str | Path | None) -> Setup:
     if given is None or isinstance(given, Setup):
         return given or Setup()
     return read_setup(must_be(given, (Setup, str, Path), "a setup or its file", MeasurementError))
+
+
+def as_noise(given: Noise | None) -> Noise:
+    """Return the noise that is given; without one, the default.
+
+    Raises:
+        MeasurementError: something else.
+    """
+    if given is None:
+        return Noise()
+    return must_be(given, (Noise,), "noise, pincal.Noise(…)", MeasurementError)

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import write_table
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.orientation import columns_of as angles_of
+from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array | tuple[str, ...]]
@@ -21,7 +23,7 @@ Columns = dict[str, Array | tuple[str, ...]]
 
 def write_poses(
     path: str | Path,
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     plan: Plan,
     *,
     orientation: str = "tilt-torsion",
@@ -39,42 +41,63 @@ def write_poses(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
+    mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses to write", MeasurementError)
     planned = Plan(plan.poses, plan.sets, plan.readings)
     write_table(path, columns_of(mechanism, planned, orientation), force=force)
 
 
 def write_readings(
-    path: str | Path, mechanism: Mechanism, readings: Array, *, force: bool = False
+    path: str | Path, mechanism: GivenMechanism, readings: Array, *, force: bool = False
 ) -> None:
     """Write readings to a CSV file.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
+    mechanism = as_mechanism(mechanism)
     columns = _reading_columns(mechanism, readings)
     write_table(path, columns, force=force)
 
 
 def write_measurements(
-    path: str | Path, mechanism: Mechanism, data: Measurements, *, force: bool = False
+    path: str | Path,
+    mechanism: GivenMechanism,
+    data: Measurements,
+    *,
+    setup: Setup | None = None,
+    force: bool = False,
 ) -> None:
     """Write measurements to a CSV file.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        data: The measurements.
+        setup: Says units of further columns that are neither lengths nor single angles.
+        force: Whether to replace the file if it exists.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
+    mechanism = as_mechanism(mechanism)
     must_be(data, Measurements, "measurements to write", MeasurementError)
-    write_table(path, columns_of(mechanism, data), force=force)
+    write_table(path, columns_of(mechanism, data, setup=setup), force=force)
 
 
-def columns_of(mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsion") -> Columns:
+def columns_of(
+    mechanism: Mechanism,
+    plan: Plan,
+    orientation: str = "tilt-torsion",
+    setup: Setup | None = None,
+) -> Columns:
     """Return the columns of a plan or of measurements, header with unit to values, SI.
 
     Args:
         mechanism: The mechanism.
         plan: The poses, or the measurements.
         orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+        setup: Says units of further columns that are neither lengths nor single angles.
 
     Raises:
         MeasurementError: numbers of another mechanism, or no such way.
@@ -96,9 +119,10 @@ def columns_of(mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsio
     if plan.sigma_readings is not None:
         read = _reading_columns(mechanism, plan.sigma_readings)
         columns |= {f"sigma_{name}": values for name, values in read.items()}
+    units = dict.fromkeys(SINGLE_ANGLES, "rad") | (setup.columns(mechanism) if setup else {})
     for prefix, more in (("", plan.extra), ("sigma_", plan.sigma_extra)):
         for name, values in more.items():
-            columns[f"{prefix}{name} [{'rad' if name in SINGLE_ANGLES else 'm'}]"] = values
+            columns[f"{prefix}{name} [{units.get(name, 'm')}]"] = values
     columns |= {} if plan.runs is None else {"run": plan.runs}
     columns |= {} if plan.places is None else {"pose": plan.places}
     return columns

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.columns import Source, table_for
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import Table
 from pincal.model.checks import must_be
 from pincal.model.measurements import EVERY_LEG, Measurements, Plan
@@ -18,7 +19,7 @@ from pincal.model.setup import Setup
 Array = NDArray[np.float64]
 
 
-def read_poses(path: Source, mechanism: Mechanism, *, partial: bool = False) -> Plan:
+def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False) -> Plan:
     """Return the poses of a CSV file, with its ``set`` column if there is one.
 
     And with the readings, of a mechanism whose poses do not determine them.
@@ -32,6 +33,7 @@ def read_poses(path: Source, mechanism: Mechanism, *, partial: bool = False) -> 
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
+    mechanism = as_mechanism(mechanism)
     table = table_for(path, mechanism)
     readings = None
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
@@ -40,18 +42,19 @@ def read_poses(path: Source, mechanism: Mechanism, *, partial: bool = False) -> 
     return Plan(poses, _sets(table, mechanism), readings, lines=table.file_lines)
 
 
-def read_readings(path: Source, mechanism: Mechanism) -> Array:
+def read_readings(path: Source, mechanism: GivenMechanism) -> Array:
     """Return the readings of a CSV file, shape (N, n_readings), [rad] or [m].
 
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
+    mechanism = as_mechanism(mechanism)
     return _readings(table_for(path, mechanism), mechanism)
 
 
 def read_measurements(
-    path: Source, mechanism: Mechanism, setup: Setup | None = None, *, partial: bool = False
+    path: Source, mechanism: GivenMechanism, setup: Setup | None = None, *, partial: bool = False
 ) -> Measurements:
     """Return the measurements of a CSV file: poses, readings, sets and standard deviations.
 
@@ -65,15 +68,16 @@ def read_measurements(
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
+    mechanism = as_mechanism(mechanism)
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
     table = table_for(path, mechanism, more)
-    if missing := [name for name in setup.distances if name not in table]:
-        raise MeasurementError(
-            f"{table.path}: no column {missing[0]!r}, a distance that the setup names; expected "
-            f"'{missing[0]} [m]'"
-        )
+    for name, whose in setup.required.items():
+        if name not in table:
+            raise MeasurementError(
+                f"{table.path}: no column {name!r}, {whose}; expected '{name} [{more[name]}]'"
+            )
     platform = mechanism.platform
     if platform.turns == 3 and partial and _way(table) is None:
         more |= {name: "rad" for name in SINGLE_ANGLES if name in table}
@@ -181,9 +185,9 @@ def _whole(table: Table, mechanism: Mechanism) -> None:
     if missing and len(missing) < len(needed):
         unit = platform.units[platform.coordinates.index(missing[0])]
         raise MeasurementError(
-            f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} [{unit}]', or say "
-            "--method latent, which calibrates with poses that were measured in part. The file "
-            f"has {', '.join(table.units)}"
+            f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} [{unit}]'; "
+            "only all legs together (without --per-leg) are calibrated with poses that were "
+            f"measured in part. The file has {', '.join(table.units)}"
         )
 
 

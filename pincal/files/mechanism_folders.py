@@ -24,6 +24,9 @@ from pincal.model.sensor import Sensor
 
 _YAML = "mechanism.yaml"
 
+GivenMechanism = Mechanism | str | Path
+"""A mechanism, its bundled name, or its folder."""
+
 
 def bundled() -> dict[str, Path]:
     """Return the folders of the mechanisms that come with pincal, by name."""
@@ -32,6 +35,19 @@ def bundled() -> dict[str, Path]:
         if robots.is_dir():
             return {p.parent.name: p.parent for p in sorted(robots.glob("*/mechanism.yaml"))}
     return {}
+
+
+def as_mechanism(given: GivenMechanism) -> Mechanism:
+    """Return a mechanism that is given as such, by its bundled name, or by its folder.
+
+    Raises:
+        FileError: no such folder, or a file in it is missing.
+        MechanismError: something else, or a file that does not say what it should.
+    """
+    if isinstance(given, Mechanism):
+        return given
+    kinds = (Mechanism, str, Path)
+    return load_mechanism(must_be(given, kinds, "a mechanism, its name or folder", MechanismError))
 
 
 def load_mechanism(name_or_path: str | Path) -> Mechanism:
@@ -226,6 +242,16 @@ def _dump(mechanism: Mechanism) -> str:
 
 
 def _dump_leg(leg: Leg) -> dict[str, Any]:
+    """Return a leg as plain data.
+
+    Raises:
+        MechanismError: a term of a sensor, which is code.
+    """
+    if own := [term.parameter for sensor in leg.sensors for term in sensor.terms]:
+        raise MechanismError(
+            f"{leg.name}: the sensor's term of {own[0]!r} is code, which a mechanism's folder does "
+            "not hold; save the mechanism without terms, and its parameters (mechanism.parameters)"
+        )
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",

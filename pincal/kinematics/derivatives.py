@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closure import Closure, LegClosure
 from pincal.kinematics.inverse import close, matrix_chunks, sensor_law
@@ -63,7 +64,7 @@ def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
         closure.constraint,
         _by_parameter(leg, closure, readings),
         closure.project(closure.pose),
-        closure.drive * sensor_law(leg).slope,
+        closure.drive * sensor_law(leg).slopes(readings)[..., None, :],
     )
 
 
@@ -122,7 +123,7 @@ def leg_demand(
 
 
 def identification_jacobian(
-    mechanism: Mechanism, leg: str, poses: Poses, parameters: Array | None = None
+    mechanism: GivenMechanism, leg: str, poses: Poses, parameters: Array | None = None
 ) -> Array:
     """Return the identification Jacobian of one leg: ∂(predicted reading)/∂parameter.
 
@@ -142,11 +143,13 @@ def identification_jacobian(
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
+    mechanism = as_mechanism(mechanism)
     transforms = mechanism.platform.transforms(poses)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
-    slope = sensor_law(closure).slope
-    C = np.empty((len(transforms), len(slope), len(closure.parameters)))
+    law = sensor_law(closure)
+    C = np.empty((len(transforms), len(law.slope), len(closure.parameters)))
     for rows, closed, psi, reached in _closed_chunks(closure, transforms):
-        C[rows] = least_squares(-closed.drive * slope, _by_parameter(closure, closed, psi))
+        drive = closed.drive * law.slopes(psi)[..., None, :]
+        C[rows] = least_squares(-drive, _by_parameter(closure, closed, psi))
         C[rows][~reached] = np.nan
     return C.reshape(-1, C.shape[2])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
@@ -61,7 +62,9 @@ class ForwardSolution:
         return "\n".join([repr(self), *(f"  {n}: {why}" for why, n in counts.most_common())])
 
 
-def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -> ForwardSolution:
+def forward(
+    mechanism: GivenMechanism, readings: Array, guess: Poses | None = None
+) -> ForwardSolution:
     """Return the poses of sensor readings, found from a guess in the assembly mode of home.
 
     More legs than freedoms have no pose in common if their readings are not exact; the pose is
@@ -77,6 +80,7 @@ def forward(mechanism: Mechanism, readings: Array, guess: Poses | None = None) -
         MechanismError: readings or guess of a wrong shape, or not finite; a homed sensor and a
             home pose out of its leg's reach.
     """
+    mechanism = as_mechanism(mechanism)
     readings = np.asarray(readings, dtype=np.float64)
     width = len(mechanism.reading_names)
     if readings.ndim != 2 or readings.shape[1] != width:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MechanismError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import ROUNDING, least_squares, product
 from pincal.kinematics.closed_forms import closed_form, wrapped
 from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
@@ -203,7 +204,7 @@ class InverseSolution:
         return "\n".join([repr(self), *lines, *([f"  and {more} more"] if more > 0 else [])])
 
 
-def inverse(mechanism: Mechanism, poses: Poses) -> InverseSolution:
+def inverse(mechanism: GivenMechanism, poses: Poses) -> InverseSolution:
     """Return joints and readings of poses; NaN where a leg cannot reach in its working mode.
 
     Args:
@@ -214,6 +215,7 @@ def inverse(mechanism: Mechanism, poses: Poses) -> InverseSolution:
         MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
             out of its leg's reach.
     """
+    mechanism = as_mechanism(mechanism)
     transforms = mechanism.platform.transforms(poses)
     laws = [sensor_law(leg) for leg in nominal_legs(mechanism)]
     count = len(transforms)

@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import Closure, nominal_legs
 from pincal.kinematics.inverse import close, close_chunks, sensor_law
 from pincal.kinematics.nearest_closure import nearest_closure
@@ -35,12 +36,13 @@ class SingularityMargins:
     """Stiffness of the platform, shape (N,), signed relative to home."""
 
 
-def margins(mechanism: Mechanism, poses: Poses) -> SingularityMargins:
+def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
     """Return the distances of poses from both types of singularity.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
+    mechanism = as_mechanism(mechanism)
     transforms = mechanism.platform.transforms(poses)
     type1 = np.empty((len(transforms), len(mechanism.legs)))
     type2 = np.empty(len(transforms))

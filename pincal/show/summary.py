@@ -26,8 +26,8 @@ _NO_FREEDOM = (
 _MISSES = 10.0  # by how many σ a fit misses its own rows that is none
 _MANY = 1e5  # poses: more are not measured
 _PAIRS = 3  # of weakly determined parameters
-_BEST = "the best that any calibration can reach: calibrate does by default, with all legs together"
-_ALONE = "each leg alone by the poses of its set (--method per-leg)"
+_BEST = "the best that any calibration can reach; 'pincal calibrate' does"
+_ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
 
 
 def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
@@ -251,8 +251,8 @@ def _expected(error: PlatformError, turning: bool) -> str:
 def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
     """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
     many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-    text = f"for {1e3 * accuracy:g} mm: {many} with all legs together"
-    text += "" if alone is None else f", {alone:,.0f} with each leg alone"
+    text = f"for {1e3 * accuracy:g} mm: {many}"
+    text += "" if alone is None else f", {alone:,.0f} with --per-leg"
     if _MANY < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"
     return text

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import SymmetryError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import inverse
@@ -116,13 +117,14 @@ class SymmetryGroup:
 
 
 @lru_cache(maxsize=64)
-def symmetry_group(mechanism: Mechanism, tolerance: float = 1e-6) -> SymmetryGroup:
+def symmetry_group(mechanism: GivenMechanism, tolerance: float = 1e-6) -> SymmetryGroup:
     """Return the symmetry group of a mechanism's nominal geometry, limits, modes and sensors.
 
     Args:
         mechanism: The mechanism.
         tolerance: Largest deviation, relative to the leg's size for lengths, [rad] for angles.
     """
+    mechanism = as_mechanism(mechanism)
     legs = [canonical(leg) for leg in mechanism.legs]
     elements, permutations, breaks = [], [], []
     for element in _candidates(mechanism, legs):
@@ -268,6 +270,15 @@ def _sensors_differ(
         tolerance: Largest deviation, [rad] or [m].
     """
     a, b = carried.sensors[index], leg.sensors[index]
+    if [one.basis for one in a.terms] != [one.basis for one in b.terms]:
+        return "terms of the sensor", None
+    for first, second in zip(a.terms, b.terms, strict=True):
+        amplitudes = (
+            carried.nominal_by_name[first.parameter],
+            leg.nominal_by_name[second.parameter],
+        )
+        if abs(amplitudes[0] - amplitudes[1]) > tolerance:
+            return "terms of the sensor", abs(amplitudes[0] - amplitudes[1])
     if (a.form, a.direction) != (b.form, b.direction):
         return "form or direction of the sensor", None
     gains, offsets = zip(

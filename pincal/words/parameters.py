@@ -98,7 +98,7 @@ PARAMETERS: dict[str, Wording] = {
         {"unused": "number of poses that do not serve every leg", "total": "number of poses"},
         _unused,
         "Each leg was identified by the poses of its set only.",
-        "--poses all lets every leg use every pose",
+        "Leave out --per-leg, or add --poses all: then every leg uses every pose",
         "info",
     ),
     "weakly-determined": Wording(

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import inverse
-from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.workspace.criteria import Margins, in_workspace
@@ -38,8 +38,9 @@ class ArticularSymmetry:
     """Number of poses found that are in the workspace."""
 
 
-def articular_space(mechanism: Mechanism, poses: Array) -> Array:
+def articular_space(mechanism: GivenMechanism, poses: Array) -> Array:
     """Return the sensor readings of poses in the workspace, shape (N, n_legs), [rad] or [m]."""
+    mechanism = as_mechanism(mechanism)
     return inverse(mechanism, poses).readings
 
 
@@ -60,7 +61,7 @@ def equal_sums(readings: Array) -> Array:
 
 
 def articular_symmetry(
-    mechanism: Mechanism, poses: Array, least: Margins | None = None, seed: int = 0
+    mechanism: GivenMechanism, poses: Array, least: Margins | None = None, seed: int = 0
 ) -> tuple[ArticularSymmetry, ...]:
     """Return whether permuted readings are reached, for each element but the identity.
 
@@ -76,6 +77,7 @@ def articular_symmetry(
     Raises:
         MechanismError: a mechanism whose forward kinematics is not determined.
     """
+    mechanism = as_mechanism(mechanism)
     platform, group = mechanism.platform, symmetry_group(mechanism)
     poses = platform.coordinates_of(poses)
     readings = articular_space(mechanism, poses)

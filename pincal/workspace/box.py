@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.workspace.axes import Axis
@@ -33,7 +34,7 @@ def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
     return least, most
 
 
-def default_grid(mechanism: Mechanism, given: Iterable[str | Axis] = ()) -> Grid:
+def default_grid(mechanism: GivenMechanism, given: Iterable[str | Axis] = ()) -> Grid:
     """Return a grid of positions within reach; polar if the mechanism has rotations.
 
     Args:
@@ -43,6 +44,7 @@ def default_grid(mechanism: Mechanism, given: Iterable[str | Axis] = ()) -> Grid
     Raises:
         WorkspaceError: axes that are wrong, or that the platform does not have.
     """
+    mechanism = as_mechanism(mechanism)
     axes = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in given]
     names = {axis.name for axis in axes}
     spatial = mechanism.platform.units.count("m") == 3
@@ -96,8 +98,9 @@ def closer_grid(found: Workspace, given: Iterable[str]) -> Grid | None:
     return Grid(tuple(axes)) if closer else None
 
 
-def default_samples(mechanism: Mechanism, count: int, seed: int = 0) -> Samples:
+def default_samples(mechanism: GivenMechanism, count: int, seed: int = 0) -> Samples:
     """Return random positions within reach, in orbits of the mechanism's group."""
+    mechanism = as_mechanism(mechanism)
     low, high = _reach(mechanism)
     spatial = mechanism.platform.units.count("m") == 3
     height = (float(low[2]), float(high[2])) if spatial else (0.0, 0.0)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import ROUNDING
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.inverse import CHUNK, close, matrix_chunks
@@ -125,12 +126,13 @@ def refuse_readings(mechanism: Mechanism) -> None:
         )
 
 
-def in_workspace(mechanism: Mechanism, poses: Poses, least: Margins | None = None) -> Mask:
+def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None = None) -> Mask:
     """Return which poses count, shape (N,).
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
+    mechanism = as_mechanism(mechanism)
     transforms = mechanism.platform.transforms(poses)
     criteria = criteria_of(mechanism, least or Margins())
     inside = np.empty(len(transforms), dtype=bool)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import write_table
 from pincal.kinematics.singularity import margins
 from pincal.model.mechanism import Mechanism
@@ -194,7 +195,7 @@ class Workspace:
 
 
 def compute_workspace(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     kind: str,
     positions: Positions,
     orientations: Orientations | None = None,
@@ -231,6 +232,7 @@ def compute_workspace(
         WorkspaceError: an unknown kind, no orientations where they are needed, or work that
             cannot be run as asked.
     """
+    mechanism = as_mechanism(mechanism)
     asked = _asked(mechanism, kind, orientations)
     _check_positions(mechanism, positions)
     if connected and not isinstance(positions, Grid):

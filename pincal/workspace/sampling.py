@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import joint_range, nominal_legs
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import close, sensor_law
@@ -33,7 +34,7 @@ _MOST = 400  # batches without enough poses before giving up
 
 
 def sample_configurations(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     count: int,
     seed: int | np.random.Generator = 0,
     least: Margins | None = None,
@@ -54,6 +55,7 @@ def sample_configurations(
     Raises:
         WorkspaceError: no or too few configurations count.
     """
+    mechanism = as_mechanism(mechanism)
     if not mechanism.by_readings:
         return Plan(sample_workspace(mechanism, count, seed, least, progress))
     _check_count(count)
@@ -91,7 +93,7 @@ def _reading_limits(mechanism: Mechanism) -> tuple[Array, Array]:
 
 
 def sample_workspace(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     count: int,
     seed: int | np.random.Generator = 0,
     least: Margins | None = None,
@@ -109,6 +111,7 @@ def sample_workspace(
     Raises:
         WorkspaceError: no or too few poses count.
     """
+    mechanism = as_mechanism(mechanism)
     if mechanism.by_readings:
         return sample_configurations(mechanism, count, seed, least).poses
     _check_count(count)

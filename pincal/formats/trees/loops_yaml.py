@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 from lxml import etree
 from pydantic import BaseModel, ConfigDict, Field
 
-from pincal.errors import MechanismError
+from pincal.errors import FileError, MechanismError
 from pincal.files.schema import Number
 from pincal.files.urdf import link_of, read_joint
 from pincal.files.xml import read_xml
@@ -41,6 +41,22 @@ class LoopsSpec(BaseModel):
     joint_type: list[Literal["SPHERICAL", "FIXED", "UJOINT_XY", "UJOINT_YZ", "UJOINT_ZX"]] = []
     platform: str | None = None
     home: dict[str, Number] = {}
+
+
+def loops_beside(file: Path) -> Path:
+    """Return the YAML file that belongs to a URDF.
+
+    Raises:
+        FileError: there is none.
+    """
+    places = (file.with_suffix(".yaml"), file.parent / "robot.yaml")
+    for place in places:
+        if place.is_file():
+            return place
+    raise FileError(
+        f"no {' or '.join(dict.fromkeys(one.name for one in places))} beside {file} says what "
+        "closes its loops; name one with --loops, or import a serial arm with --tip LINK"
+    )
 
 
 def read_loops(urdf: Path, loops: Path) -> Tree:

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
 if TYPE_CHECKING:  # matplotlib is imported where it is needed
@@ -64,12 +64,12 @@ class Picture:
 
 
 def picture(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     poses: Plan | ArrayLike | RigidTransform | None = None,
     *,
     row: int = 0,
     workspace: ArrayLike | None = None,
-    identified: Mechanism | None = None,
+    identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
 ) -> Picture:
     """Return a picture of a mechanism: ``save(path)``, ``figure()``, ``draw(axes)``.
@@ -91,6 +91,8 @@ def picture(
         MeasurementError: no poses, too many or not whole, no such row; a workspace of a wrong
             shape; a factor that is not positive.
     """
+    mechanism = as_mechanism(mechanism)
+    identified = None if identified is None else as_mechanism(identified)
     plan = plan_of(mechanism, [mechanism.platform.home] if poses is None else poses)
     if not 0 <= row < max(len(plan.poses), 1):
         raise MeasurementError(

@@ -115,7 +115,7 @@ def scene(
     if not np.isfinite(plan.poses).all():
         raise MeasurementError(
             f"{int((~np.isfinite(plan.poses).all(axis=1)).sum())} of {len(plan.poses)} poses are "
-            "not whole; those that a calibration with latent poses estimated can be drawn: "
+            "not whole; those that a calibration estimated can be drawn: "
             "result.estimated_poses, or poses.csv in the folder of the result"
         )
     found = Scene(

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import WorkspaceError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.output import writing
 from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
@@ -72,11 +73,11 @@ class View:
 
 
 def view(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     poses: Plan | ArrayLike | RigidTransform | None = None,
     *,
     workspace: ArrayLike | None = None,
-    identified: Mechanism | None = None,
+    identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
     source: str = "",
 ) -> View:
@@ -99,6 +100,8 @@ def view(
         MeasurementError: no poses, too many or not whole; a workspace of a wrong
             shape; a factor that is not positive.
     """
+    mechanism = as_mechanism(mechanism)
+    identified = None if identified is None else as_mechanism(identified)
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
     cloud = None if workspace is None else np.asarray(workspace, np.float64)
     return View(scene(mechanism, plan, cloud, identified, magnify), source)

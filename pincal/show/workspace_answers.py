@@ -1,4 +1,4 @@
-"""What ``pincal workspace --json`` tells of poses, regions and spaces of readings, in SI units."""
+"""What ``pincal workspace`` writes of poses, regions and spaces of readings, in SI units."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pincal.model.mechanism import Mechanism
 from pincal.workspace.articular import ArticularSymmetry
 from pincal.workspace.inscribed import Inscribed
+from pincal.workspace.orientations import Orientations
 from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]
@@ -70,6 +71,35 @@ def articular_answer(
         },
         "permuted_readings": [vars(one) | {"element": str(one.element)} for one in checks],
     }
+
+
+def articular_columns(
+    mechanism: Mechanism, spaces: Mapping[str, Array], readings: Mapping[str, Array]
+) -> dict[str, list[str] | list[float]]:
+    """Return a table of poses and readings, with the space that each is of."""
+    platform = mechanism.platform
+    parts = [
+        (platform.coordinates, platform.units, spaces),
+        (mechanism.reading_names, mechanism.reading_units, readings),
+    ]
+    columns: dict[str, list[str] | list[float]] = {
+        "space": [name for name, poses in spaces.items() for _ in poses]
+    }
+    for names, units, values in parts:
+        every = np.concatenate(list(values.values()))
+        for name, unit, column in zip(names, units, every.T, strict=True):
+            columns[f"{name} [{unit}]"] = column.tolist()
+    return columns
+
+
+def orientation_name(mechanism: Mechanism, orientation: Orientations) -> str:
+    """Return an orientation in the platform's coordinates, as text."""
+    platform = mechanism.platform
+    matrices = np.eye(4)[None].copy()
+    matrices[:, :3, :3] = orientation.rotations.as_matrix()
+    values = platform.from_matrices(matrices)[0] + 0.0
+    turns = zip(platform.coordinates, platform.units, values, strict=True)
+    return ", ".join(f"{name} = {value:.6g} rad" for name, unit, value in turns if unit == "rad")
 
 
 def _ranges(names: Sequence[str], units: Sequence[str], values: Array) -> dict[str, Any]:

@@ -1,0 +1,158 @@
+"""``pincal export``: a mechanism as URDF, MJCF, or a delta printer's configuration."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pincal.calibration.result_files import read_result
+from pincal.cli.app import Force, Mech, command, output_option, remark, stdout, warn, wrote
+from pincal.cli.importing import SUFFIXES, TREES
+from pincal.errors import MechanismError
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.output import refuse_existing, writing
+from pincal.formats.printers.delta import delta_printer
+from pincal.formats.printers.klipper import write_klipper
+from pincal.formats.printers.reprap import write_reprap
+from pincal.formats.trees.calibrated_urdf import calibrated_urdf
+from pincal.formats.trees.tree_mjcf import mjcf
+from pincal.formats.trees.tree_of import tree_of, unwritten
+from pincal.formats.trees.tree_urdf import loops_urdf, loops_yaml
+from pincal.model.mechanism import Mechanism
+
+
+class Form(StrEnum):
+    """What is written."""
+
+    urdf = "urdf"
+    mjcf = "mjcf"
+    klipper = "klipper"
+    reprap = "reprap"
+
+
+@command("export")
+def export(
+    mech: Mech,
+    output: Annotated[
+        Path, output_option("FILE", "URDF, MJCF, printer.cfg section, or M665 and M666.")
+    ],
+    form: Annotated[
+        Form | None,
+        typer.Option(
+            "--format", help="What to write, if FILE's ending (.urdf, .xml, .cfg, .g) is other."
+        ),
+    ] = None,
+    original: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="URDF",
+            help="Your own URDF: its joints get the calibrated origins, all else stays.",
+        ),
+    ] = None,
+    leg: Annotated[
+        str | None,
+        typer.Option(metavar="LEG", help="Whose URDF it is, if it is not named so."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Write URDF, MJCF, or a delta printer's configuration.
+
+    With --original FILE is a copy of that URDF in which only the origins of calibrated joints are
+    other. Without it URDF (.urdf, with a .yaml beside it that closes the loops) and MJCF (.xml)
+    hold the kinematics of the whole mechanism.
+
+    Of a delta printer FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
+    RepRapFirmware (.g). What a file has no place for is said. MECH may be a result of 'pincal
+    calibrate', whose legs as URDFs are in its own folder 'mechanism'.
+    """
+    whose = form or SUFFIXES.get(output.suffix.lower())
+    if whose is None:
+        raise MechanismError(
+            f"{output.name!r} does not say what to write; give it the ending .urdf, .xml (MJCF), "
+            ".cfg (Klipper) or .g (RepRapFirmware), or say --format"
+        )
+    if whose in TREES:
+        mechanism = load_mechanism(mech)
+        _export_tree(mechanism, output, whose, original=original, leg=leg, force=force)
+        return
+    if original is not None or leg is not None:
+        raise MechanismError(f"--original and --leg go with URDF, not with {whose}")
+    refuse_existing(output, force=force)
+    found = delta_printer(load_mechanism(mech))
+    text = write_klipper(found) if whose == "klipper" else write_reprap(found)
+    with writing(output, force=force) as scratch:
+        scratch.write_text(text, encoding="utf-8")
+    stdout.print(text.rstrip(), markup=False, soft_wrap=True)
+    for one in (*found.remarks, *_weak(Path(mech))):
+        warn(one)
+    wrote(output)
+
+
+def _weak(folder: Path) -> list[str]:
+    """Return which lengths of a printer a calibration determined weakly."""
+    if not (folder / "result.json").is_file():
+        return []
+    found = read_result(folder)
+    pairs = found.get("weakly_determined", found.get("weakly_told_apart", []))  # until 0.1
+    ends = [one[end] for one in pairs for end in ("first", "second")]  # [leg, name] until 0.1
+    names = sorted({one.partition(".")[2] if isinstance(one, str) else one[1] for one in ends})
+    if not names:
+        return []
+    return [
+        f"{' and '.join(names)} are weakly determined by these measurements: what moves along with "
+        "the other may be far from its true value (the calibration says by how much). If one of "
+        f"them is known, say so and calibrate again: --prior {names[0]}=SIGMA"
+    ]
+
+
+def _export_tree(
+    mechanism: Mechanism,
+    output: Path,
+    whose: str,
+    *,
+    original: Path | None,
+    leg: str | None,
+    force: bool,
+) -> None:
+    """Write a mechanism as URDF or MJCF, or into a copy of the user's URDF.
+
+    Raises:
+        FileError: a file cannot be read or written.
+        MechanismError: a joint that the user's URDF has no place for.
+    """
+    refuse_existing(output, force=force)
+    if original is not None:
+        if whose != "urdf":
+            raise MechanismError("--original goes with URDF, not with MJCF")
+        data = calibrated_urdf(original, mechanism, leg)
+        with writing(output, force=force) as scratch:
+            scratch.write_bytes(data)
+        for line in unwritten(mechanism):
+            warn(line)
+        remark(f"{_changed(original.read_bytes(), data)} lines are other than in {original}")
+        wrote(output)
+        return
+    if leg is not None:
+        raise MechanismError("--leg goes with --original; the whole mechanism is written")
+    tree, remarks = tree_of(mechanism)
+    files = {output: mjcf(tree) if whose == "mjcf" else loops_urdf(tree)}
+    if whose == "urdf" and tree.loops:
+        files[output.with_suffix(".yaml")] = loops_yaml(tree)
+    for path in files:
+        refuse_existing(path, force=force)
+    for path, text in files.items():
+        with writing(path, force=force) as scratch:
+            scratch.write_text(text, encoding="utf-8")
+    for line in remarks:
+        warn(line)
+    for path in files:
+        wrote(path)
+
+
+def _changed(before: bytes, after: bytes) -> int:
+    """Return how many lines of a file are not as they were."""
+    kept = set(before.splitlines())
+    return sum(line not in kept for line in after.splitlines())

@@ -1,0 +1,98 @@
+"""Options that commands share, in groups: a command takes a group as one argument."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pincal.cli.app import Seed
+from pincal.files.setups import read_setup
+from pincal.model.measurements import Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN, Setup
+
+
+@dataclass(frozen=True)
+class SetupOptions:
+    """What the measured numbers mean."""
+
+    setup: Annotated[
+        Path | None,
+        typer.Option(metavar="YAML", help="Frame, targets, distances of the measurements."),
+    ] = None
+    unknown_frame: Annotated[
+        bool,
+        typer.Option(
+            "--unknown-frame", help="The base stands anywhere in the frame of measurements."
+        ),
+    ] = False
+    unknown_target: Annotated[
+        bool,
+        typer.Option("--unknown-target", help="The point measured sits anywhere on the platform."),
+    ] = False
+
+    def read(self) -> Setup:
+        """Return the setup of the file, and of the options beside it.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MeasurementError: it says something else than it should.
+        """
+        found = Setup() if self.setup is None else read_setup(self.setup)
+        if self.unknown_frame:
+            found = replace(found, unknown_frame=True)
+        if self.unknown_target:
+            target = replace(found.targets[ORIGIN], unknown=True)
+            found = replace(found, targets={**found.targets, ORIGIN: target})
+        return found
+
+
+@dataclass(frozen=True)
+class NoiseOptions:
+    """How well is measured."""
+
+    noise_position: Annotated[float, typer.Option(help="Standard deviation of positions [m].")] = (
+        1e-4
+    )
+    noise_orientation: Annotated[
+        float, typer.Option(help="Standard deviation of angles [rad].")
+    ] = 1e-4
+    noise_reading: Annotated[
+        float, typer.Option(help="Standard deviation of readings [rad or m].")
+    ] = 0.0
+
+    def noise(self) -> Noise:
+        """Return the noise."""
+        return Noise(self.noise_position, self.noise_orientation, self.noise_reading)
+
+
+@dataclass(frozen=True)
+class PlanOptions(SetupOptions, NoiseOptions):
+    """What will be measured, and how well."""
+
+    measure: Annotated[
+        str | None,
+        typer.Option(
+            metavar="pose|position|orientation|nothing|x,y,…",
+            help="What is measured of the platform; all sensors are read at every pose.",
+        ),
+    ] = None
+    seed: Seed = 0
+
+    def measured(self, mechanism: Mechanism, setup: Setup) -> tuple[str, ...]:
+        """Return what is measured of the platform, as ``--measure`` says it."""
+        platform, more = mechanism.platform, tuple(setup.columns(mechanism))
+        pairs = list(zip(platform.freedoms, platform.units, strict=True))
+        named = {
+            "pose": platform.freedoms,
+            "position": tuple(name for name, unit in pairs if unit == "m"),
+            "orientation": tuple(name for name, unit in pairs if unit == "rad"),
+            "nothing": (),
+        }
+        measure = self.measure or "pose"
+        if measure in named:
+            return (*named[measure], *more)
+        return tuple(measure.replace(" ", "").split(","))
