@@ -166,5 +166,5 @@ def test_one_row_is_spoken_of_as_one() -> None:
     assert text.startswith("1 of 60 rows does not fit the others, data row 5 by")
     assert "Look at it" in text
     robust = pincal.calibrate(mechanism, data, poses="all", noise=NOISE, loss="reject")
-    summary = " ".join(calibration_summary(data, robust, None))
+    summary = " ".join(calibration_summary(robust, None))
     assert "with the row that does not fit" in summary
