@@ -149,6 +149,6 @@ def test_memory_beyond_the_result(
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     extra = (peak - C.nbytes) / 2**20
-    ratios(f"memory beyond the result at {count:,} poses [MiB]", extra, "flat")
+    ratios(f"memory besides the result at {count:,} poses [MiB]", extra, "flat")
     benchmark.extra_info["extra_mib"] = extra
     benchmark.pedantic(pincal.identification_jacobian, (mechanism, "leg_1", transforms), rounds=1)

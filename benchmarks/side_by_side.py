@@ -216,6 +216,8 @@ def _calibrated(pincal: Any, one: Scenario, rows: dict[str, Any]) -> dict[str, A
         "setup": pincal.Setup(how["unknown_frame"], targets),
         "noise": pincal.Noise(*one.noise) if one.given else None,
     }
+    if hasattr(pincal, "Options") and options["method"] in ("together", "latent"):
+        del options["method"]  # the default, since 0.2
     begin = perf_counter()
     try:
         result = pincal.calibrate(mechanism, data, **options)
@@ -233,7 +235,7 @@ def _calibrated(pincal: Any, one: Scenario, rows: dict[str, Any]) -> dict[str, A
         "chi2": float(result.reduced_chi2) * int(result.degrees_of_freedom),
         "dof": int(result.degrees_of_freedom),
         "converged": bool(result.converged),
-        "evaluations": int(result.iterations),
+        "evaluations": int(getattr(result, "evaluations", 0) or result.iterations),
     }
 
 

@@ -2,7 +2,7 @@
 
 Causes and remedies are the docstrings of the error classes; where an error comes from is read off
 the ``Raises`` of every function and class that people call, and which commands call it off the
-modules of the command line. Warnings are listed here; a test holds them against the source.
+modules of the command line. Findings are those of ``pincal.words.sentences.WORDINGS``.
 """
 
 from __future__ import annotations
@@ -13,11 +13,18 @@ import pkgutil
 import re
 import sys
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 import pincal
 from pincal import errors, formats
 from pincal.cli.app import app
+from pincal.words.faults import FAULTS
+from pincal.words.freedoms import FREEDOMS
+from pincal.words.hypotheses import HYPOTHESES
+from pincal.words.parameters import PARAMETERS
+from pincal.words.results import RESULTS
+from pincal.words.wording import Wording
 
 PAGE = Path(__file__).with_suffix(".md")
 _HEAD = """\
@@ -36,128 +43,43 @@ Options that do not exist or cannot be read end with exit code 2 too, in three l
 `Try 'pincal COMMAND -h' for help.`, and `Error: …`, which says which option it is.
 
 """
-_WARNED = """\
-## Warnings
+_FOUND = """\
+## Findings
 
-What was found is an answer, but not to be taken as it stands. **The exit code stays 0**, and files
-are written. On the command line a warning is a line that begins with `warning:` on stderr, also
-with `--quiet`; in the report the warnings stand first. Scripts should look at `warnings` in
-`result.json`, in what `pincal calibrate --json` prints, or in Python at `result.warnings`: an empty
-list is a calibration that nothing speaks against.
+What a calibration finds beside its numbers has a code, a severity and values. **Of a warning the
+exit code stays 0**, and files are written: the result is an answer, but not to be taken as it is.
+On the command line it is a line that begins with `warning:` on stderr, also with `--quiet`; in the
+report warnings come first. An error among the findings ends a calibration with exit code 2, or
+is said in the report in place of an accuracy. An info is said in the summary.
+
+Scripts look at `findings` in `result.json` and in what `pincal calibrate --json` prints, or in
+Python at `result.findings`, where each has `code`, `severity`, `values` (in SI), `rows` and
+`parameters`; `result.warnings` holds the sentences. An empty list is a calibration that nothing
+speaks against.
 
 """
-#: What a warning says in all cases, what it means, and what to do.
-WARNINGS: dict[str, tuple[tuple[str, str, str], ...]] = {
-    "`pincal calibrate`": (
-        (
-            "the noise was not given",
-            "Equal noise was assumed, and its scale taken from the residuals: so residuals cannot "
-            "contradict the model, and position is weighed against orientation by a guess.",
-            "Give `--noise-position`, `--noise-orientation`, `--noise-reading`, `sigma_…` columns, "
-            "or rows measured repeatedly.",
-        ),
-        (
-            "where 1 is expected: the noise is",
-            "Reduced χ²: residuals are larger (or smaller) than the noise given makes them. If "
-            "larger, intervals are too narrow, and the model may lack something: play, bending, "
-            "temperature, a wrong unit or frame.",
-            "Correct the noise, if you know that it is other; look at the residuals in the report "
-            "for what they follow; look at outlying rows.",
-        ),
-        (
-            "farther than a machine differs from its drawing",
-            "A parameter moved by more than 5 % of the mechanism's size, or 0.05 rad or 1.",
-            "Check the frame and target of the measurements (`--unknown-frame`, "
-            "`--unknown-target`), units, the order of readings; if the drawing is known roughly "
-            "only, say so (`--rough`).",
-        ),
-        (
-            "misses the nominal mechanism",
-            "The fit failed, and few rows are far from where the others are; in its place, or "
-            "beside it, may stand what explains all rows: a sign, a unit, exchanged legs, a frame.",
-            "Correct the file, or leave such rows out (`--robust reject`). No accuracy is promised "
-            "before.",
-        ),
-        (
-            "of what the nominal model is off by",
-            "Parameters moved so that the machine moved as one body: more likely the tracker, or "
-            "the target, was not aligned, than that the machine is such.",
-            "`--unknown-frame`, `--unknown-target`; or align and measure again.",
-        ),
-        (
-            "equal noise was assumed in position",
-            "The noise was not given, and residuals of positions and of orientations tell two "
-            "scales.",
-            "Give the two that the warning names, if they are what the instrument has.",
-        ),
-        (
-            "hardly told",
-            "A standard error is larger than machines differ from their drawings: the number is "
-            "noise.",
-            "Measure poses that tell more (`pincal select`), hold it (`--method latent "
-            "--hold-undetermined`, `--fix`), or say how well it is known (`--prior`).",
-        ),
-        (
-            "do not tell everything",
-            "With `--hold-undetermined`: what is named was held as near to nominal as can be. The "
-            "machine is calibrated where it was measured; elsewhere it may be off.",
-            "Measure elsewhere too, or use it only there.",
-        ),
-        (
-            "not fit the others",
-            "Rows miss by more than one good row in a thousand does; the worst is named.",
-            "Look at them: a slip, a lost beam, a wrong set. `--robust reject` leaves them out and "
-            "lists them.",
-        ),
-        (
-            "of the rows do not fit",
-            "More than a tenth of the rows do: rather the noise is larger than given, or the model "
-            "lacks something.",
-            "Correct the noise or the model before leaving rows out.",
-        ),
-        (
-            "is tied over the legs, and the measurements contradict",
-            "The legs differ in this parameter by more than their standard errors explain (1 %).",
-            "Leave the tie out.",
-        ),
-        (
-            "times as many poses as parameters are advised",
-            "So few equations that residuals are small whatever the machine is.",
-            "Measure more poses, or let every pose serve every leg (`--poses all`).",
-        ),
-        (
-            "held-out rows miss by",
-            "Rows that a fit has not seen miss by more than is explained (p below 0.001): it "
-            "follows its own rows more closely than the machine.",
-            "Measure more poses, or fix parameters.",
-        ),
-        (
-            "residuals follow the order of the rows",
-            "Drift: of temperature, of a reference, of the tracker.",
-            "Measure in another order, or again when warm; name runs in a column `run`.",
-        ),
-        (
-            "parameters differ between runs",
-            "Runs, calibrated each alone, spread more than their standard errors say (p below "
-            "0.001).",
-            "Find what changed between runs; else the noise is larger than given.",
-        ),
+#: Kinds of findings: title, what they are, and their wordings.
+_KINDS: tuple[tuple[str, str, Mapping[str, Wording]], ...] = (
+    ("The fit", "Noise, residuals, outliers, held-out rows, runs.", RESULTS),
+    ("Parameters", "Poses that are too few, values that moved far, ties.", PARAMETERS),
+    ("Gauge freedoms", "What was fixed by choice; `result.gauge`.", FREEDOMS),
+    ("Measurements", "What cannot be right, whatever the mechanism's parameters.", FAULTS),
+    (
+        "Hypotheses",
+        "What may explain measurements that no mechanism near the nominal one gives. Several that "
+        "explain them alike are one sentence.",
+        HYPOTHESES,
     ),
-    "`pincal view`, `pincal picture`": (
-        (
-            "rows hold no whole pose",
-            "Poses measured in part cannot be drawn.",
-            "Show the result of `--method latent`, which estimates them, beside the table.",
-        ),
-    ),
-    "`pincal import`, `pincal export`": (
-        (
-            "",
-            "What the file holds and a mechanism does not, or the other way round.",
-            "Read what was left out; nothing if it is known.",
-        ),
-    ),
-}
+)
+_FOUND_HEAD = "| code | severity | what | it means | what to do |\n|---|---|---|---|---|"
+_COMMANDS = """\
+## Warnings of other commands
+
+`pincal view` and `pincal picture` say that rows hold no whole pose, where poses were measured in
+part: show the result, which holds the estimated ones, beside the table. `pincal import` and
+`pincal export` say what a file has no place for: read what was left out; nothing if it is known.
+
+"""
 _ENTRY = re.compile(r"^    (\w+Error): (.*?)(?=^    \S|\Z)", re.MULTILINE | re.DOTALL)
 _MOST = 6  # commands that are named one by one
 
@@ -247,17 +169,27 @@ def section(kind: type[errors.PincalError], where: list[tuple[str, str, str]]) -
     return "\n".join(lines)
 
 
-def warnings() -> str:
-    """Return what the page says of warnings."""
+def findings() -> str:
+    """Return what the page says of findings: a table for each kind, a row for each code."""
     lines = []
-    for where, rows in WARNINGS.items():
-        lines += [f"Of {where}:\n", "| it says | it means | what to do |", "|---|---|---|"]
+    for title, text, wordings in _KINDS:
+        lines += [f"### {title}\n", f"{text}\n", _FOUND_HEAD]
         lines += [
-            f"| {f'… {words} …' if words else 'what a file has no place for'} | {means} | {do} |"
-            for words, means, do in rows
+            f"| `{code}` | {one.severity} | {one.title} | {_clean(one.means)} | {_remedy(one)} |"
+            for code, one in wordings.items()
         ]
         lines += [""]
-    return _WARNED + "\n".join(lines)
+    return _FOUND + "\n".join(lines)
+
+
+def _remedy(wording: Wording) -> str:
+    """Return what to do, all that it may be where that depends on the values."""
+    return _clean(f"{wording.advice}.") if wording.advice else "–"
+
+
+def _clean(text: str) -> str:
+    """Return text with its options as code."""
+    return re.sub(r"(?<![\w`-])--[a-z]+(?:-[a-z]+)*(?: reject| all)?", r"`\g<0>`", text)
 
 
 def page() -> str:
@@ -269,7 +201,7 @@ def page() -> str:
     ]
     where = raised()
     sections = [section(kind, where.get(kind.__name__, [])) for kind in kinds]
-    return _HEAD + "\n".join([warnings(), *sections])
+    return _HEAD + "\n".join([findings() + _COMMANDS, *sections])
 
 
 if __name__ == "__main__":

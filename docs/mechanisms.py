@@ -27,7 +27,7 @@ def counted(mechanism: pincal.Mechanism) -> np.ndarray:
     return poses[pincal.in_workspace(mechanism, poses)]
 
 
-def told_apart(mechanism: pincal.Mechanism, poses: np.ndarray, lengths_only: bool) -> str:
+def n_identified(mechanism: pincal.Mechanism, poses: np.ndarray, lengths_only: bool) -> str:
     """Return how many parameters poses, or the positions of the platform's origin, determine."""
     platform = mechanism.platform
     kept = [f for f, unit in zip(platform.freedoms, platform.units, strict=True) if unit == "m"]
@@ -50,8 +50,8 @@ def row(name: str) -> str:
         pincal.symmetry_group(mechanism).name,
         "; ".join(", ".join(f"`{p}`" for p in own) for own in names),
         str(total),
-        told_apart(mechanism, poses, lengths_only=False),
-        told_apart(mechanism, poses, lengths_only=True) if turns else "",
+        n_identified(mechanism, poses, lengths_only=False),
+        n_identified(mechanism, poses, lengths_only=True) if turns else "",
     ]
     return f"| {' | '.join(cells)} |"
 
@@ -59,8 +59,8 @@ def row(name: str) -> str:
 def table() -> str:
     """Return the table of all bundled mechanisms."""
     head = (
-        "| | platform, freedoms | legs | symmetry | parameters of a leg | in all | told by full "
-        "poses | by positions only |\n|---|---|---|---|---|---|---|---|\n"
+        "| | platform, freedoms | legs | symmetry | parameters of a leg | in all | identified by "
+        "full poses | by positions only |\n|---|---|---|---|---|---|---|---|\n"
     )
     return head + "".join(f"{row(name)}\n" for name in sorted(pincal.bundled(), key=str.lower))
 

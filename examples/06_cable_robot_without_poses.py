@@ -1,5 +1,7 @@
 """Calibrate a cable robot of which hardly any pose was measured: the poses are found, too."""
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -17,7 +19,9 @@ low, high = np.array([-0.7, -0.7, -0.05]), np.array([0.7, 0.7, 1.6])
 plan = pincal.Plan(rng.uniform(low, high, (45, 3)))
 data = pincal.simulate(robot, truth, plan, noise, seed=1).measurements
 true_poses = plan.poses.copy()
-data.poses[9:] = np.nan  # a camera saw the first nine poses only
+seen = data.poses.copy()
+seen[9:] = np.nan  # a camera saw the first nine poses only
+data = replace(data, poses=seen)
 
 result = pincal.calibrate(robot, data, noise=noise, rough=True)
 print(result)

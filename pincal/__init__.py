@@ -24,6 +24,7 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
+from pincal.estimation.losses import Loss
 from pincal.estimation.observability import (
     Identifiability,
     Indices,
@@ -41,6 +42,7 @@ from pincal.kinematics.forward import ForwardSolution, forward
 from pincal.kinematics.inverse import InverseSolution, inverse
 from pincal.kinematics.readers import free_of_collision
 from pincal.kinematics.singularity import margins
+from pincal.model.instrument import Condition, Instrument
 from pincal.model.leg import Joint, Leg
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -48,7 +50,7 @@ from pincal.model.parameter import Parameter
 from pincal.model.placement import Placement, along, cartesian, placed, polar, spherical
 from pincal.model.platform import Platform
 from pincal.model.platform_kind import PlatformKind
-from pincal.model.sensor import Sensor
+from pincal.model.sensor import Sensor, Term
 from pincal.model.setup import Distance, Setup, Target
 from pincal.show.pictures.picture import Picture, picture
 from pincal.show.report.report import Report, report
@@ -77,6 +79,7 @@ __all__ = [
     "Axis",
     "Calibration",
     "CalibrationResult",
+    "Condition",
     "ConfigurationChoice",
     "Distance",
     "Element",
@@ -88,9 +91,11 @@ __all__ = [
     "IdentifiedParameter",
     "Indices",
     "Inscribed",
+    "Instrument",
     "InverseSolution",
     "Joint",
     "Leg",
+    "Loss",
     "Margins",
     "MeasurementError",
     "Measurements",
@@ -118,6 +123,7 @@ __all__ = [
     "SymmetryError",
     "SymmetryGroup",
     "Target",
+    "Term",
     "Validation",
     "View",
     "Workspace",

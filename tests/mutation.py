@@ -4,7 +4,7 @@
 evenly, lets mutmut (extra ``mutation``) try them, and prints a score for every floor; survivors and
 their changes are written to ``mutants/survivors.txt``. To be quick, a mutant is tried by the tests
 that know its function best, up to a budget of time: what survives is tried by all of them with
-``--again``. docs/testing.md tells how survivors were judged.
+``--again``. docs/testing.md says how survivors were judged.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 MUTANTS = Path("mutants")
 STATS = MUTANTS / "mutmut-stats.json"
 WHOLE = MUTANTS / "all-tests.json"
-FLOORS = ("kinematics", "symmetry", "experiment", "identification")
+FLOORS = ("kinematics", "symmetry", "estimation", "design", "calibration")
 #: What exit codes of mutmut's workers mean; all others are time out and crashes.
 OUTCOMES = {0: "survived", 1: "killed", 3: "killed", 5: "no test", 33: "no test"}
 

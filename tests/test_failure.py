@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from command_line import run
 from measured import put, workspace
-from pincal.identification.calibrate import calibration_task
-from pincal.identification.cautions import warnings_of
 
 import pincal
-from pincal.show.summary import calibration_summary
+from pincal.calibration.findings import findings_of
+from pincal.words.sentences import sentences
 
 NOISE = pincal.Noise(2e-5, 5e-5)
 FRAME = pincal.Setup(unknown_frame=True)
@@ -92,7 +91,7 @@ def test_a_slip_is_named_first() -> None:
 @pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 def test_a_search_that_ran_away_says_so(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where poses tell everything at nominal parameters, they are not said to lack anything."""
-    monkeypatch.setattr("pincal.identification.failure.suspected", lambda *_: "")
+    monkeypatch.setattr("pincal.calibration.calibrate.explain_misfit", lambda *_: ())
     mechanism, data = measured("3RRR", 0.2)
     wrong = replace(data, readings=np.roll(data.readings, 1, axis=0))
     text = said(mechanism, wrong, method=method, rough=True)
@@ -115,23 +114,23 @@ def test_what_uncertainty_explains_is_not_said_to_have_moved() -> None:
     """A parameter is far off only if its interval lies beyond what machines differ by."""
     mechanism, data = measured("3RRR", 0.2)
     noise = pincal.Noise(1e-4, 1e-4)
-    task = calibration_task(mechanism, data, noise=noise, setup=FRAME)
-    legs = pincal.calibrate(mechanism, data, poses="all", noise=noise).legs
-    told = []
+    result = pincal.calibrate(mechanism, data, noise=noise, setup=FRAME)
+    legs, said = result.legs, []
     for std in (0.04, 0.01):  # of a gain that may differ by 0.05
         one = legs[0].parameters[-1]
         low, high = one.nominal + 0.1 - 2 * std, one.nominal + 0.1 + 2 * std
         far = replace(one, identified=one.nominal + 0.1, std=std, low=low, high=high)
         changed = replace(legs[0], parameters=(*legs[0].parameters[:-1], far))
-        told.append(" ".join(warnings_of(task, (changed, *legs[1:]), (), (), (), 50, 1.0)))
-    assert "moved by" not in told[0]
-    assert f"{legs[0].parameters[-1].name} of leg_1 moved by +0.1" in told[1]
-    assert "--unknown-frame" not in told[1]  # that is said already
-    assert "--unknown-target" in told[1]
+        found = findings_of(replace(result, legs=(changed, *legs[1:])), None)
+        said.append(" ".join(sentences(found)))
+    assert "moved by" not in said[0]
+    assert f"{legs[0].parameters[-1].id} moved by +0.1" in said[1]
+    assert "--unknown-frame" not in said[1]  # that is said already
+    assert "--unknown-target" in said[1]
 
 
 @pytest.mark.slow
-def test_readings_alone_are_told_what_they_lack() -> None:
+def test_what_readings_alone_lack_is_named() -> None:
     """The scale where gains are free; everything where readings are no more than freedoms."""
     for kind, words in (
         ("4cable", r"the scale\. .*\(--fix k\)"),

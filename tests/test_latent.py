@@ -6,6 +6,7 @@ import re
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,15 +28,25 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.calibration.calibrate import prepared
 from pincal.estimation.gauge import find_gauge
 from pincal.estimation.observation import Observation
-from pincal.identification.calibrate import calibration_task
-from pincal.identification.latent_fit import latent_problem
+from pincal.estimation.problem import Problem
+from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
+from pincal.words.sentences import sentence
 
 KINDS = ["5R", "3RRR", "6UPS"]
 FRAME = pincal.Setup(unknown_frame=True)
 FREE = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=True)})
+
+
+def started(
+    mechanism: pincal.Mechanism, data: pincal.Measurements, **options: Any
+) -> tuple[Problem, Unknowns]:
+    """Return the problem of all legs where its search starts, and its unknowns."""
+    calibration = prepared(mechanism, data, **options)
+    return calibration.started(calibration.latent_problem), calibration.unknowns()
 
 
 def everything(kind: str) -> tuple[pincal.Mechanism, pincal.Measurements, pincal.Setup]:
@@ -89,15 +100,15 @@ def test_derivatives_of_what_is_measured(kind: str) -> None:
 def test_derivatives_of_the_problem(kind: str) -> None:
     """Conditions of the legs by parameters and poses, where they do not hold, are derivatives."""
     mechanism, _, data = machine(kind, 8)
-    problem, unknowns = latent_problem(calibration_task(mechanism, data))
+    problem, unknowns = started(mechanism, data)
     state = problem.start(unknowns.start)
 
     def values(parameters: np.ndarray, twist: np.ndarray) -> np.ndarray:
         moved = mechanism.platform.displaced(state.matrices, np.tile(twist, (len(data), 1)))
         there = replace(state, parameters=state.parameters + parameters, matrices=moved)
-        return np.concatenate([d.value for d in problem.rows(there)[1].demands], axis=1)
+        return np.concatenate([d.value for d in problem.stack(there).demands], axis=1)
 
-    demands = problem.rows(state)[1].demands
+    demands = problem.stack(state).demands
     parameter = np.zeros((len(data), len(demands), len(state.parameters)))
     for row, (demand, columns) in enumerate(zip(demands, problem.columns, strict=True)):
         parameter[:, row, columns] = demand.parameter[:, 0]
@@ -112,10 +123,9 @@ def whitened(
     mechanism: pincal.Mechanism, data: pincal.Measurements
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return residuals in standard deviations and Jacobian, (N, k) and (N, k, n), poses free."""
-    task = calibration_task(mechanism, data, noise=NOISE)
-    problem, unknowns = latent_problem(task)
+    problem, unknowns = started(mechanism, data, noise=NOISE)
     linear = problem.linearise(problem.start(unknowns.start))
-    return linear.white, linear.jacobian
+    return linear.value, linear.jacobian
 
 
 @pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))
@@ -173,7 +183,7 @@ def test_clean_positions_alone_recover_the_platform(kind: str) -> None:
     result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 0, 1e-5))
     assert result.converged
     assert len(result.gauge) == 1
-    assert "platform's frame" in result.gauge[0]
+    assert "platform's frame" in sentence(result.gauge[0])
     assert result.estimated_poses is not None
     position, orientation = platform_accuracy(result.identified, truth, result.estimated_poses)
     assert position < 1e-9
@@ -202,8 +212,10 @@ def test_missing_readings_are_left_out() -> None:
     result = pincal.calibrate(mechanism, data)
     assert error(result, truth) < 1e-9
     assert [leg.n_residuals for leg in result.legs] == [len(data), len(data) - 12, len(data)]
-    with pytest.raises(pincal.MeasurementError, match=r"row 1: 'leg_2' is not measured.*latent"):
-        pincal.calibrate(mechanism, data)
+    with pytest.raises(
+        pincal.MeasurementError, match=r"row 1: 'leg_2' is not measured.*all legs at once"
+    ):
+        pincal.calibrate(mechanism, data, method="per-leg")
 
 
 def test_targets_distances_and_angles_take_the_place_of_poses() -> None:
@@ -253,7 +265,7 @@ def test_unknown_offsets_of_targets_are_found() -> None:
     position, orientation = platform_accuracy(result.identified, truth, data.poses)
     assert position < 1e-9
     assert orientation < 1e-9
-    assert [p.name for p in result.external][:3] == ["a x", "a y", "a z"]
+    assert [p.id for p in result.external][:3] == ["a.x", "a.y", "a.z"]
     found = np.array([p.identified for p in result.external]).reshape(3, 3)
     apart = [np.linalg.norm(found[i] - found[i - 1]) for i in range(3)]
     true = np.array(list(offsets.values()))
@@ -278,7 +290,7 @@ def test_a_tracker_anywhere_and_a_target_anywhere(kind: str, method: str) -> Non
     assert position < 1e-9
     assert orientation < 1e-9
     frames = 6 if mechanism.platform.space == 3 else 3
-    assert f"{frames} freedoms" in result.gauge[0]
+    assert f"{frames} freedoms" in sentence(result.gauge[0])
     if method != "all-legs":
         other = pincal.calibrate(mechanism, moved, **options)  # type: ignore[arg-type]
         for one, two in zip(result.legs, other.legs, strict=True):
@@ -289,8 +301,7 @@ def test_of_equal_parameters_the_nearest_to_nominal_are_taken() -> None:
     """Changes have no part along the gauge directions, each measured by what it alone does."""
     mechanism, _, data = machine("3RRR")
     moved = seen_from_elsewhere(mechanism, data)
-    task = calibration_task(mechanism, moved, noise=NOISE, setup=FRAME)
-    gauge = find_gauge(mechanism, *latent_problem(task))
+    gauge = find_gauge(mechanism, *started(mechanism, moved, noise=NOISE, setup=FRAME))
     assert gauge.directions.shape[0] == 3
     result = pincal.calibrate(mechanism, moved, noise=NOISE, setup=FRAME)
     change = np.concatenate(
@@ -320,8 +331,8 @@ def test_frames_that_legs_cannot_take_up_need_latent_poses() -> None:
     assert error(result, truth) < 1e-9
     frame = [p.identified for p in result.external]
     np.testing.assert_allclose(frame, [1.0, 2.0, 1.0], atol=1e-9)
-    with pytest.raises(pincal.ObservabilityError, match="--method latent identifies"):
-        pincal.calibrate(mechanism, moved, **options)  # type: ignore[arg-type]
+    with pytest.raises(pincal.ObservabilityError, match="all legs at once identify"):
+        pincal.calibrate(mechanism, moved, method="per-leg", **options)  # type: ignore[arg-type]
 
 
 def closed_form_problem(
@@ -479,7 +490,7 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
             marks=pytest.mark.slow,
         ),
         ("nothing", {}, "2 measured quantities, which do not fix the 3 freedoms"),
-        ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "nothing that was measured has noise"),
+        ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "carry no noise at all"),
     ],
 )
 def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> None:
@@ -519,7 +530,7 @@ def test_error_in_an_unknown_frame_is_what_was_forecast(kind: str) -> None:
     planned = pincal.forecast(truth, poses, NOISE, setup=FRAME).platform_error(poses)
     assert found.position == pytest.approx(planned.position, rel=0.02)
     assert found.orientation == pytest.approx(planned.orientation, rel=0.02)
-    with_frames = pincal.expected_error(replace(result, frames_moved=None), poses)
+    with_frames = replace(result, frames_moved=None).expected_error(poses)
     assert with_frames.position > 2 * found.position
 
 

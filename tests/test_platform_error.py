@@ -134,8 +134,8 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     held = Unidentified(result.undetermined_directions, result.nominal)
     found = platform_error(result.identified, result.covariance, poses, held, result.frames_moved)
     errors = errors_at(result, poses)
-    assert errors.untold is not None
-    np.testing.assert_array_equal(~found.determined, errors.untold)
+    assert errors.undetermined is not None
+    np.testing.assert_array_equal(~found.determined, errors.undetermined)
     known = found.determined
     np.testing.assert_allclose(found.sizes[known], errors.after[known], rtol=1e-9)
     assert found.where_determined == pytest.approx(errors.mean_after(), rel=1e-9, nan_ok=True)

@@ -17,7 +17,7 @@ from pincal import Joint, Leg, Mechanism, Platform, Sensor, cartesian, placed
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
 #: Default options, and all poses unknown.
-OPTIONS = {"default": {}, "latent": {"method": "latent"}}
+OPTIONS = {"per-leg": {"method": "per-leg"}, "all-legs": {}}
 
 
 def cost(mechanism: Mechanism, data: pincal.Measurements, noise: pincal.Noise) -> float:
@@ -196,7 +196,7 @@ def test_cables_with_measured_heights(count: int, rows: int, off: float, seed: i
     other = least_squares(residuals, first, x_scale="jac", xtol=1e-12, ftol=1e-12)
     data = pincal.Measurements(poses=measured, readings=readings)
     noise = pincal.Noise(sigma, 0.0, sigma)
-    result = pincal.calibrate(nominal, data, method="latent", noise=noise, rough=True)
+    result = pincal.calibrate(nominal, data, noise=noise, rough=True)
     assert result.degrees_of_freedom == rows * (count + 1) - len(first)
     chi2 = result.reduced_chi2 * result.degrees_of_freedom
     print(f"{count} cables, seed {seed}: χ² {chi2:.6g}, SciPy {2 * other.cost:.6g}")
@@ -232,7 +232,6 @@ def test_gross_errors_do_not_break_the_search(kind: str, loss: str) -> None:
             result = pincal.calibrate(
                 mechanism,
                 data,
-                method="latent",
                 noise=NOISE,
                 loss=loss,  # type: ignore[arg-type]
                 rough=True,

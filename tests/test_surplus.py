@@ -111,7 +111,7 @@ def test_surplus_equations_add_information(mechanism: pincal.Mechanism, plan: pi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["all-legs", "all-legs"])
+@pytest.mark.parametrize("method", ["all-legs"])
 def test_standard_errors_are_the_spread(
     mechanism: pincal.Mechanism, plan: pincal.Plan, method: str
 ) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from lxml import html as lxml_html
-from pincal.words.faults import HYPOTHESES
 
+from pincal.words.hypotheses import HYPOTHESES, cause
 from pincal.words.numbers import (
     Measured,
     amount,
@@ -131,73 +131,73 @@ def test_a_table_without_rows() -> None:
     assert "<tbody>" in empty.html()
 
 
-_ONE = {"code": "reading-sign", "values": {"names": ()}, "left": 1e-4}
-_UNIT = {
-    "code": "unit",
-    "values": {"wrong": (("readings", "mm", "metre"),), "names": ("leg_1",)},
-    "left": 2e-4,
+#: What all hypotheses have.
+COMMON: dict[str, Any] = {
+    "legs": (),
+    "left": 1e-4,
+    "unknown_frame": False,
+    "given": 0.051,
+    "questioned": ("leg_1",),
+    "other_side": 0.0,
 }
 #: Values of each code, the finding's rows and parameters, and what must be said of them.
 SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = {
     "not-converged": ({"message": "no step is left"}, (), (), "did not converge: no step is left"),
     "not-corrected": ({"excess": 100.0}, (), (), "100 times as large as the noise given makes them, and hardly fell"),
     "residuals-too-large": ({"excess": 4.0}, (), (), "no accuracy can be promised: residuals are 4 times"),
-    "noise-assumed": ({"turns": True, "readings": False}, (), (), "of position [m] and orientation [rad], exact readings were assumed"),
     "noise-estimated": ({"position": 1e-4, "orientation": None, "reading": 0.0}, (), (), "0.1 mm in position, readings exact"),
-    "unequal-noise": ({"position_ratio": 0.5, "orientation_ratio": 2.0, "position": 1e-4, "orientation": 2e-3}, (), (), "(--noise-position 0.0001 --noise-orientation 0.002 fit the residuals)"),
     "chi2-too-large": ({"chi2": 4.0, "dof": 30, "source": "given"}, (), (), "reduced χ² is 4 where 1 is expected: the noise is larger than given, or the model lacks something"),
     "chi2-too-small": ({"chi2": 0.1, "dof": 30, "source": "repeats"}, (), (), "the noise is smaller than repeated rows show; the uncertainties"),
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit"),
-    "slips": ({"times": 123.4}, (7, 8), (), "data row 8 misses the nominal mechanism 123 times as far as rows usually do, and 1 more row so"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: 8 poses for 8 parameters"),
-    "unused-poses": ({"unused": 24, "total": 36}, (), (), "24 of 36 measured poses serve other legs only. --poses all"),
+    "unused-poses": ({"unused": 24, "total": 36}, (), (), "24 of 36 measured poses serve other legs only. Leave out --per-leg, or add --poses all"),
     "weakly-determined": ({"parameter": "leg_1.l", "half": 0.12, "unit": "m", "held": False}, (), ("leg_1.l", "leg_2.l"), "2 parameters are weakly determined, leg_1.l to ± 0.12 m only"),
     "undetermined-held": ({"groups": (("leg_1.l", "leg_1.L"), ("leg_2.k",)), "weak": ("leg_3.l", "leg_3.k")}, (), (), "leg_1.l and leg_1.L move together; leg_2.k has no effect; leg_3.l and leg_3.k are weakly determined"),
     "far-from-nominal": ({"parameter": "leg_1.gamma", "change": 0.123, "unit": "rad", "options": ("unknown-target",)}, (), ("leg_1.gamma",), "leg_1.gamma moved by +0.123 rad, farther than a machine differs from its drawing"),
-    "moved-as-one-body": ({"frame": "base", "share": 0.9, "shift": 5e-3, "turn": 1e-3, "p_value": 1e-7, "option": "unknown-frame"}, (), (), "one motion of the base's frame, by 5 mm and 1 mrad"),
     "tie-contradicted": ({"name": "l", "p_value": 0.001}, (), (), "l is tied over the legs, and the measurements contradict that (p = 0.001)"),
     "held-out-worse": ({"held_out": 3.0, "expected": 1.1, "p_value": 1e-6}, (), (), "the model follows its rows more closely than the machine. Measure more poses"),
     "drift": ({"leg": "leg_1", "correlation": -0.8, "p_value": 1e-9}, (), (), "leg_1: residuals follow the order of the rows (rank correlation -0.80, p = 1e-09): drift"),
     "runs-differ": ({"ratio": 4.2, "p_value": 1e-9}, (), ("leg_2.OA",), "parameters differ between runs 4.2 times as much as their standard errors say (p = 1e-09), leg_2.OA most: something changed between runs"),
-    "sensor-still": ({"sensors": ({"name": "leg_1", "value": 0.5, "moves": 0.3, "unit": "rad"},)}, (), (), "leg_1 reads the same in all rows (0.5 rad), where readings of the nominal mechanism differ by 0.3 rad"),
-    "wrong-measurements": ({"legs": ("leg_1",), "left": 0.051, "hypotheses": (_ONE, _UNIT)}, (), (), "by 5.1 % of a leg's length (median), but only by 0.01 % if the readings have the other sign, or by 0.02 % if the readings of leg_1 are in mm under a metre header. Change their sign, or the sensor's 'direction' in mechanism.yaml; or: Correct the units"),
+    "bad-rows": ({"worst": 7, "times": 123.4}, (7, 8), (), "data row 8 misses the nominal mechanism 123 times as far as rows usually do, and 1 more row so. Look for a slip"),
+    "frame-misaligned": ({"frame": "base", "remedy": "base", "share": 0.9, "shift": 5e-3, "turn": 1e-3, "p_value": 1e-7}, (), (), "one motion of the base's frame, by 5 mm and 1 mrad"),
+    "readings-still": ({"readings": (("leg_1", 0.5, "rad", 0.3),)}, (), (), "leg_1 reads the same in all rows (0.5 rad), where readings of the nominal mechanism differ by 0.3 rad over these poses. Check the sensor"),
+    "whole-turns": ({"leg": "leg_1", "reading": 6.5, "nominal": 0.25}, (2, 4), (), "leg_1: 2 readings are off by whole turns, the first in data row 3: 6.5 rad, where the nominal mechanism reads 0.25 rad"),
+    "other-working-mode": ({"legs": (("leg_1", ("elbow",), 5, 6),)}, (), (), "bend the other way than in mechanism.yaml's home: leg_1 (elbow, in 5 of 6 rows)"),
+    "not-this-mechanism": ({"leg": "leg_2", "gap": 0.3}, (), (), "leg_2: the measurements miss the nominal mechanism by 30.0 % of a leg's length (median)"),
+    "readings-do-not-follow": ({"leg": "leg_1", "left": 0.01, "stroke": 0.02}, (), (), "machines near it leave 1 % of the leg's length where readings move it by 2 %"),
+    "rows-copied": ({"first": (1, 4), "pairs": 3}, (1, 2, 4), (), "data rows 2 and 5 are identical in all that was measured (and 2 more such pairs); measured twice, they would differ by noise"),
+    "noise-too-large": ({"what": "position", "given": 0.1, "unit": "m", "most": 0.02, "size": 1.0}, (), (), "the noise of position is given as 0.1 m, more than 2 % of a leg's length (1 m). It is in metres"),
     "gauge-base-frame": ({"freedoms": 3, "unknown_frame": True}, (), (), "the base frame: 3 freedoms, since the frame of the measurements is unknown"),
     "gauge-platform-frame": ({"freedoms": 1}, (), (), "the platform's frame: 1 freedom, since"),
     "redundant-parameters": ({"count": 1, "groups": (("leg_1.l", "leg_1.L"),)}, (), (), "1 parameter is redundant, whatever is measured: leg_1.l and leg_1.L move together"),
 }  # fmt: skip
 #: Values of each hypothesis, and the clause that follows 'if'.
 CLAUSES: dict[str, tuple[dict[str, Any], str]] = {
-    "reading-sign": ({"names": ("leg_1",)}, "the readings of leg_1 have the other sign"),
+    "sign-of-readings": ({"legs": ("leg_1",)}, "the readings of leg_1 have the other sign"),
+    "sign-of-column": ({"column": "a"}, "a has the other sign"),
     "columns-exchanged": ({"columns": ("a", "b")}, "a and b are exchanged"),
-    "legs-exchanged": (
-        {"fits": (("leg_2", "leg_1"), ("leg_1", "leg_2"))},
-        "legs are exchanged: column leg_2 fits leg_1 and column leg_1 fits leg_2",
-    ),
-    "unit": (
-        {"wrong": (("positions", "mm", "metre"), ("readings", "degrees", "radian")), "names": ()},
-        "the positions are in mm under a metre header and the readings are in degrees under a "
-        "radian header",
-    ),
-    "mirrored-frame": (
-        {"axes": "xy", "orientations_right": True},
-        "x and y are exchanged and the orientations are right",
-    ),
-    "angle-sign": ({"name": "torsion"}, "torsion has the other sign"),
-    "orientation-inverse": ({}, "the orientations turn the other way"),
-    "pose-inverse": ({}, "the poses are those of the base in the platform's frame"),
-    "rows-shifted": ({"rows": -2}, "the readings stand 2 rows above the poses they belong to"),
-}
+    "legs-exchanged": ({"order": (("leg_1", "leg_2"), ("leg_2", "leg_1"))}, "legs are exchanged: column leg_2 fits leg_1 and column leg_1 fits leg_2"),
+    "unit": ({"units": (("positions", "m", "mm"), ("readings", "rad", "deg"))}, "the positions are in mm under a metre header and the readings are in degrees under a radian header"),
+    "left-handed-frame": ({"axis": "xy", "orientations_right": True}, "x and y are exchanged and the orientations are right"),
+    "sign-of-angle": ({"column": "torsion"}, "torsion has the other sign"),
+    "orientation-inverted": ({}, "the orientations turn the other way"),
+    "pose-inverted": ({}, "the poses are those of the base in the platform's frame"),
+    "rows-shifted": ({"shift": -2}, "the readings stand 2 rows above the poses they belong to"),
+    "reading-offset": ({"offsets": (("leg_1", 0.5, "rad"),)}, "the zeros of readings are off: leg_1 by about 0.5 rad"),
+    "unknown-frame": ({"unknown_frame": True}, "the poses are those in another frame than the base's"),
+}  # fmt: skip
 
 
 def test_every_code_is_tried() -> None:
     """No code without a test, a title, a meaning, and a sentence of its own."""
-    assert set(SAID) == set(WORDINGS)
+    assert set(SAID) | set(CLAUSES) == set(WORDINGS)
     assert set(CLAUSES) == set(HYPOTHESES)
     for code, one in WORDINGS.items():
         assert code == code.lower().replace("_", "-")
         assert one.title[0].isupper()
         assert one.means.endswith(".")
+        assert isinstance(one.remedy, str) or one.general
 
 
 @pytest.mark.parametrize("code", SAID)
@@ -213,11 +213,31 @@ def test_what_each_finding_says(code: str) -> None:
 
 @pytest.mark.parametrize("code", CLAUSES)
 def test_what_each_hypothesis_says(code: str) -> None:
-    """Its clause follows 'if'."""
+    """Its clause follows 'if'; it is a finding whose sentence ends with its remedy."""
     values, words = CLAUSES[code]
-    one = HYPOTHESES[code]
-    assert set(values) == set(one.values)
-    assert one.clause(values).startswith(words)
+    one = finding(code, **(COMMON | values))
+    assert cause(one).startswith(words)
+    text = sentence(one)
+    assert text.startswith("leg_1: the measurements miss every mechanism near the nominal one by ")
+    assert f"by 5.1 % of a leg's length (median), but only by 0.01 % if {words}" in text
+    assert text.endswith(str(HYPOTHESES[code].remedy))
+
+
+def test_hypotheses_that_explain_alike_are_one_sentence() -> None:
+    """Causes and remedies are listed once each; the frame is said of those that need it."""
+    sign = finding("sign-of-readings", **COMMON)
+    framed = {"left": 2e-4, "legs": ("leg_1",), "unknown_frame": True}
+    unit = finding("unit", units=(("readings", "m", "mm"),), **(COMMON | framed))
+    (text,) = sentences([sign, unit])
+    assert text == (
+        "leg_1: the measurements miss every mechanism near the nominal one by 5.1 % of a leg's "
+        "length (median), but only by 0.01 % if the readings have the other sign, or by 0.02 % if "
+        "the readings of leg_1 are in mm under a metre header and the base stands elsewhere in "
+        "their frame. Change their sign, or the sensor's 'direction' in mechanism.yaml; or: "
+        "Correct the units in the headers; or: Say that the base stands elsewhere in that frame "
+        "(--unknown-frame)"
+    )
+    assert len(sentences([sign, unit, finding("many-outliers", share=0.2)])) == 2
 
 
 def test_findings_have_what_their_sentences_need() -> None:

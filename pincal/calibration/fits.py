@@ -24,10 +24,12 @@ from pincal.estimation.robust import Robust, robust_fit
 from pincal.estimation.solve import System
 from pincal.estimation.unknowns import Unknowns
 from pincal.estimation.unobservable import Held, hold_unobservable
+from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _ROUNDS = 20
+_REFITS = 5  # with noise that was estimated
 _AT_REST = 1e-10  # [m] and [rad]: the frame moves no more
 _ALIKE = 1e-3  # relative change of a standard deviation, below which noise is estimated
 
@@ -80,25 +82,58 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
     if calibration.fixed_noise or calibration.options.residual == "joint":
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
-    pools: Pools | None = None
-    for _ in range(_ROUNDS):
+    for _ in range(_REFITS):
         fits = [robust.fit for robust in one.fits]
         if not all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits):
             break
-        moments = Moments.of(fits, unit)
-        if moments.rounding:
+        then = _noise_of(one, noise, unit)
+        if _alike(noise, then):
             break
-        pools = pools or moments.first_pools(exact=noise.reading == 0.0)
-        then = estimated_noise(moments, noise, unit, pools)
-        changes = zip(vars(noise).values(), vars(then).values(), strict=True)
-        if all(abs(a - b) <= _ALIKE * max(a, b) for a, b in changes):
-            pools = moments.split(pools)
-            if pools is None:
-                break
-            then = estimated_noise(moments, noise, unit, pools)
         noise, unit = then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
     return one
+
+
+def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
+    """Return the noise that the residuals of fits show, group by group.
+
+    Args:
+        one: The fits.
+        noise: At which they were made.
+        unit: Standard deviation of readings to try where they were exact.
+    """
+    fits, calibration = [robust.fit for robust in one.fits], one.calibration
+    pools: Pools | None = None
+    for _ in range(_ROUNDS):
+        problems = _problems(calibration.with_noise(noise), one)
+        moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)
+        if moments.rounding:
+            return noise
+        pools = pools or moments.first_pools(exact=noise.reading == 0.0)
+        then = estimated_noise(moments, noise, noise.reading or unit, pools)
+        if _alike(noise, then):
+            pools = moments.split(pools)
+            if pools is None:
+                break
+            then = estimated_noise(moments, noise, noise.reading or unit, pools)
+        noise = then
+    return noise
+
+
+def _alike(noise: Noise, then: Noise) -> bool:
+    changes = zip(vars(noise).values(), vars(then).values(), strict=True)
+    return all(abs(a - b) <= _ALIKE * max(a, b) for a, b in changes)
+
+
+def _problems(calibration: Calibration, one: Fits) -> list[Problem]:
+    """Return the problems of fits at a calibration's noise."""
+    if one.latent:
+        return [calibration.latent_problem]
+    plain = calibration.options.setup.plain
+    given = calibration.given_poses(None if plain else one.external)
+    names = list(calibration.mechanism.leg_names)
+    groups = [[names.index(leg.name) for leg in robust.fit.problem.legs] for robust in one.fits]
+    return [calibration.measured_problem(group, *given)[0] for group in groups]
 
 
 def _loss(calibration: Calibration) -> Loss | None:
@@ -149,7 +184,7 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     calibration.check_whole()
     calibration.check_counts()
     unknowns = calibration.unknowns(tied=tied)
-    groups = _groups(calibration, tied)
+    groups = _groups(calibration)
     if calibration.options.setup.plain:
         return Fits(calibration, _fit_groups(calibration, groups, unknowns, None))
     problem = calibration.started(calibration.latent_problem)
@@ -196,14 +231,13 @@ def _fit_groups(
     return fits
 
 
-def _groups(calibration: Calibration, tied: bool) -> list[list[int]]:
+def _groups(calibration: Calibration) -> list[list[int]]:
     """Return the legs that are identified at once: those that share a tie, or all."""
     legs, options = calibration.mechanism.legs, calibration.options
     if options.method == "all-legs":
         return [list(range(len(legs)))]
-    shared = options.tied if tied else ()
     together = [
-        i for i, leg in enumerate(legs) if any(name in leg.parameter_names for name in shared)
+        i for i, leg in enumerate(legs) if any(name in leg.parameter_names for name in options.tied)
     ]
     alone = [[i] for i in range(len(legs)) if i not in together]
     return [together, *alone] if together else alone

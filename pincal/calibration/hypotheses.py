@@ -72,7 +72,7 @@ def single_faults(sample: Sample) -> Iterator[Hypothesis]:
         yield Hypothesis("pose-inverted", partial(_inverted, True))
     yield from _exchanged(sample)
     for shift in _SHIFTS:
-        yield Hypothesis("rows-shifted", partial(_shifted, shift), {"rows": shift})
+        yield Hypothesis("rows-shifted", partial(_shifted, shift), {"shift": shift})
 
 
 def several_units(sample: Sample) -> Iterator[Hypothesis]:

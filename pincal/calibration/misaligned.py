@@ -18,6 +18,7 @@ from pincal.kinematics.configurations import legs_at
 from pincal.model.finding import Finding
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.words.sentences import finding
 
 Array = NDArray[np.float64]
 _CHANCE = 1e-5  # probability of so much motion as one body, below which it is none
@@ -68,7 +69,7 @@ def misaligned(
             "shift": float(np.linalg.norm(amounts[:space])),
             "turn": float(np.linalg.norm(amounts[space:])) if turns else None,
         }
-        return (Finding("frame-misaligned", "warning", values),)
+        return (finding("frame-misaligned", **values),)
     return ()
 
 

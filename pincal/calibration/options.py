@@ -69,6 +69,11 @@ class Options:
                 raise MeasurementError(
                     f"{name} is {type(given).__name__}; expected pincal.{what}(…)"
                 )
+        if self.setup.instruments and not self.latent:
+            raise MeasurementError(
+                "instruments need all legs at once and the closure residual; leave out "
+                "method='per-leg' and residual='joint'"
+            )
         for name in ("fixed", "tied"):
             given = getattr(self, name)
             if isinstance(given, str):

@@ -24,11 +24,12 @@ from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup, Target
-from pincal.words.sentences import sentence, sentences
+from pincal.words.sentences import finding, sentence, sentences
 
 Array = NDArray[np.float64]
 _STILL = 1e-3  # of a leg's size, and [rad]: readings that differ by less hardly move
 _FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
+_ROUNDED = 1e-12  # of a leg's size: what rounding leaves of exact rows
 _FAR = 10.0  # times the median that a row misses by: a slip, if fewer than one row in so many
 
 
@@ -103,20 +104,20 @@ def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
         return ()
     leg, worst = max(judged, key=lambda pair: pair[1].gap)
     if worst.gap > DIFFER:
-        return (Finding("not-this-mechanism", "error", {"leg": leg.name, "gap": worst.gap}),)
+        return (finding("not-this-mechanism", leg=leg.name, gap=worst.gap),)
     bent = tuple(
         (leg.name, tuple(leg.moving[i].name for i in leg.passive), one.bent, one.rows)
         for leg, one in judged
         if not one.as_home
     )
     if bent:
-        return (Finding("other-working-mode", "error", {"legs": bent}),)
+        return (finding("other-working-mode", legs=bent),)
     if turned := _turns(sample):
         return turned
     for leg, one in judged:
         if one.near > max(_FOLLOWS * one.stroke, _STILL):
-            values = {"leg": leg.name, "left": one.near, "stroke": one.stroke}
-            return (Finding("readings-do-not-follow", "error", values),)
+            said = {"left": one.near, "stroke": one.stroke}
+            return (finding("readings-do-not-follow", leg=leg.name, **said),)
     return ()
 
 
@@ -135,7 +136,7 @@ def _still(sample: Sample) -> tuple[Finding, ...]:
         moved = float(np.ptp(known)) if len(known) > 1 else 0.0
         if still[index] and moved > _STILL * (1.0 if unit == "rad" else leg.size):
             named.append((name, float(readings[0, index]), unit, moved))
-    return (Finding("readings-still", "error", {"readings": tuple(named)}),) if named else ()
+    return (finding("readings-still", readings=tuple(named)),) if named else ()
 
 
 def _turns(sample: Sample) -> tuple[Finding, ...]:
@@ -156,7 +157,7 @@ def _turns(sample: Sample) -> tuple[Finding, ...]:
             one = off[0]
             values = {"leg": leg.name, "reading": given[one], "nominal": expected[one]}
             where = tuple(sample.rows[rows[off]].tolist())
-            return (Finding("whole-turns", "error", values, where),)
+            return (finding("whole-turns", where, **values),)
     return ()
 
 
@@ -167,10 +168,11 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     """
     if not sample.oriented or given.rows is None:
         return ()
-    left = np.array([one.left for one in given.fits if one.rows > 1])
-    if not left.size:
+    judged = [one.left for one in given.fits if one.rows > 1]
+    if not judged:
         return ()
-    usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), 1e-300)
+    left = np.array(judged)
+    usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), _ROUNDED)
     times = np.nan_to_num(left / usual).max(axis=0)
     far = np.flatnonzero(times > _FAR)
     if not 0 < len(far) <= max(1.0, len(times) / _FAR):
@@ -178,7 +180,7 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     rows = sample.rows[given.rows]
     worst = int(rows[np.argmax(times)])
     values = {"worst": worst, "times": float(times.max())}
-    return (Finding("bad-rows", "warning", values, tuple(rows[far].tolist())),)
+    return (finding("bad-rows", rows[far], **values),)
 
 
 def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
@@ -206,7 +208,7 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
     if copies:
         rows = tuple(sorted({row for pair in copies for row in pair}))
         values = {"first": copies[0], "pairs": len(copies)}
-        raise MeasurementError(sentence(Finding("rows-copied", "error", values, rows)))
+        raise MeasurementError(sentence(finding("rows-copied", rows, **values)))
 
 
 def check_noise(mechanism: Mechanism, noise: Noise) -> None:
@@ -223,4 +225,4 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
     ):
         if given > most:
             values = {"what": what, "given": given, "unit": unit, "most": most, "size": size}
-            raise MeasurementError(sentence(Finding("noise-too-large", "error", values)))
+            raise MeasurementError(sentence(finding("noise-too-large", **values)))

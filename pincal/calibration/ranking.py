@@ -27,6 +27,7 @@ from pincal.estimation.drawings import DIFFER
 from pincal.kinematics.singularity import margins
 from pincal.model.finding import Finding
 from pincal.model.mechanism import Mechanism
+from pincal.words.sentences import finding
 
 Array = NDArray[np.float64]
 _EACH = 3.0  # by which each fault that is put right divides the misfit
@@ -221,16 +222,13 @@ def as_findings(
         "given": float(given.misfits[asked].max()) if given.fits else None,
     }
     return tuple(
-        Finding(
+        finding(
             one.hypothesis.code,
-            "error",
-            {
-                **common,
-                **_values(mechanism, one),
-                "legs": tuple(names[i] for i in one.legs),
-                "left": float(one.misfits[asked].max()),
-                "unknown_frame": one.free and not given.free,
-            },
+            **common,
+            **_values(mechanism, one),
+            legs=tuple(names[i] for i in one.legs),
+            left=float(one.misfits[asked].max()),
+            unknown_frame=one.free and not given.free,
         )
         for one in found
     )

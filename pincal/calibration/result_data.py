@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import Any, get_origin, get_type_hints
+from typing import Any, cast, get_origin, get_type_hints
 
 import numpy as np
 from cattrs import BaseConverter, Converter
@@ -16,7 +16,8 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.runs import RunComparison
 from pincal.calibration.validation import Validation
 from pincal.errors import MeasurementError
-from pincal.estimation.losses import Loss, LossName
+from pincal.estimation.losses import LOSSES, Loss, LossName
+from pincal.model.instrument import Instrument
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
@@ -44,6 +45,19 @@ def _number(data: Any, _: Any) -> float:
     return float(data)
 
 
+def _loss(name: str, _: Any) -> LossName | Loss:
+    """Return a loss by its name; one of one's own is code, of which the name alone is known."""
+
+    def weigh(_: Any) -> Any:
+        raise MeasurementError(
+            f"loss {name!r} is code, which a result's folder does not hold; give it as loss=…"
+        )
+
+    if name in ("none", *LOSSES):
+        return cast(LossName, name)
+    return Loss(name, weigh, 0.5)
+
+
 def _converter() -> BaseConverter:
     found = Converter(forbid_extra_keys=True)
     found.register_unstructure_hook_func(_is_array, _plain)
@@ -51,8 +65,9 @@ def _converter() -> BaseConverter:
     found.register_structure_hook_func(_is_array, _array)
     found.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
     found.register_structure_hook(float, _number)
-    found.register_structure_hook_func(lambda kind: kind == LossName | Loss, lambda name, _: name)
+    found.register_structure_hook_func(lambda kind: kind == LossName | Loss, _loss)
     found.register_structure_hook_func(lambda kind: kind == Progress, lambda *_: None)
+    found.register_structure_hook_func(lambda kind: kind == tuple[Instrument, ...], lambda *_: ())
     found.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))
     return found
 
@@ -71,7 +86,16 @@ _HINTS = get_type_hints(CalibrationResult, localns=dict(_REPORTS))
 
 
 def stored(result: CalibrationResult) -> dict[str, Any]:
-    """Return all that a result is made of, as plain data; the nominal mechanism apart."""
+    """Return all that a result is made of, as plain data; the nominal mechanism apart.
+
+    Raises:
+        MeasurementError: instruments of one's own, which are code, not data.
+    """
+    if own := [one.name for one in result.options.setup.instruments]:
+        raise MeasurementError(
+            f"instrument {own[0]!r} is code, which a result's folder does not hold; save the "
+            "calibrated mechanism (result.identified.save) and the report"
+        )
     options = replace(result.options, progress=None, loss="none")
     return {
         "measurements": _CONVERTER.unstructure(result.measurements),

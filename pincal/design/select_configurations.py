@@ -1,7 +1,7 @@
 """Configurations chosen for all parameters together.
 
 Rows are those of the best estimator (see ``information``), whatever part of the platform is
-measured and wherever the tracker stands. Directions that no candidate determines are left out: the
+measured and wherever the tracker is. Directions that no candidate determines are left out: the
 choice is D-optimal in what can be identified, its efficiency against the bound that no choice
 exceeds.
 """

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.losses import outlying
+from pincal.estimation.problem import Problem
 from pincal.model.measurements import Noise
 
 Array = NDArray[np.float64]
@@ -39,16 +40,19 @@ class Moments:
     """χ² over degrees of freedom."""
 
     @classmethod
-    def of(cls, fits: Sequence[Fit], reading: float) -> Moments:
-        """Return the moments of fits of groups of legs, at the same noise.
+    def of(cls, fits: Sequence[tuple[Fit, Problem]], reading: float) -> Moments:
+        """Return the moments of fits of groups of legs.
+
+        To first order they need no new fit: what parameters take up is projected out.
 
         Args:
-            fits: Of groups of legs.
+            fits: Of groups of legs, each with its problem at the noise in question.
             reading: Standard deviation to which that of readings is relative, [rad] or [m].
         """
-        F, q = (sum(parts) for parts in zip(*(_normal(one, reading) for one in fits), strict=True))
-        dof = max(sum(one.degrees_of_freedom for one in fits), 1)
-        return cls(np.asarray(F), np.asarray(q), sum(one.chi2 for one in fits) / dof)
+        parts = [_normal(one, problem, reading) for one, problem in fits]
+        F, q, chi2 = (sum(part) for part in zip(*parts, strict=True))
+        dof = max(sum(one.degrees_of_freedom for one, _ in fits), 1)
+        return cls(np.asarray(F), np.asarray(q), float(chi2) / dof)
 
     @property
     def rounding(self) -> bool:
@@ -117,15 +121,16 @@ def estimated_noise(moments: Moments, noise: Noise, reading: float, pools: Pools
     )
 
 
-def _normal(one: Fit, readings: float) -> tuple[Array, Array]:
-    """Return F, shape (3, 3), and rᵀ M V_g M r, shape (3,), of one fit."""
-    linear, problem = one.last, one.problem
+def _normal(one: Fit, problem: Problem, readings: float) -> tuple[Array, Array, float]:
+    """Return F, shape (3, 3), rᵀ M V_g M r, shape (3,), and rᵀ M r, of one fit."""
+    linear = problem.with_this_noise(one.last)
     rows = one.weights > 0.0
     if one.system.loss is not None:
         rows &= ~outlying(linear.squares / one.scale**2, linear.equations)
     n_readings = problem.reading_columns[-1].stop
     unit = replace(problem, sigma_readings=np.full_like(problem.sigma_readings, readings))
-    by_reading = linear.white(unit.stack(linear.state).noise[:, :, :n_readings])
+    by_reading = unit.with_this_noise(one.last).stack.noise[:, :, :n_readings]
+    by_reading = linear.white(by_reading)
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = problem.observation.units if problem.latent else problem.platform.units
     lengths = np.array([name == "m" for name in units], dtype=bool)
@@ -152,4 +157,4 @@ def _normal(one: Fit, readings: float) -> tuple[Array, Array]:
         ]
     )
     q = [float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U]
-    return F, np.array(q)
+    return F, np.array(q), float((left**2).sum())

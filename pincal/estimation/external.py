@@ -1,13 +1,13 @@
-"""Unknowns outside the mechanism: where its base stands, and where the targets sit.
+"""Unknowns outside the mechanism: where its base stands, where the targets sit, instruments' own.
 
 The base frame in the frame of the measurements, T_frame_base; offsets of targets in the
-platform frame; and, where an unknown target carries an orientation, how that is turned
-against the platform's.
+platform frame; where an unknown target carries an orientation, how that is turned against the
+platform's; and the parameters of instruments.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ class External:
     """Of the targets in the platform frame, shape (n_targets, 3), [m]."""
     turn: Array
     """R_platform_target of the measured orientation, shape (3, 3)."""
+    own: Array = field(default_factory=lambda: np.zeros(0))
+    """Parameters of the instruments, in their order, shape (n_own,)."""
 
 
 #: Where poses are those of the platform in the base frame.
@@ -70,6 +72,16 @@ class ExternalUnknowns:
         self.units = tuple(
             "rad" if name.split(".")[1].startswith("r") else "m" for name in self.names
         )
+        n_frame, n_offsets, n_turns = map(
+            len, (self.frame_rows, self.offset_entries, self.turn_axes)
+        )
+        self.turn_columns = slice(n_frame + n_offsets, n_frame + n_offsets + n_turns)
+        own = [parameter for one in setup.instruments for parameter in one.parameters]
+        self.own_columns = slice(len(self.names), len(self.names) + len(own))
+        """Parameters of the instruments among the unknowns."""
+        self.names += tuple(one.id for one in own)
+        self.units += tuple(one.unit for one in own)
+        self._nominal = np.array([one.nominal for one in own], dtype=float)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -78,14 +90,14 @@ class ExternalUnknowns:
     def start(self) -> External:
         """The values of the setup; the base frame is that of the measurements."""
         offsets = np.array([target.offset for target in self.setup.targets.values()], dtype=float)
-        return External(np.eye(4), offsets, np.eye(3))
+        return External(np.eye(4), offsets, np.eye(3), self._nominal)
 
     def moved(self, values: External, step: Array) -> External:
         """Return values after a step, shape (n,): twists of the frame about its own origin."""
-        n_frame, n_offsets = len(self.frame_rows), len(self.offset_entries)
+        n_frame = len(self.frame_rows)
         twist, turn = np.zeros(6), np.zeros(3)
         twist[list(self.frame_rows)] = step[:n_frame]
-        turn[list(self.turn_axes)] = step[n_frame + n_offsets :]
+        turn[list(self.turn_axes)] = step[self.turn_columns]
         frame, offsets = values.frame.copy(), values.offsets.copy()
         frame[:3, 3] += twist[:3]
         frame[:3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix() @ frame[:3, :3]
@@ -96,6 +108,7 @@ class ExternalUnknowns:
             frame=frame,
             offsets=offsets,
             turn=Rotation.from_rotvec(turn).as_matrix() @ values.turn,
+            own=values.own + step[self.own_columns],
         )
 
     def coordinates(self, values: External) -> Array:
@@ -105,7 +118,8 @@ class ExternalUnknowns:
         )
         turn = Rotation.from_matrix(values.turn).as_rotvec()
         offsets = [values.offsets[entry] for entry in self.offset_entries]
-        return np.array([*twist[list(self.frame_rows)], *offsets, *turn[list(self.turn_axes)]])
+        angles = turn[list(self.turn_axes)]
+        return np.array([*twist[list(self.frame_rows)], *offsets, *angles, *values.own])
 
     def coordinates_by_step(self, values: External) -> Array:
         """Return the derivative of the coordinates by steps, shape (n, n): see ``moved``."""
@@ -116,8 +130,7 @@ class ExternalUnknowns:
         turns = [i for i, row in enumerate(self.frame_rows) if row >= 3]
         axes = [row - 3 for row in self.frame_rows if row >= 3]
         D[np.ix_(turns, turns)] = of_frame[np.ix_(axes, axes)]
-        last = range(len(self) - len(self.turn_axes), len(self))
-        D[np.ix_(last, last)] = of_turn[np.ix_(self.turn_axes, self.turn_axes)]
+        D[self.turn_columns, self.turn_columns] = of_turn[np.ix_(self.turn_axes, self.turn_axes)]
         return D
 
 

@@ -1,8 +1,9 @@
 """What is measured of the platform, predicted from its pose, with derivatives.
 
 Positions of targets u = T_frame_base (r + R t), single coordinates of them, orientations,
-single angles, distances |u − P|. Rows are predicted less measured, in the frame of the
-measurements; derivatives are by the platform's twist in base axes and by the external unknowns.
+single angles, distances |u − P|, and what further instruments read. Rows are predicted less
+measured, in the frame of the measurements; derivatives are by the platform's twist in base axes
+and by the external unknowns.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pincal.estimation.angles import angle
 from pincal.estimation.external import External, ExternalUnknowns
 from pincal.kinematics.batches import inverse_left_jacobian, turn_between
 from pincal.kinematics.closure import point_velocity
+from pincal.model.instrument import checked
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
@@ -62,8 +64,11 @@ class Observation:
         values = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
         for column in setup.columns(mechanism):
             values[column] = data.extra.get(column, np.full(len(data), np.nan))
-        if missing := [name for name in setup.distances if name not in data.extra]:
-            raise MeasurementError(f"no column {missing[0]!r}, a distance that the setup names")
+        for name, whose in setup.required.items():
+            if name not in data.extra:
+                raise MeasurementError(f"no column {name!r}, {whose}")
+        own = {c: unit for one in setup.instruments for c, unit in one.columns.items()}
+        own_values = [values.pop(column) for column in own]
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
         whole = _whole(self.orientations)
@@ -74,13 +79,17 @@ class Observation:
         self._angle_names = tuple(single)
         values |= single
         turn_names = platform.freedoms[lengths:]
-        self.names = (*values, *turn_names)
+        self.names = (*values, *turn_names, *own)
         self.units = ("m",) * (len(values) - len(single)) + ("rad",) * (
             len(single) + len(turn_names)
         )
+        self.units += tuple(own.values())
         turned = np.repeat(whole[:, None], len(turn_names), axis=1)
         stacked = np.column_stack(list(values.values())) if values else np.empty((count, 0))
-        self.measured: Mask = np.concatenate((np.isfinite(stacked), turned), axis=1)
+        self._own = np.column_stack(own_values) if own else np.empty((count, 0))
+        self.measured: Mask = np.concatenate(
+            (np.isfinite(stacked), turned, np.isfinite(self._own)), axis=1
+        )
         """Which quantity is measured in which row, shape (N, r)."""
         self._values = np.where(self.measured[:, : stacked.shape[1]], stacked, 0.0)
         self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
@@ -106,7 +115,7 @@ class Observation:
         """Return the observation at some rows."""
         found = copy(self)
         found.measured, found._values = self.measured[chosen], self._values[chosen]
-        found.orientations = self.orientations[chosen]
+        found.orientations, found._own = self.orientations[chosen], self._own[chosen]
         return found
 
     def _any(self, names: tuple[str, ...]) -> bool:
@@ -132,7 +141,11 @@ class Observation:
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
             external: Values of the external unknowns.
         """
-        value, pose, outer = self._predicted(matrices, external)
+        below = self._instruments(matrices, external)
+        value, pose, outer = (
+            np.concatenate((part, more), axis=1)
+            for part, more in zip(self._predicted(matrices, external), below, strict=True)
+        )
         n_scalar = self._values.shape[1]
         value[:, :n_scalar] -= self._values
         turning = [i for i, name in enumerate(self.names) if name in self._angle_names]
@@ -191,7 +204,7 @@ class Observation:
         for column, row in enumerate(unknowns.frame_rows):
             if row >= 3:
                 by_external[:, row - 3, column] = 1.0
-        last = len(unknowns) - len(unknowns.turn_axes)
+        last = unknowns.turn_columns.start
         for column, axis in enumerate(unknowns.turn_axes):
             by_external[:, :, last + column] = (F @ R)[:, :, axis]
         rows = []
@@ -207,6 +220,32 @@ class Observation:
         by_pose, by_external = spread @ by_pose, spread @ by_external
         rows += [(error[:, i], by_pose[:, i], by_external[:, i]) for i in self._turn_rows]
         return rows
+
+    def _instruments(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
+        """Return the conditions of the instruments, and derivatives as those of all rows."""
+        platform, unknowns, frame = self.platform, self.external, external.frame
+        count, r = self._own.shape
+        value = np.empty((count, r))
+        pose, outer = np.zeros((count, r, platform.dof)), np.zeros((count, r, len(unknowns)))
+        # Twists of the platform in the frame's axes, by its own in base axes and by the frame's.
+        by_base, by_frame = np.zeros((6, 6)), np.zeros((count, 6, 6))
+        by_base[:3, :3] = by_base[3:, 3:] = frame[:3, :3]
+        by_frame[:, :3] = point_velocity(matrices[:, :3, 3] @ frame[:3, :3].T, tuple(range(6)))
+        by_frame[:, 3:, 3:] = np.eye(3)
+        n_frame, first, begin = len(unknowns.frame_rows), 0, unknowns.own_columns.start
+        for one in self.setup.instruments:
+            end, last = first + len(one.columns), begin + len(one.parameters)
+            values = external.own[begin - unknowns.own_columns.start :][: len(one.parameters)]
+            given = one.condition(frame @ matrices, values, self._own[:, first:end])
+            found = checked(given, one, count)
+            value[:, first:end] = found.value
+            pose[:, first:end] = found.by_pose @ by_base[:, list(platform.twist_rows)]
+            outer[:, first:end, :n_frame] = (found.by_pose @ by_frame)[
+                :, :, list(unknowns.frame_rows)
+            ]
+            outer[:, first:end, begin:last] = found.by_parameter
+            first, begin = end, last
+        return value, pose, outer
 
 
 def _whole(orientations: Array) -> Mask:

@@ -233,32 +233,45 @@ class Problem:
         ]
         demands = [demand for demand, _ in found]
         state = replace(state, joints=tuple(joints for _, joints in found))
-        n_legs, n_readings = self.leg_rows[-1].stop, self.reading_columns[-1].stop
-        outside = len(self.observation.external)
+        n_legs, outside = self.leg_rows[-1].stop, len(self.observation.external)
         count, dof = len(self.used), self.platform.dof
         seen = self.observation.evaluate(state.matrices, state.external) if self.latent else None
         r = 0 if seen is None else seen.value.shape[1]
         value, pose = np.zeros((count, n_legs + r)), np.zeros((count, n_legs + r, dof))
         parameter = np.zeros((count, n_legs + r, self.n_parameters + outside))
-        noise = np.zeros((count, n_legs + r, n_readings + r))
-        for demand, rows, columns, own, used in zip(
-            demands, self.leg_rows, self.columns, self.reading_columns, self.used.T, strict=True
+        for demand, rows, columns, used in zip(
+            demands, self.leg_rows, self.columns, self.used.T, strict=True
         ):
             keep = used[:, None, None]
             value[:, rows] = np.where(used[:, None], demand.value, 0.0)
             pose[:, rows] = np.where(keep, demand.pose, 0.0)
             parameter[:, rows, columns] = np.where(keep, demand.parameter, 0.0)
-            by_reading = demand.reading * self.sigma_readings[:, None, own]
-            noise[:, rows, own] = np.where(keep, by_reading, 0.0)
         if seen is not None:
             value[:, n_legs:], pose[:, n_legs:] = seen.value, seen.pose
             parameter[:, n_legs:, self.n_parameters :] = seen.external
+        noise = self._noise(demands)
+        return Stack(
+            state, demands, value, parameter, pose if self.latent else pose[:, :, :0], noise
+        )
+
+    def _noise(self, demands: Sequence[Demand]) -> Array:
+        """Return S at what the legs demand, shape (N, k, s)."""
+        n_legs, n_readings = self.leg_rows[-1].stop, self.reading_columns[-1].stop
+        r = self.sigma_observed.shape[1] if self.latent else 0
+        more = self.platform.dof if self.pose_roots is not None else r
+        noise = np.zeros((len(self.used), n_legs + r, n_readings + more))
+        for demand, rows, own, used in zip(
+            demands, self.leg_rows, self.reading_columns, self.used.T, strict=True
+        ):
+            keep = used[:, None, None]
+            by_reading = demand.reading * self.sigma_readings[:, None, own]
+            noise[:, rows, own] = np.where(keep, by_reading, 0.0)
+            if self.pose_roots is not None:
+                noise[:, rows, n_readings:] = np.where(keep, demand.pose @ self.pose_roots, 0.0)
+        if self.latent:
             diagonal = np.where(self.observation.measured, self.sigma_observed, 0.0)
             noise[:, n_legs:, n_readings:] = diagonal[:, :, None] * np.eye(r)
-        if self.pose_roots is not None:
-            noise = np.concatenate((noise, pose @ self.pose_roots), axis=2)
-            pose = pose[:, :, :0]
-        return Stack(state, demands, value, parameter, pose, noise)
+        return noise
 
     def linearise(self, state: State) -> Linear:
         """Return the conditions at a state as rows of ordinary least squares.
@@ -266,7 +279,22 @@ class Problem:
         Raises:
             MeasurementError: a residual that does not exist; conditions without noise.
         """
-        stack = self.stack(state)
+        return self.whitened(self.stack(state))
+
+    def with_this_noise(self, linear: Linear) -> Linear:
+        """Return what another problem's conditions are with the noise of this one.
+
+        Raises:
+            MeasurementError: conditions without noise.
+        """
+        return self.whitened(replace(linear.stack, noise=self._noise(linear.stack.demands)))
+
+    def whitened(self, stack: Stack) -> Linear:
+        """Return conditions freed of the poses and whitened.
+
+        Raises:
+            MeasurementError: conditions without noise.
+        """
         try:
             white = white_rows(stack.pose, self._with_idle_noise(stack.noise))
         except NoNoiseError as error:

@@ -20,6 +20,7 @@ from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _ROUNDS = 10
+_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _LOG_LEAST = -650.0  # of probabilities that floating point can hold
 Progress = Callable[[str], None]
 
@@ -92,7 +93,8 @@ def robust_fit(
     except ObservabilityError as error:
         check_weakly_determined(mechanism, system.problem, system.unknowns, error)
         raise
-    if not found.fit.converged:
+    fit_is_good = found.fit.chi2 <= _GOOD * max(found.fit.degrees_of_freedom, 1)
+    if not found.fit.converged and (fit_is_good or not system.known):
         check_covariance(mechanism, system.problem, found.fit.covariance)
     return found
 

@@ -85,7 +85,7 @@ def lines_of(text: str) -> list[str]:
 def plain_number(text: str) -> float:
     """Return the number that a text says, NaN if it says none.
 
-    Digits are ASCII and stand together: other programs would take ``１`` or ``1_000`` for
+    Digits are ASCII and without gaps: other programs would take ``１`` or ``1_000`` for
     something else than Python does.
     """
     bare = text.strip()

@@ -15,6 +15,7 @@ from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.orientation import columns_of as angles_of
+from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array | tuple[str, ...]]
@@ -60,25 +61,43 @@ def write_readings(
 
 
 def write_measurements(
-    path: str | Path, mechanism: GivenMechanism, data: Measurements, *, force: bool = False
+    path: str | Path,
+    mechanism: GivenMechanism,
+    data: Measurements,
+    *,
+    setup: Setup | None = None,
+    force: bool = False,
 ) -> None:
     """Write measurements to a CSV file.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        data: The measurements.
+        setup: Says units of further columns that are neither lengths nor single angles.
+        force: Whether to replace the file if it exists.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
     mechanism = as_mechanism(mechanism)
     must_be(data, Measurements, "measurements to write", MeasurementError)
-    write_table(path, columns_of(mechanism, data), force=force)
+    write_table(path, columns_of(mechanism, data, setup=setup), force=force)
 
 
-def columns_of(mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsion") -> Columns:
+def columns_of(
+    mechanism: Mechanism,
+    plan: Plan,
+    orientation: str = "tilt-torsion",
+    setup: Setup | None = None,
+) -> Columns:
     """Return the columns of a plan or of measurements, header with unit to values, SI.
 
     Args:
         mechanism: The mechanism.
         plan: The poses, or the measurements.
         orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+        setup: Says units of further columns that are neither lengths nor single angles.
 
     Raises:
         MeasurementError: numbers of another mechanism, or no such way.
@@ -100,9 +119,10 @@ def columns_of(mechanism: Mechanism, plan: Plan, orientation: str = "tilt-torsio
     if plan.sigma_readings is not None:
         read = _reading_columns(mechanism, plan.sigma_readings)
         columns |= {f"sigma_{name}": values for name, values in read.items()}
+    units = dict.fromkeys(SINGLE_ANGLES, "rad") | (setup.columns(mechanism) if setup else {})
     for prefix, more in (("", plan.extra), ("sigma_", plan.sigma_extra)):
         for name, values in more.items():
-            columns[f"{prefix}{name} [{'rad' if name in SINGLE_ANGLES else 'm'}]"] = values
+            columns[f"{prefix}{name} [{units.get(name, 'm')}]"] = values
     columns |= {} if plan.runs is None else {"run": plan.runs}
     columns |= {} if plan.places is None else {"pose": plan.places}
     return columns

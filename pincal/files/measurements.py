@@ -73,11 +73,11 @@ def read_measurements(
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
     table = table_for(path, mechanism, more)
-    if missing := [name for name in setup.distances if name not in table]:
-        raise MeasurementError(
-            f"{table.path}: no column {missing[0]!r}, a distance that the setup names; expected "
-            f"'{missing[0]} [m]'"
-        )
+    for name, whose in setup.required.items():
+        if name not in table:
+            raise MeasurementError(
+                f"{table.path}: no column {name!r}, {whose}; expected '{name} [{more[name]}]'"
+            )
     platform = mechanism.platform
     if platform.turns == 3 and partial and _way(table) is None:
         more |= {name: "rad" for name in SINGLE_ANGLES if name in table}

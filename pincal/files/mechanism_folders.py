@@ -242,6 +242,16 @@ def _dump(mechanism: Mechanism) -> str:
 
 
 def _dump_leg(leg: Leg) -> dict[str, Any]:
+    """Return a leg as plain data.
+
+    Raises:
+        MechanismError: a term of a sensor, which is code.
+    """
+    if own := [term.parameter for sensor in leg.sensors for term in sensor.terms]:
+        raise MechanismError(
+            f"{leg.name}: the sensor's term of {own[0]!r} is code, which a mechanism's folder does "
+            "not hold; save the mechanism without terms, and its parameters (mechanism.parameters)"
+        )
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",

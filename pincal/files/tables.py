@@ -102,7 +102,7 @@ class Table:
         return self.plain(column, blank=blank) * UNITS[unit][1]
 
     def plain(self, column: str, *, blank: bool = False) -> Array:
-        """Return the numbers of a column as they stand, shape (N,).
+        """Return the numbers of a column as they are, shape (N,).
 
         Raises:
             MeasurementError: a cell is not a finite number, or above ``LARGEST``.
@@ -174,7 +174,7 @@ def _of_dataframe(frame: Any) -> Table:
 
 
 def _text(value: object) -> str:
-    """Return a cell of a DataFrame as it would stand in a file."""
+    """Return a cell of a DataFrame as it would be in a file."""
     if isinstance(value, float):
         return _cell(value)
     missing = value is None or type(value).__name__ in ("NAType", "NaTType")

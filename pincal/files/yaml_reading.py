@@ -127,7 +127,7 @@ def _explained(
 ) -> tuple[tuple[int | str, ...], str]:
     """Return the place of the first fault of a YAML file, and one sentence on it.
 
-    A key that is unknown comes before those that are missing, for which it may stand.
+    A key that is unknown comes before those that are missing, of which it may be a misspelling.
     """
     faults = error.errors(include_url=False, include_context=False)
     first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
@@ -149,8 +149,8 @@ def _explained(
     elif first["type"] == "missing":
         text, place = f"key {named!r} is missing", place[:-1]
     else:
-        words, given = _words(first), reprlib.repr(first["input"])
-        text = f"{named}: {words}" + (f"; got {given}" if given not in words else "")
+        fault, given = _words(first), reprlib.repr(first["input"])
+        text = f"{named}: {fault}" + (f"; got {given}" if given not in fault else "")
     return place, text + (f" (and {others} more)" if others else "")
 
 

@@ -73,7 +73,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         stem = TOOL if last else re.sub(r"\W", "_", joint.name).removesuffix("_joint")
         own = {f"{stem}_{axis}": 0.0 for axis in _AXES}
         if set(own) & set(parameters):
-            raise MechanismError(f"{name}: joint names alike: {stem!r} stands for two of them")
+            raise MechanismError(f"{name}: joint names alike: {stem!r} names two of them")
         parameters |= own
         steps = tuple(along(axis, parameter) for axis, parameter in zip(_AXES, own, strict=True))
         steps += tuple(

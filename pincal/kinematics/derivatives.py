@@ -64,7 +64,7 @@ def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
         closure.constraint,
         _by_parameter(leg, closure, readings),
         closure.project(closure.pose),
-        closure.drive * sensor_law(leg).slope,
+        closure.drive * sensor_law(leg).slopes(readings)[..., None, :],
     )
 
 
@@ -146,9 +146,10 @@ def identification_jacobian(
     mechanism = as_mechanism(mechanism)
     transforms = mechanism.platform.transforms(poses)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
-    slope = sensor_law(closure).slope
-    C = np.empty((len(transforms), len(slope), len(closure.parameters)))
+    law = sensor_law(closure)
+    C = np.empty((len(transforms), len(law.slope), len(closure.parameters)))
     for rows, closed, psi, reached in _closed_chunks(closure, transforms):
-        C[rows] = least_squares(-closed.drive * slope, _by_parameter(closure, closed, psi))
+        drive = closed.drive * law.slopes(psi)[..., None, :]
+        C[rows] = least_squares(-drive, _by_parameter(closure, closed, psi))
         C[rows][~reached] = np.nan
     return C.reshape(-1, C.shape[2])

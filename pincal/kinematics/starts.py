@@ -20,7 +20,7 @@ from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
 _SAMPLES = 20_000
-_BEYOND = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
+_OUT_OF_REACH = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
 
 
 def start_joints(
@@ -60,7 +60,7 @@ def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
     else:
         tree = KDTree(closure.tips(joints)[:, list(platform.closure_rows)])
     gaps = tree.query(tree.data, [2])[0]
-    return tree, joints, _BEYOND * float(gaps.max())
+    return tree, joints, _OUT_OF_REACH * float(gaps.max())
 
 
 def _places(closure: LegClosure, matrices: Array) -> Array:

@@ -133,7 +133,7 @@ class Leg:
             if not 1.0 / LARGEST <= abs(gain) <= LARGEST:
                 raise MechanismError(
                     f"{self.name}: the sensor's gain is {gain:g}; expected one that is neither "
-                    f"zero nor beyond {LARGEST:g} times too small or large"
+                    f"zero nor more than {LARGEST:g} times too small or large"
                 )
         for joint in (*self.joints, self.point):
             joint.placement.rest(self.nominal_by_name, f"{self.name}, joint {joint.name!r}")
@@ -202,6 +202,7 @@ class Leg:
                 units[sensor.gain] = "1"
             if isinstance(sensor.offset, str):
                 units[sensor.offset] = unit
+            units |= {term.parameter: term.unit for term in sensor.terms}
         return units
 
     @property

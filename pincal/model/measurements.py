@@ -106,20 +106,27 @@ class Plan:
         mechanism: Mechanism,
         *,
         orientation: str = "tilt-torsion",
+        setup: Setup | None = None,
         force: bool = False,
     ) -> None:
         """Write a CSV file: see ``pincal.write_poses`` and ``pincal.write_measurements``."""
         from pincal.files.measurement_writing import columns_of
         from pincal.files.tables import write_table
 
-        write_table(path, columns_of(mechanism, self, orientation), force=force)
+        write_table(path, columns_of(mechanism, self, orientation, setup), force=force)
 
-    def to_dataframe(self, mechanism: Mechanism, *, orientation: str = "tilt-torsion") -> Any:
+    def to_dataframe(
+        self,
+        mechanism: Mechanism,
+        *,
+        orientation: str = "tilt-torsion",
+        setup: Setup | None = None,
+    ) -> Any:
         """Return a pandas DataFrame with the columns of a CSV file, units in brackets."""
         from pincal.files.measurement_writing import columns_of
         from pincal.files.tables import dataframe
 
-        return dataframe(columns_of(mechanism, self, orientation))
+        return dataframe(columns_of(mechanism, self, orientation, setup))
 
     def __repr__(self) -> str:
         more = [name for name, value in vars(self).items() if value is not None]

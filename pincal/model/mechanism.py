@@ -50,8 +50,8 @@ class Mechanism:
         readings = self.reading_names
         if taken := [name for name in readings if name in RESERVED or name.startswith("sigma_")]:
             raise MechanismError(
-                f"mechanism {self.name!r}: a reading named {taken[0]!r} cannot be told from that "
-                f"column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
+                f"mechanism {self.name!r}: a reading named {taken[0]!r} cannot be distinguished "
+                f"from that column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
             )
         if len(set(readings)) != len(readings):
             raise MechanismError(
@@ -250,7 +250,7 @@ def _page(mechanism: Mechanism) -> str:
 
 
 def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows of cells as lines whose cells stand below each other."""
+    """Return rows of cells as lines whose cells are below each other."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()

@@ -1,8 +1,11 @@
-"""A sensor is the linear law between an active joint and its reading: gain, offset, direction."""
+"""A sensor is the law between an active joint and its reading: gain, offset, direction, terms.
+
+q = k ψ + γ + Σ a_j b_j(ψ): linear in all that is unknown.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,11 +13,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+_STEPS = 50
+
+
+@dataclass(frozen=True)
+class Term:
+    """A known function of the reading times an unknown amplitude: a b(ψ), added to q.
+
+    Such as the sine of a geared motor's angle, or the sag of a spool. Its slope must be so small
+    that q(ψ) remains monotonic.
+    """
+
+    parameter: str
+    """Name of the amplitude a, a parameter of the leg."""
+    basis: Callable[[Array], Array]
+    """b by the reading ψ [rad] or [m], of the same shape."""
+    slope: Callable[[Array], Array]
+    """db/dψ, likewise."""
+    unit: str = "rad"
+    """Of the amplitude: that of q over that of b."""
+
+
+@dataclass(frozen=True)
+class PlacedTerm:
+    """A term at parameter values."""
+
+    term: Term
+    reading: int
+    """Of which of the leg's readings."""
+    parameter: int
+    """Which of the leg's parameters its amplitude is."""
+    amplitude: float
 
 
 @dataclass(frozen=True)
 class SensorLaw:
-    """Active joints' positions of readings at some parameter values: q = slope ψ + start."""
+    """Active joints' positions of readings, at parameter values: q = slope ψ + start + terms."""
 
     slope: Array
     """∂q/∂ψ, shape (n_active,), [1]."""
@@ -24,23 +58,49 @@ class SensorLaw:
     """∂slope/∂φ, shape (n_active, n_params)."""
     start_by_parameter: Array
     """∂start/∂φ, shape (n_active, n_params)."""
+    terms: tuple[PlacedTerm, ...] = ()
 
     def reading(self, joints: Array) -> Array:
-        """Return the readings ψ of active joints' positions, shape (N, n_active), [rad] or [m]."""
-        return (joints - self.start) / self.slope
+        """Return the readings ψ of active joints' positions, shape (N, n_active), [rad] or [m].
+
+        By Newton's method where there are terms.
+        """
+        readings = (joints - self.start) / self.slope
+        for _ in range(_STEPS if self.terms else 0):
+            step = (joints - self.position(readings)) / self.slopes(readings)
+            readings = readings + step
+            size = np.maximum(1.0, np.abs(readings))
+            if not (np.abs(step) > 4.0 * np.finfo(float).eps * size).any():
+                break
+        return readings
 
     def position(self, readings: Array) -> Array:
         """Return the active joints' positions of readings ψ, shape (N, n_active)."""
-        return self.slope * readings + self.start
+        joints = self.slope * readings + self.start
+        for one in self.terms:
+            joints[:, one.reading] += one.amplitude * one.term.basis(readings[:, one.reading])
+        return joints
+
+    def slopes(self, readings: Array) -> Array:
+        """Return ∂q/∂ψ at given readings, shape (N, n_active), or (n_active,) if everywhere."""
+        if not self.terms:
+            return self.slope
+        slopes = np.tile(self.slope, (len(readings), 1))
+        for one in self.terms:
+            slopes[:, one.reading] += one.amplitude * one.term.slope(readings[:, one.reading])
+        return slopes
 
     def by_parameter(self, readings: Array) -> Array:
         """Return ∂q/∂φ at given readings, shape (N, n_active) to (N, n_active, n_params)."""
-        return readings[:, :, None] * self.slope_by_parameter + self.start_by_parameter
+        found = readings[:, :, None] * self.slope_by_parameter + self.start_by_parameter
+        for one in self.terms:
+            found[:, one.reading, one.parameter] += one.term.basis(readings[:, one.reading])
+        return found
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Linear sensor on an active joint, in one of the two forms of the papers.
+    """Sensor on an active joint, linear but for its terms, in one of the two forms of the papers.
 
     With joint coordinate q (counted from ``zero``), direction d = ±1, gain k and offset γ:
 
@@ -59,6 +119,8 @@ class Sensor:
     zero: float | Literal["home"] = 0.0
     """Joint position from which q counts, [rad] or [m]; ``"home"``: the joint's position at the
     platform's home pose, whatever the parameters, as on machines that are zeroed there."""
+    terms: tuple[Term, ...] = ()
+    """What is added to the joint's position in either form: Σ a_j b_j(ψ)."""
 
     @property
     def homed(self) -> bool:
@@ -109,9 +171,16 @@ def sensor_laws(
     )
     homed = np.array([sensor.homed for sensor in sensors])
     zeros = np.array([0.0 if isinstance(one.zero, str) else one.zero for one in sensors])
+    place = {name: index for index, name in enumerate(parameters)}
+    terms = tuple(
+        PlacedTerm(term, index, place[term.parameter], parameters[term.parameter])
+        for index, sensor in enumerate(sensors)
+        for term in sensor.terms
+    )
     return SensorLaw(
         slope,
         start + np.where(homed, home, zeros),
         slopes,
         starts + np.where(homed[:, None], home_by_parameter, 0.0),
+        terms,
     )

@@ -13,6 +13,7 @@ from typing import Any
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import array_of, must_be
+from pincal.model.instrument import Instrument
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
 from pincal.model.overview import one_line
@@ -66,6 +67,8 @@ class Setup:
     """``platform`` is the target of x, y, z; another target t of the columns t_x, t_y, t_z."""
     distances: Mapping[str, Distance] = field(default_factory=dict)
     """By column."""
+    instruments: tuple[Instrument, ...] = ()
+    """Instruments of one's own, each with its columns and unknowns."""
 
     def __post_init__(self) -> None:
         must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
@@ -82,6 +85,36 @@ class Setup:
                     f"distance {column!r} is to a target {one.target!r}; expected one of "
                     f"{', '.join(self.targets)}"
                 )
+        object.__setattr__(self, "instruments", tuple(self.instruments))
+        self._check_instruments()
+
+    def _check_instruments(self) -> None:
+        """Raise if an instrument is none, or its names are another's.
+
+        Raises:
+            MeasurementError: saying which.
+        """
+        names = {"tracker", "target", *self.targets}
+        for one in self.instruments:
+            must_be(one, Instrument, "an instrument", MeasurementError)
+            if one.name in names or not one.name.isidentifier():
+                raise MeasurementError(
+                    f"an instrument is named {one.name!r}; expected a word that no target and no "
+                    "other instrument has"
+                )
+            names.add(one.name)
+            for column, unit in one.columns.items():
+                if unit not in ("m", "rad"):
+                    raise MeasurementError(
+                        f"column {column!r} of instrument {one.name!r} is in {unit!r}; expected m "
+                        "or rad"
+                    )
+            for parameter in one.parameters:
+                if parameter.owner != one.name:
+                    raise MeasurementError(
+                        f"parameter {parameter.id!r} is of instrument {one.name!r}; expected "
+                        f"'{one.name}.{parameter.name}'"
+                    )
 
     def __repr__(self) -> str:
         targets = [n + " (unknown)" * t.unknown for n, t in self.targets.items() if t != Target()]
@@ -90,12 +123,25 @@ class Setup:
             "unknown frame" if self.unknown_frame else "base frame",
             f"targets {listed(targets)}" if targets else "",
             f"distances {listed(self.distances)}" if self.distances else "",
+            f"instruments {listed(one.name for one in self.instruments)}"
+            if self.instruments
+            else "",
         )
 
     @property
     def plain(self) -> bool:
         """Whether poses are those of the platform in the base frame, and nothing else."""
-        return not self.unknown_frame and not self.distances and self.targets == {ORIGIN: Target()}
+        further = self.distances or self.instruments or self.targets != {ORIGIN: Target()}
+        return not (self.unknown_frame or further)
+
+    @property
+    def required(self) -> dict[str, str]:
+        """Columns that measurements must have, and whose they are."""
+        return dict.fromkeys(self.distances, "a distance that the setup names") | {
+            column: f"which instrument {one.name!r} reads"
+            for one in self.instruments
+            for column in one.columns
+        }
 
     def columns(self, mechanism: Mechanism) -> dict[str, str]:
         """Return columns that this setup adds to those of the pose, and their units.
@@ -115,6 +161,10 @@ class Setup:
         further = [name for name in self.targets if name != ORIGIN]
         points = {f"{name}_{axis}": "m" for name in further for axis in axes}
         columns = points | dict.fromkeys(self.distances, "m")
+        taken_twice = set(points) & set(self.distances)
+        for one in self.instruments:
+            taken_twice |= set(columns) & set(one.columns)
+            columns |= one.columns
         platform = mechanism.platform
         taken = {
             *mechanism.leg_names,
@@ -124,9 +174,14 @@ class Setup:
             "set",
             "run",
         }
+        if owners := {one.name for one in self.instruments} & set(mechanism.leg_names):
+            raise MeasurementError(
+                f"an instrument is named {sorted(owners)[0]!r}, as a leg of {mechanism.name!r}; "
+                "choose another name"
+            )
         taken |= {"pose", "rx", "ry", "rz", *(n for names, _ in WAYS.values() for n in names)}
         taken |= {name for name in columns if name.startswith("sigma_")}
-        taken |= set(points) & set(self.distances)
+        taken |= taken_twice
         if both := taken & set(columns):
             raise MeasurementError(
                 f"the setup names a column {sorted(both)[0]!r}, which means something else in "

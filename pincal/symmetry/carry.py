@@ -92,6 +92,8 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
         offset = sensor.offset
         if sensor.form == "joint":
             offset = _changed(offset, parameters, lambda value: -value)
+        for amplitude in {term.parameter for term in sensor.terms}:
+            parameters[amplitude] = 0.0 - parameters[amplitude]
         zero = sensor.zero if isinstance(sensor.zero, str) else 0.0 - sensor.zero
         sensor = replace(sensor, direction=-sensor.direction, zero=zero, offset=offset)
     return _with(leg, index, flipped, sensor, parameters)

@@ -275,6 +275,15 @@ def _sensors_differ(
         tolerance: Largest deviation, [rad] or [m].
     """
     a, b = carried.sensors[index], leg.sensors[index]
+    if [one.basis for one in a.terms] != [one.basis for one in b.terms]:
+        return "terms of the sensor", None
+    for first, second in zip(a.terms, b.terms, strict=True):
+        amplitudes = (
+            carried.nominal_by_name[first.parameter],
+            leg.nominal_by_name[second.parameter],
+        )
+        if abs(amplitudes[0] - amplitudes[1]) > tolerance:
+            return "terms of the sensor", abs(amplitudes[0] - amplitudes[1])
     if (a.form, a.direction) != (b.form, b.direction):
         return "form or direction of the sensor", None
     gains, offsets = zip(

@@ -7,7 +7,7 @@ Each code's ``values`` say what a finding of it holds, in SI; ids are those of p
 from __future__ import annotations
 
 from pincal.model.finding import Finding
-from pincal.words.numbers import listed, size
+from pincal.words.numbers import listed
 from pincal.words.wording import P_VALUE, Wording, groups_in_words
 
 #: How each option is named that lets a calibration look for what its data leave open.
@@ -69,24 +69,6 @@ def _tie(found: Finding) -> str:
     )
 
 
-def _one_body(found: Finding) -> str:
-    v = found.values
-    by = size(v["shift"], v["turn"])
-    return (
-        f"{100 * v['share']:.0f} % of what the nominal model is off by (in squares) is one motion "
-        f"of the {v['frame']}'s frame, by {by}; parameters that differ each in its own way hardly "
-        f"move so (p = {v['p_value']:.1g})"
-    )
-
-
-def _one_body_remedy(found: Finding) -> str:
-    how = {
-        "unknown-frame": "Is the tracker's frame the base's (--unknown-frame)?",
-        "unknown-target": "Is the target the platform's origin (--unknown-target)?",
-    }[found.values["option"]]
-    return f"{how} Else where the frame lies is taken for errors of the machine"
-
-
 def _held(found: Finding) -> str:
     v = found.values
     parts = [groups_in_words(v["groups"])] if v["groups"] else []
@@ -131,6 +113,8 @@ PARAMETERS: dict[str, Wording] = {
         "A standard error is larger than machines differ from their drawings: the number is noise. "
         "The finding's parameters are all of them.",
         _weak_remedy,
+        general="Measure poses that determine more (pincal select), hold what is undetermined "
+        "(--hold-undetermined, --fix), or say how well nominal values are known (--prior)",
     ),
     "undetermined-held": Wording(
         "Undetermined parameters were held",
@@ -156,20 +140,8 @@ PARAMETERS: dict[str, Wording] = {
         "A parameter moved by more than 5 % of the mechanism's size, or 0.05 rad or 1. If the "
         "drawing is known roughly only, say so (--rough).",
         _far_remedy,
-    ),
-    "moved-as-one-body": Wording(
-        "Parameters moved as one body",
-        {
-            "frame": '"base" or "platform"',
-            "share": "share of the squares of the nominal model's error",
-            "shift": "translation of the frame [m]",
-            "turn": "rotation of the frame [rad]; None for a platform that does not turn",
-            "p_value": "probability of so much motion as one body by chance",
-            "option": '"unknown-frame" or "unknown-target"',
-        },
-        _one_body,
-        "More likely the tracker, or the target, was not aligned, than that the machine is such.",
-        _one_body_remedy,
+        general="Check units, the order of the readings, and the frame and target of the "
+        "measurements (--unknown-frame, --unknown-target)",
     ),
     "tie-contradicted": Wording(
         "A tie does not hold",

@@ -10,18 +10,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.model.finding import Finding
-from pincal.words.numbers import amount, counted, listed
+from pincal.words.numbers import amount
 from pincal.words.wording import P_VALUE, Wording
-
-
-def _noise_assumed(found: Finding) -> str:
-    v = found.values
-    groups = ["position [m]", *["orientation [rad]"] * v["turns"], *["readings"] * v["readings"]]
-    exact = "" if v["readings"] else ", exact readings"
-    return (
-        f"the noise was not given: equal standard deviations of {listed(groups)}{exact} were "
-        "assumed, and the scale was estimated from the residuals"
-    )
 
 
 def _noise_estimated(found: Finding) -> str:
@@ -102,23 +92,6 @@ def _runs(found: Finding) -> str:
     )
 
 
-def _unequal(found: Finding) -> str:
-    v = found.values
-    return (
-        "equal noise was assumed in position [m] and orientation [rad], but misfits are "
-        f"{v['position_ratio']:.2f} and {v['orientation_ratio']:.2f} times as large as it makes "
-        "them"
-    )
-
-
-def _unequal_remedy(found: Finding) -> str:
-    v = found.values
-    return (
-        f"Give it (--noise-position {v['position']:.2g} --noise-orientation "
-        f"{v['orientation']:.2g} fit the residuals)"
-    )
-
-
 def _excess(found: Finding) -> str:
     more = (
         f"residuals are {found.values['excess']:.3g} times as large as the noise given makes them"
@@ -143,7 +116,7 @@ RESULTS: dict[str, Wording] = {
         {"excess": "root of the reduced χ²"},
         _excess,
         "Parameters that fit no better than nominal ones correct nothing.",
-        "",
+        "Look at the warnings first",
         "error",
     ),
     "residuals-too-large": Wording(
@@ -151,19 +124,8 @@ RESULTS: dict[str, Wording] = {
         {"excess": "root of the reduced χ²"},
         _excess,
         "Something is wrong with rows, noise or model, and the parameters follow it.",
-        "",
+        "Look at the warnings first",
         "error",
-    ),
-    "noise-assumed": Wording(
-        "Noise not given",
-        {
-            "turns": "whether the platform has an orientation",
-            "readings": "whether readings were taken as noisy",
-        },
-        _noise_assumed,
-        "Residuals cannot contradict the model, and position is weighed against orientation by a "
-        "guess.",
-        f"{_GIVE_NOISE}, sigma_… columns, or rows measured repeatedly",
     ),
     "noise-estimated": Wording(
         "Noise estimated by group",
@@ -176,18 +138,6 @@ RESULTS: dict[str, Wording] = {
         "Variance components of positions, orientations and readings were estimated with the "
         "parameters: residuals cannot contradict the model.",
         f"{_GIVE_NOISE}, if it is known",
-    ),
-    "unequal-noise": Wording(
-        "Noise of position and orientation is not equal",
-        {
-            "position_ratio": "misfits of positions over those that the assumed noise makes",
-            "orientation_ratio": "the same of orientations",
-            "position": "standard deviation that fits the residuals [m]",
-            "orientation": "standard deviation that fits the residuals [rad]",
-        },
-        _unequal,
-        "The noise was not given, and residuals of positions and of orientations show two scales.",
-        _unequal_remedy,
     ),
     "chi2-too-large": Wording(
         "Residuals larger than the noise",
@@ -216,6 +166,8 @@ RESULTS: dict[str, Wording] = {
         "Rows miss by more than one good row in a thousand does. The finding's rows are those, the "
         "worst first.",
         _outliers_remedy,
+        general="Look at them: a slip, a lost beam, a wrong set. --robust reject leaves them out "
+        "and lists them",
     ),
     "many-outliers": Wording(
         "Many rows do not fit",
@@ -224,18 +176,6 @@ RESULTS: dict[str, Wording] = {
         "More than a tenth of the rows are outliers: rather the noise is larger than given, or the "
         "model lacks something, than that so many are wrong.",
         "Correct the noise or the model before leaving rows out",
-    ),
-    "slips": Wording(
-        "Few rows far from the nominal mechanism",
-        {"times": "how many times as far as rows usually do the worst row misses"},
-        lambda f: (
-            f"data row {f.rows[0] + 1} misses the nominal mechanism {f.values['times']:.3g} times "
-            f"as far as rows usually do"
-            + (f", and {counted(len(f.rows) - 1, 'more row')} so" if len(f.rows) > 1 else "")
-        ),
-        "The fit failed, and few rows are far from where the others are. The finding's rows are "
-        "those, the worst first.",
-        "Look for a slip there first, or leave such rows out (--robust reject)",
     ),
     "held-out-worse": Wording(
         "Held-out rows miss by more than is expected",

@@ -2,7 +2,8 @@
 
 ``finding("chi2-too-large", chi2=2.1, ...)`` makes a ``Finding`` and checks that it has the values
 which its sentence needs; ``sentence(found)`` says it. The codes are, with their values, titles
-and remedies, in ``pincal.words``: ``results``, ``parameters``, ``freedoms``, ``hypotheses``.
+and remedies, in ``pincal.words``: ``results``, ``parameters``, ``freedoms``, ``faults`` and
+``hypotheses``.
 """
 
 from __future__ import annotations
@@ -11,14 +12,21 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pincal.model.finding import Finding
-from pincal.words import hypotheses
+from pincal.words.faults import FAULTS
 from pincal.words.freedoms import FREEDOMS
+from pincal.words.hypotheses import HYPOTHESES, explanation
 from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
 from pincal.words.wording import Wording
 
 #: What is said of each code.
-WORDINGS: Mapping[str, Wording] = {**RESULTS, **PARAMETERS, **FREEDOMS}
+WORDINGS: Mapping[str, Wording] = {
+    **RESULTS,
+    **PARAMETERS,
+    **FREEDOMS,
+    **FAULTS,
+    **HYPOTHESES,
+}
 
 
 def finding(
@@ -51,8 +59,8 @@ def sentence(found: Finding) -> str:
 
     It begins with a small letter, as it follows ``warning:``, and ends without a full stop.
     """
-    if found.code not in WORDINGS:
-        return hypotheses.sentence(found)
+    if found.code in HYPOTHESES:
+        return explanation([found])
     wording = WORDINGS[found.code]
     said, remedy = wording.said(found), wording.remedied(found)
     return f"{said}. {remedy}" if remedy else said
@@ -64,6 +72,6 @@ def sentences(found: Iterable[Finding], *severities: str) -> list[str]:
     Hypotheses that explain the same measurements alike are one sentence.
     """
     chosen = [one for one in found if not severities or one.severity in severities]
-    alike = [one for one in chosen if one.code in hypotheses.HYPOTHESES]
-    rest = [sentence(one) for one in chosen if one.code not in hypotheses.HYPOTHESES]
-    return [hypotheses.explanation(alike), *rest] if alike else rest
+    alike = [one for one in chosen if one.code in HYPOTHESES]
+    rest = [sentence(one) for one in chosen if one.code not in HYPOTHESES]
+    return [explanation(alike), *rest] if alike else rest

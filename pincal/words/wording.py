@@ -31,6 +31,13 @@ class Wording:
     remedy: Words
     """What to do about it, in a sentence without full stop; may be empty."""
     severity: Severity = "warning"
+    general: str = ""
+    """The remedy as the page of errors says it, where ``remedy`` is a function."""
+
+    @property
+    def advice(self) -> str:
+        """What to do about it in general."""
+        return self.remedy if isinstance(self.remedy, str) else self.general
 
     def said(self, found: Finding) -> str:
         """Return what was found."""

@@ -68,7 +68,7 @@ class Grid:
             steps = np.diff(axis.values)
             if len(steps) and np.ptp(steps) > FIT * axis.step:
                 raise WorkspaceError(
-                    f"axis {axis.name!r} of positions is not evenly spaced; each value stands for "
+                    f"axis {axis.name!r} of positions is not evenly spaced; each value is "
                     "a cell of one step"
                 )
             if axis.name == "bearing" and axis.step * len(axis.values) > 2 * np.pi * (1 + FIT):
@@ -153,7 +153,7 @@ class Grid:
                 return None
             swap = bool(Q[0, 0] == 0.0)
             a, b = (Q[0, 1], Q[1, 0]) if swap else (Q[0, 0], Q[1, 1])
-            # images of the values that come to stand on this axis, in their own order
+            # images of the values that come to lie on this axis, in their own order
             images = [
                 a * (second if swap else first).values,
                 b * (first if swap else second).values,

@@ -1,9 +1,9 @@
 """Linear deltas as printer firmwares hold them: one radius, and angle, arm, endstop of each tower.
 
 Klipper (``kinematics/delta.py``) and RepRapFirmware (``LinearDeltaKinematics.cpp``) share this
-model: a tower stands at (R cos α, R sin α), and its carriage, at its endstop, at the height
+model: a tower is at (R cos α, R sin α), and its carriage, at its endstop, at the height
 E + √(L² − R²). Three towers lie on one circle, so every mechanism of vertical carriages and rods
-to a nozzle that does not turn can be said so, with the origin at the centre of that circle.
+to a nozzle that does not turn has this form, with the origin at the centre of that circle.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
     radius = float(np.linalg.norm(around, axis=1).mean())
     if radius >= arms.min():
         raise MechanismError(
-            f"{mechanism.name!r}: the towers stand {1e3 * radius:g} mm from their centre, farther "
+            f"{mechanism.name!r}: the towers are {1e3 * radius:g} mm from their centre, farther "
             "than a rod is long; a firmware cannot home such a printer"
         )
     printer = DeltaPrinter(
@@ -230,7 +230,7 @@ def _centre(points: Array) -> Array:
     """
     chords = points[1:] - points[0]
     if abs(np.linalg.det(chords)) <= 1e-6 * float((chords**2).sum()):
-        raise MechanismError("the three towers stand in line; no printer has them so")
+        raise MechanismError("the three towers are in line; no printer has them so")
     half = ((points[1:] ** 2).sum(axis=1) - (points[0] ** 2).sum()) / 2
     return np.asarray(np.linalg.solve(chords, half))
 

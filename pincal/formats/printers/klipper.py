@@ -121,7 +121,7 @@ def _heights(config: _Config) -> tuple[Array, Array, tuple[str, ...]]:
     if count:
         remarks.append(
             f"{count} distance{'s' * (count > 1)} of DELTA_ANALYZE left out: distances between two "
-            "measured poses are not read. They told how long the arms are; say what you know of "
+            "measured poses are not read. They show how long the arms are; say what you know of "
             "them by --prior arm=… or --fix arm"
         )
     if not heights:

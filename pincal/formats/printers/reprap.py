@@ -37,27 +37,27 @@ def read_reprap(path: str | Path) -> DeltaPrinter:
     """
     path = Path(path)
     text = read_text(path, _LARGEST, MechanismError, pipe=True)
-    words: dict[tuple[str, str], list[float]] = {}
+    given: dict[tuple[str, str], list[float]] = {}
     for number, line in enumerate(lines_of(text), start=1):
         command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0])
         if command:
             own = _words(command[1], command[2], f"{path}, line {number}")
-            words |= {(command[1], letter): values for letter, values in own.items()}
-    if missing := [letter for letter in "LRH" if ("665", letter) not in words]:
+            given |= {(command[1], letter): values for letter, values in own.items()}
+    if missing := [letter for letter in "LRH" if ("665", letter) not in given]:
         raise MechanismError(
             f"{path}: no M665 with {', '.join(missing)}; expected a line such as "
             "'M665 L333.0 R174.7 H297.1'"
         )
 
     def value(code: str, letter: str) -> float:
-        return words.get((code, letter), [0.0])[0]
+        return given.get((code, letter), [0.0])[0]
 
     if tilted := [v for letter in "AB" if (v := value("666", letter))]:
         raise MechanismError(
             f"{path}: M666 tilts the bed by {tilted[0]:g} %, which a linear delta has no parameter "
             "for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and measure anew"
         )
-    arms = words["665", "L"]
+    arms = given["665", "L"]
     if len(arms) not in (1, 3):
         raise MechanismError(f"{path}: M665 L has {len(arms)} lengths; expected 1 or 3, by colons")
     a, b, c = (arms * 3)[:3]

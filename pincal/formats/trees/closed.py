@@ -88,7 +88,7 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
         raise MechanismError(f"{tree.source}: {error}") from error
     for leg in made:
         remarks += [
-            f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, beyond its limits"
+            f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
             for joint in leg.moving
             if joint.limited and not joint.lower <= joint.home <= joint.upper
         ]

@@ -118,5 +118,10 @@ def _faces(shape: Shape, T: Array, V: Array, thin: float) -> list[_Piece]:
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points in a plane, shape (n, 2), in order."""
-    return points[ConvexHull(points).vertices]
+    """Return the corners of the convex hull of points in a plane, shape (n, 2), in order.
+
+    From the lowest on, so that rounding errors do not choose where the outline begins.
+    """
+    corners = points[ConvexHull(points).vertices]
+    first = int(np.lexsort(corners.round(9).T)[0])
+    return np.roll(corners, -first, axis=0)
