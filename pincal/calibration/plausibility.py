@@ -8,6 +8,7 @@ and those that then fit much better are named. If none does, nothing is identifi
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,8 +117,9 @@ def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
         return turned
     for leg, one in judged:
         if one.near > max(_FOLLOWS * one.stroke, _STILL):
-            said = {"left": one.near, "stroke": one.stroke}
-            return (finding("readings-do-not-follow", leg=leg.name, **said),)
+            return (
+                finding("readings-do-not-follow", leg=leg.name, left=one.near, stroke=one.stroke),
+            )
     return ()
 
 
@@ -179,8 +181,7 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
         return ()
     rows = sample.rows[given.rows]
     worst = int(rows[np.argmax(times)])
-    values = {"worst": worst, "times": float(times.max())}
-    return (finding("bad-rows", rows[far], **values),)
+    return (finding("bad-rows", rows[far], worst=worst, times=float(times.max())),)
 
 
 def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
@@ -207,8 +208,8 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
         copies.append((other, row))
     if copies:
         rows = tuple(sorted({row for pair in copies for row in pair}))
-        values = {"first": copies[0], "pairs": len(copies)}
-        raise MeasurementError(sentence(finding("rows-copied", rows, **values)))
+        found = finding("rows-copied", rows, first=copies[0], pairs=len(copies))
+        raise MeasurementError(sentence(found))
 
 
 def check_noise(mechanism: Mechanism, noise: Noise) -> None:
@@ -224,5 +225,11 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
         ("orientation", noise.orientation, "rad", QUESTIONED if turns else np.inf),
     ):
         if given > most:
-            values = {"what": what, "given": given, "unit": unit, "most": most, "size": size}
+            values: dict[str, Any] = {
+                "what": what,
+                "given": given,
+                "unit": unit,
+                "most": most,
+                "size": size,
+            }
             raise MeasurementError(sentence(finding("noise-too-large", **values)))

@@ -294,9 +294,9 @@ def _sensors_differ(
     if a.homed != b.homed:
         return "zero of the sensor", None
     zeros = [0.0 if isinstance(one.zero, str) else one.zero for one in (a, b)]
-    for what, (first, second) in (("offset", offsets), ("zero", zeros)):
+    for what, (own, other) in (("offset", offsets), ("zero", zeros)):
         turning = leg.reading_units[index] == "rad"
-        shift = abs(wrapped(first - second) if turning else first - second)
+        shift = abs(wrapped(own - other) if turning else own - other)
         if shift > tolerance:
             return f"{what} of the sensor", shift
     return None
