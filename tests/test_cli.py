@@ -391,7 +391,9 @@ BAD = {
         f"{CALIBRATE} {' '.join(NOISE)}", ["leg_1", "6", "8"], measured(only([0, 1, 2, 3, 4, 5]))
     ),
     "rows-too-few-without-noise": Case(
-        CALIBRATE, ["leg_1", "8", "9", "noise"], measured(only([0, 1, 2, 3, 4, 5, 6, 7]))
+        f"{CALIBRATE} --per-leg",
+        ["leg_1", "8", "9", "noise"],
+        measured(only([0, 1, 2, 3, 4, 5, 6, 7])),
     ),
     "readings-in-degrees": Case(
         CALIBRATE, ["leg_1", "degrees", "radian", "header"], measured(in_degrees)

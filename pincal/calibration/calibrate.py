@@ -20,7 +20,7 @@ from pincal.calibration.plausibility import (
     said,
 )
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import MeasurementError, ObservabilityError, PincalError
 from pincal.estimation.external import External
 from pincal.files.given import as_measurements, as_mechanism
 from pincal.model.finding import Finding
@@ -77,7 +77,10 @@ def identify(calibration: Calibration) -> CalibrationResult:
     try:
         found = fitted(calibration)
     except PincalError as error:
-        if causes := _causes(calibration, None):
+        causes = _causes(calibration, None)
+        if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
+            causes = tuple(one for one in causes if one.severity == "error")
+        if causes:
             raise MeasurementError(said(causes)) from error
         raise
     result = assemble(found, fitted(calibration, tied=False) if options.tied else None)

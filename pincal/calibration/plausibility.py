@@ -117,8 +117,9 @@ def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
         return turned
     for leg, one in judged:
         if one.near > max(_FOLLOWS * one.stroke, _STILL):
-            said: dict[str, Any] = {"left": one.near, "stroke": one.stroke}
-            return (finding("readings-do-not-follow", leg=leg.name, **said),)
+            return (
+                finding("readings-do-not-follow", leg=leg.name, left=one.near, stroke=one.stroke),
+            )
     return ()
 
 
@@ -184,8 +185,7 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
         return ()
     rows = sample.rows[given.rows]
     worst = int(rows[np.argmax(times)])
-    values: dict[str, Any] = {"worst": worst, "times": float(times.max())}
-    return (finding("bad-rows", rows[far], **values),)
+    return (finding("bad-rows", rows[far], worst=worst, times=float(times.max())),)
 
 
 def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
@@ -212,8 +212,8 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
         copies.append((other, row))
     if copies:
         rows = tuple(sorted({row for pair in copies for row in pair}))
-        values: dict[str, Any] = {"first": copies[0], "pairs": len(copies)}
-        raise MeasurementError(sentence(finding("rows-copied", rows, **values)))
+        found = finding("rows-copied", rows, first=copies[0], pairs=len(copies))
+        raise MeasurementError(sentence(found))
 
 
 def check_noise(mechanism: Mechanism, noise: Noise) -> None:

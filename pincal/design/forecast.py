@@ -26,6 +26,7 @@ from pincal.estimation.observability import (
     scaled_axes,
 )
 from pincal.estimation.weak import WeakPair, weak_pairs
+from pincal.files.given import as_noise, as_setup
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at, nearby
@@ -178,8 +179,8 @@ def forecast(
         MechanismError: poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
-    noise, setup, platform = noise or Noise(), setup or Setup(), mechanism.platform
-    if method not in get_args(Method):
+    noise, setup, platform = as_noise(noise), as_setup(setup), mechanism.platform
+    if not isinstance(method, str) or method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
     legs = legs_at(mechanism, poses)
     if not len(legs.poses):

@@ -8,7 +8,7 @@ noise of pose and readings does to it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from pincal.estimation.observation import Observation, Rows
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
 from pincal.kinematics.configurations import Legs
 from pincal.kinematics.derivatives import Demand
+from pincal.model.checks import described
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
@@ -128,6 +129,10 @@ def _planned(
     platform, count = mechanism.platform, len(matrices)
     columns = dict.fromkeys(setup.columns(mechanism), np.zeros(count))
     offered = (*platform.freedoms, *columns)
+    if measured is not None and not isinstance(measured, Iterable):
+        raise MeasurementError(
+            f"measured: expected names of {', '.join(offered)}; got {described(measured)}"
+        )
     kept = offered if measured is None else tuple(measured)
     if unknown := [name for name in kept if name not in offered]:
         raise MeasurementError(

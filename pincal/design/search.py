@@ -13,11 +13,13 @@ from pincal.design.certificate import continuous_design
 from pincal.design.distinct import SAME, distinct, places_of
 from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener, parameter_ids
-from pincal.errors import ObservabilityError
+from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability import identifiability
+from pincal.files.given import as_noise
 from pincal.kinematics.configurations import block_diagonal
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.inverse import reached
+from pincal.model.checks import count_of, generator_of
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import Element
@@ -38,6 +40,11 @@ class SelectionOptions:
     """Starts of the exchange; the best is kept."""
     progress: Callable[[str], None] | None = None
     """Called with what is being done."""
+
+    def __post_init__(self) -> None:
+        as_noise(self.noise)
+        count_of(self.starts, "starts", MeasurementError)
+        generator_of(self.seed, MeasurementError)
 
     def say(self, text: str) -> None:
         """Pass on what is being done."""
@@ -71,7 +78,7 @@ class Search:
     def rows(self, leg: str, poses: Array) -> Array:
         """Return the whitened rows of a leg at poses, shape (N, k, n)."""
         demand = leg_demand(self.mechanism, leg, poses)
-        whitener = leg_whitener(demand, self.mechanism, self.options.noise or Noise())
+        whitener = leg_whitener(demand, self.mechanism, as_noise(self.options.noise))
         return whitener(demand.parameter)
 
     def own(self, leg: str, count: int) -> tuple[Index, float]:

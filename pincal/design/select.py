@@ -10,15 +10,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.search import Search, SelectionOptions
+from pincal.errors import MeasurementError
 from pincal.estimation.observability import Indices, identifiability, indices, r_diagonal
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.derivatives import leg_demand
+from pincal.model.checks import count_of, described
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
@@ -115,6 +117,10 @@ def select_poses(
         MeasurementError: a residual without noise.
     """
     mechanism = as_mechanism(mechanism)
+    count_of(count, "count", MeasurementError)
+    if not isinstance(protocol, str) or protocol not in get_args(Protocol):
+        known = ", ".join(get_args(Protocol))
+        raise MeasurementError(f"no protocol {described(protocol)}; expected one of {known}")
     search = Search(mechanism, candidates, SelectionOptions(**options))
     names = mechanism.leg_names
     if protocol == "independent":

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from pincal.design.distinct import distinct
 from pincal.design.information import information_rows
 from pincal.design.search import SelectionOptions, d_optimal
-from pincal.errors import ObservabilityError
+from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability import Identifiability, identifiability, scaled_axes
+from pincal.files.given import as_noise, as_setup
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
-from pincal.model.measurements import Noise, Plan
+from pincal.model.checks import count_of
+from pincal.model.measurements import Plan
 from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
@@ -75,6 +77,7 @@ def select_configurations(
             candidate in reach.
     """
     mechanism = as_mechanism(mechanism)
+    count_of(count, "count", MeasurementError)
     how = SelectionOptions(**options)
     plan = as_plan(mechanism, candidates)
     own = distinct(mechanism.platform, plan.poses, plan.readings)
@@ -84,7 +87,7 @@ def select_configurations(
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
     rows, names, kept = information_rows(
-        mechanism, legs, how.noise or Noise(), measured, setup or Setup()
+        mechanism, legs, as_noise(how.noise), measured, as_setup(setup)
     )
     flat = rows.reshape(-1, rows.shape[2])
     found = identifiability(flat, names)

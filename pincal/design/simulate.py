@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
+from pincal.files.given import as_noise, as_plan
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import command
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import inverse
+from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -41,9 +43,10 @@ def disturb(
         MeasurementError: a negative or infinite sigma.
     """
     mechanism = as_mechanism(mechanism)
+    sigma = number_of(sigma, "sigma", MeasurementError)
     if not (np.isfinite(sigma) and sigma >= 0.0):
         raise MeasurementError(f"the disturbance is {sigma}; expected 0 or more")
-    rng = np.random.default_rng(seed)
+    rng = generator_of(seed, MeasurementError)
     return mechanism.with_parameters(
         {
             leg.name: leg.nominal + sigma * rng.standard_normal(len(leg.parameters))
@@ -96,8 +99,8 @@ def simulate(
     """
     mechanism = as_mechanism(mechanism)
     truth = as_mechanism(truth)
-    noise = noise or Noise()
-    rng = np.random.default_rng(seed)
+    plan, noise = as_plan(plan, mechanism), as_noise(noise)
+    rng = generator_of(seed, MeasurementError)
     count, platform = len(plan.poses), mechanism.platform
     poses, readings, reasons = (_taken if mechanism.redundant else _driven)(mechanism, truth, plan)
     rows = np.flatnonzero([not reason for reason in reasons])

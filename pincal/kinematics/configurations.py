@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.batches import least_squares
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import InverseSolution, inverse, sensor_law
 from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
@@ -55,7 +56,7 @@ class Legs:
 def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
     """Return a plan, with readings only where they do not follow from poses; or of poses."""
     if not isinstance(planned, Plan):
-        return Plan(np.asarray(planned, dtype=np.float64))
+        return Plan(numbers_of(planned, "poses", MechanismError))
     return Plan(planned.poses, planned.sets, planned.readings if mechanism.by_readings else None)
 
 

@@ -24,6 +24,7 @@ from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import in_home_mode, start_joints
+from pincal.model.checks import numbers_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -81,7 +82,7 @@ def forward(
             home pose out of its leg's reach.
     """
     mechanism = as_mechanism(mechanism)
-    readings = np.asarray(readings, dtype=np.float64)
+    readings = numbers_of(readings, "readings", MechanismError)
     width = len(mechanism.reading_names)
     if readings.ndim != 2 or readings.shape[1] != width:
         raise MechanismError(

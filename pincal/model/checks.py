@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -84,6 +84,43 @@ def number_of(value: Any, what: str, error_type: type[PincalError]) -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise error_type(f"{what}: expected a number; got {described(value)}")
     return float(value)
+
+
+def numbers_of(values: Any, what: str, error_type: type[PincalError]) -> Array:
+    """Return values as an array of float64, of whatever shape.
+
+    Raises:
+        PincalError: of the given type: they are no numbers.
+    """
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as fault:
+        raise error_type(f"{what}: expected numbers; got {described(values)}") from fault
+
+
+def count_of(value: Any, what: str, error_type: type[PincalError]) -> int:
+    """Return a whole number.
+
+    Raises:
+        PincalError: of the given type: it is something else.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise error_type(f"{what}: expected a whole number; got {described(value)}")
+    return int(value)
+
+
+def generator_of(seed: Any, error_type: type[PincalError]) -> np.random.Generator:
+    """Return the generator of random numbers of a seed, or as it is given.
+
+    Raises:
+        PincalError: of the given type: no seed.
+    """
+    try:
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError) as fault:
+        raise error_type(
+            f"seed: expected a whole number of 0 or more, or a generator; got {described(seed)}"
+        ) from fault
 
 
 def must_be(

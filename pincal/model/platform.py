@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
-from pincal.model.checks import array_of, must_be
+from pincal.model.checks import array_of, must_be, numbers_of
 from pincal.model.overview import one_line, triple
 from pincal.model.platform_kind import KINDS, PlatformKind
 
@@ -140,7 +140,7 @@ class Platform:
         """
         if isinstance(poses, RigidTransform):
             return poses
-        coordinates = np.asarray(poses, dtype=np.float64)
+        coordinates = numbers_of(poses, "poses", MechanismError)
         if coordinates.ndim != 2 or coordinates.shape[1] != self.dof:
             raise MechanismError(
                 f"poses of a {self.kind!r} platform have shape (N, {self.dof}) for "
@@ -156,7 +156,7 @@ class Platform:
     def coordinates_of(self, poses: Poses) -> Array:
         """Return the coordinates of poses, shape (N, dof), [m] and [rad], angles in (-pi, pi]."""
         if not isinstance(poses, RigidTransform):
-            return np.asarray(poses, dtype=np.float64)
+            return numbers_of(poses, "poses", MechanismError)
         return self.from_matrices(poses.as_matrix())
 
     def from_matrices(self, matrices: Array) -> Array:

@@ -20,6 +20,7 @@ from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.reach import reach_of
 from pincal.kinematics.starts import home_mode
+from pincal.model.checks import number_of
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform, Poses
@@ -116,7 +117,6 @@ class SymmetryGroup:
         return "\n".join(lines + [f"  broken: {b}" for b in self.breaks])
 
 
-@lru_cache(maxsize=64)
 def symmetry_group(mechanism: GivenMechanism, tolerance: float = 1e-6) -> SymmetryGroup:
     """Return the symmetry group of a mechanism's nominal geometry, limits, modes and sensors.
 
@@ -124,7 +124,12 @@ def symmetry_group(mechanism: GivenMechanism, tolerance: float = 1e-6) -> Symmet
         mechanism: The mechanism.
         tolerance: Largest deviation, relative to the leg's size for lengths, [rad] for angles.
     """
-    mechanism = as_mechanism(mechanism)
+    return _group(as_mechanism(mechanism), number_of(tolerance, "tolerance", SymmetryError))
+
+
+@lru_cache(maxsize=64)
+def _group(mechanism: Mechanism, tolerance: float) -> SymmetryGroup:
+    """Return the symmetry group of a mechanism, found once."""
     legs = [canonical(leg) for leg in mechanism.legs]
     elements, permutations, breaks = [], [], []
     for element in _candidates(mechanism, legs):
@@ -287,9 +292,9 @@ def _sensors_differ(
     if a.homed != b.homed:
         return "zero of the sensor", None
     zeros = [0.0 if isinstance(one.zero, str) else one.zero for one in (a, b)]
-    for what, (first, second) in (("offset", offsets), ("zero", zeros)):
+    for what, (own, other) in (("offset", offsets), ("zero", zeros)):
         turning = leg.reading_units[index] == "rad"
-        shift = abs(wrapped(first - second) if turning else first - second)
+        shift = abs(wrapped(own - other) if turning else own - other)
         if shift > tolerance:
             return f"{what} of the sensor", shift
     return None

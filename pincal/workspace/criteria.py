@@ -19,6 +19,7 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.inverse import CHUNK, close, matrix_chunks
 from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import drive_margins, home_determinant, platform_margin
+from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -62,7 +63,7 @@ class Criteria:
 
     def __init__(self, mechanism: Mechanism, least: Margins | None = None) -> None:
         self.mechanism = mechanism
-        self.least = least or Margins()
+        self.least = as_margins(least)
         self._type2 = self.least.least_type2(mechanism)
         if self._type2 > -np.inf and abs(home_determinant(mechanism)) < _SINGULAR:
             raise WorkspaceError(
@@ -106,6 +107,15 @@ class Criteria:
         return inside
 
 
+def as_margins(given: Margins | None) -> Margins:
+    """Return margins that are given; without them, the default.
+
+    Raises:
+        WorkspaceError: something else.
+    """
+    return must_be(given or Margins(), Margins, "margins", WorkspaceError)
+
+
 @lru_cache(maxsize=16)
 def criteria_of(mechanism: Mechanism, least: Margins) -> Criteria:
     """Return the criteria of a mechanism, made once."""
@@ -134,7 +144,7 @@ def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None 
     """
     mechanism = as_mechanism(mechanism)
     transforms = mechanism.platform.transforms(poses)
-    criteria = criteria_of(mechanism, least or Margins())
+    criteria = criteria_of(mechanism, as_margins(least))
     inside = np.empty(len(transforms), dtype=bool)
     for rows, matrices in matrix_chunks(transforms):
         inside[rows] = criteria(matrices)

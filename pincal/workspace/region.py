@@ -19,11 +19,12 @@ from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import write_table
 from pincal.kinematics.singularity import margins
+from pincal.model.checks import described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import SAME, Element
 from pincal.workspace.chunks import run
-from pincal.workspace.criteria import Margins, refuse_readings
+from pincal.workspace.criteria import Margins, as_margins, refuse_readings
 from pincal.workspace.neighbours import at_edge, edges, part_around
 from pincal.workspace.orientations import Orientations
 from pincal.workspace.position_test import PositionTest
@@ -234,12 +235,14 @@ def compute_workspace(
     """
     mechanism = as_mechanism(mechanism)
     asked = _asked(mechanism, kind, orientations)
+    if not hasattr(positions, "at"):
+        raise WorkspaceError(f"positions: expected a Grid or Samples; got {described(positions)}")
     _check_positions(mechanism, positions)
     if connected and not isinstance(positions, Grid):
         raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
     refuse_readings(mechanism)
     every = kind != "reachable"
-    least = least or Margins()
+    least = as_margins(least)
     group = symmetry_group(mechanism, SAME).elements
     elements: tuple[Element, ...] = (Element(0.0),)
     if symmetry:

@@ -18,6 +18,7 @@ from pincal.kinematics.closure import joint_range, nominal_legs
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.singularity import margins
+from pincal.model.checks import count_of, generator_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.workspace.axes import MOST
@@ -59,7 +60,7 @@ def sample_configurations(
     if not mechanism.by_readings:
         return Plan(sample_workspace(mechanism, count, seed, least, progress))
     _check_count(count)
-    rng = np.random.default_rng(seed)
+    rng = generator_of(seed, WorkspaceError)
     low, high = _reading_limits(mechanism)
     arm = all(not leg.passive for leg in mechanism.legs)
     poses, readings, total = [], [], 0
@@ -115,7 +116,7 @@ def sample_workspace(
     if mechanism.by_readings:
         return sample_configurations(mechanism, count, seed, least).poses
     _check_count(count)
-    rng = np.random.default_rng(seed)
+    rng = generator_of(seed, WorkspaceError)
     low, high, connected = _explore(mechanism, rng, least)
     found = [np.empty((0, mechanism.platform.dof))]
     total = 0
@@ -140,7 +141,7 @@ def _check_count(count: int) -> None:
     Raises:
         WorkspaceError: none, or too many.
     """
-    if not 1 <= count <= MOST:
+    if not 1 <= count_of(count, "count", WorkspaceError) <= MOST:
         raise WorkspaceError(
             f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
         )

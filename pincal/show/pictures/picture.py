@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
@@ -98,5 +98,5 @@ def picture(
         raise MeasurementError(
             f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"
         )
-    cloud = None if workspace is None else np.asarray(workspace, np.float64)
+    cloud = None if workspace is None else numbers_of(workspace, "workspace", MeasurementError)
     return Picture(scene(mechanism, plan, cloud, identified, magnify), row)

@@ -12,6 +12,7 @@ from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.forward import forward
+from pincal.model.checks import numbers_of
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.view.bodies import Body, body
@@ -137,14 +138,16 @@ def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> P
     """
     if isinstance(poses, Plan):
         return poses
-    given = poses if isinstance(poses, RigidTransform) else np.asarray(poses, np.float64)
+    given = (
+        poses if isinstance(poses, RigidTransform) else numbers_of(poses, "poses", MeasurementError)
+    )
     return Plan(mechanism.platform.coordinates_of(given))
 
 
 def _cloud(mechanism: Mechanism, workspace: Array) -> Cloud:
     """Return the positions of a workspace, and which are of a fundamental domain."""
     lengths = mechanism.platform.units.count("m")
-    given = np.asarray(workspace, dtype=np.float64)
+    given = numbers_of(workspace, "workspace", MeasurementError)
     if given.ndim != 2 or given.shape[1] < lengths or not np.isfinite(given).all():
         raise MeasurementError(
             f"a workspace has shape (M, {lengths}) or more, finite positions first; got "

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import WorkspaceError
+from pincal.errors import MeasurementError, WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.output import writing
 from pincal.kinematics.configurations import home_of
+from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
@@ -103,7 +104,7 @@ def view(
     mechanism = as_mechanism(mechanism)
     identified = None if identified is None else as_mechanism(identified)
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
-    cloud = None if workspace is None else np.asarray(workspace, np.float64)
+    cloud = None if workspace is None else numbers_of(workspace, "workspace", MeasurementError)
     return View(scene(mechanism, plan, cloud, identified, magnify), source)
 
 

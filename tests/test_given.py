@@ -1,0 +1,95 @@
+"""The public door: a mechanism, its name or its folder; what is something else is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pincal
+
+FIVE = pincal.load_mechanism("5R")
+POSES = pincal.sample_workspace(FIVE, 12)
+PLAN = pincal.Plan(POSES)
+
+#: What takes a mechanism, called with one.
+TAKE: dict[str, Callable[[Any], object]] = {
+    "accuracy": lambda m: pincal.accuracy(m, m, POSES),
+    "articular_space": lambda m: pincal.articular_space(m, POSES),
+    "default_grid": lambda m: pincal.default_grid(m).size,
+    "disturb": lambda m: pincal.disturb(m, 1e-3),
+    "forecast": lambda m: pincal.forecast(m, POSES).std,
+    "forward": lambda m: pincal.forward(m, pincal.inverse(m, POSES).readings).poses,
+    "identification_jacobian": lambda m: pincal.identification_jacobian(m, "leg_1", POSES),
+    "in_workspace": lambda m: pincal.in_workspace(m, POSES),
+    "inverse": lambda m: pincal.inverse(m, POSES).readings,
+    "margins": lambda m: pincal.margins(m, POSES).type1,
+    "picture": lambda m: pincal.picture(m).scene.mechanism,
+    "sample_configurations": lambda m: pincal.sample_configurations(m, 3).poses,
+    "sample_workspace": lambda m: pincal.sample_workspace(m, 3),
+    "select_configurations": lambda m: pincal.select_configurations(m, POSES, 8).plan.poses,
+    "select_poses": lambda m: pincal.select_poses(m, POSES, 8, "common").plan.poses,
+    "simulate": lambda m: pincal.simulate(m, m, PLAN).measurements.poses,
+    "symmetry_group": lambda m: pincal.symmetry_group(m).name,
+    "view": lambda m: pincal.view(m, POSES).scene.mechanism,
+}
+
+#: What else is refused where it is of another type.
+REFUSE: dict[str, Callable[[Any], object]] = {
+    "candidates": lambda bad: pincal.select_poses(FIVE, bad, 3),
+    "count": lambda bad: pincal.select_poses(FIVE, POSES, bad),
+    "count of poses": lambda bad: pincal.sample_workspace(FIVE, bad),
+    "forecast's measured": lambda bad: pincal.forecast(FIVE, POSES, None, bad),
+    "forecast's method": lambda bad: pincal.forecast(FIVE, POSES, method=bad),
+    "forecast's noise": lambda bad: pincal.forecast(FIVE, POSES, bad),
+    "forecast's poses": lambda bad: pincal.forecast(FIVE, bad),
+    "forecast's setup": lambda bad: pincal.forecast(FIVE, POSES, setup=bad),
+    "margins": lambda bad: pincal.in_workspace(FIVE, POSES, bad),
+    "picture's poses": lambda bad: pincal.picture(FIVE, bad),
+    "picture's workspace": lambda bad: pincal.picture(FIVE, workspace=bad),
+    "plan": lambda bad: pincal.simulate(FIVE, FIVE, bad),
+    "poses": lambda bad: pincal.inverse(FIVE, bad),
+    "positions": lambda bad: pincal.compute_workspace(FIVE, "reachable", bad),
+    "protocol": lambda bad: pincal.select_poses(FIVE, POSES, 3, bad),
+    "readings": lambda bad: pincal.forward(FIVE, bad),
+    "seed": lambda bad: pincal.sample_workspace(FIVE, 3, bad),
+    "seed of a choice": lambda bad: pincal.select_poses(FIVE, POSES, 3, "common", seed=bad),
+    "sigma": lambda bad: pincal.disturb(FIVE, bad),
+    "tolerance": lambda bad: pincal.symmetry_group(FIVE, bad),
+    "truth": lambda bad: pincal.simulate(FIVE, bad, PLAN),
+    "view's poses": lambda bad: pincal.view(FIVE, bad),
+}
+WRONG = ["nonsense", {"a": 1}, object()]
+
+
+@pytest.mark.parametrize("name", TAKE)
+def test_a_mechanism_its_name_or_its_folder(name: str) -> None:
+    """All three give the same."""
+    call = TAKE[name]
+    expected = call(FIVE)
+    for given in ("5R", pincal.bundled()["5R"], str(pincal.bundled()["5R"])):
+        found = call(given)
+        if isinstance(expected, np.ndarray):
+            np.testing.assert_array_equal(found, expected)
+        else:
+            assert found == expected
+
+
+@pytest.mark.parametrize(
+    "wrong", [*WRONG, None, 3.0], ids=["text", "mapping", "object", "none", "number"]
+)
+@pytest.mark.parametrize("name", TAKE)
+def test_what_is_no_mechanism_is_refused(name: str, wrong: object) -> None:
+    """Whatever is given instead of a mechanism, the error is one of pincal's."""
+    with pytest.raises(pincal.PincalError):
+        TAKE[name](wrong)
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=["text", "mapping", "object"])
+@pytest.mark.parametrize("name", REFUSE)
+def test_another_type_is_refused(name: str, wrong: object) -> None:
+    """What is of a wrong type is refused by pincal, not by what it calls."""
+    with pytest.raises(pincal.PincalError):
+        REFUSE[name](wrong)
