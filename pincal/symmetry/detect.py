@@ -277,9 +277,9 @@ def _sensors_differ(
     a, b = carried.sensors[index], leg.sensors[index]
     if [one.basis for one in a.terms] != [one.basis for one in b.terms]:
         return "terms of the sensor", None
-    for one, other in zip(a.terms, b.terms, strict=True):
+    for one, its in zip(a.terms, b.terms, strict=True):
         amplitude = carried.nominal_by_name[one.parameter]
-        apart = abs(amplitude - leg.nominal_by_name[other.parameter])
+        apart = abs(amplitude - leg.nominal_by_name[its.parameter])
         if apart > tolerance:
             return "terms of the sensor", apart
     if (a.form, a.direction) != (b.form, b.direction):
