@@ -18,7 +18,7 @@ from pincal.estimation.fit import Fit
 DRAWS = 12
 NOISES = {
     "positions and orientations": pincal.Noise(2e-5, 5e-5, 0.0),
-    "orientations better": pincal.Noise(3e-4, 1e-4, 0.0),
+    "orientations better": pincal.Noise(3e-4, 2e-5, 0.0),
     "readings too": pincal.Noise(2e-5, 2e-5, 3e-4),
 }
 
