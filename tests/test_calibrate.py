@@ -439,7 +439,10 @@ def test_poses_that_differ_by_their_noise_only_are_refused(
     truth = pincal.disturb(mechanism, 1e-3, seed=2)
     data = pincal.simulate(truth, truth, plan, pincal.Noise(shake, shake), 3).measurements
     noise = pincal.Noise(shake, shake) if known else None
-    with pytest.raises(pincal.ObservabilityError, match=r"leg_1\.(OA|ob).* apart by their noise"):
+    with pytest.raises(
+        pincal.ObservabilityError,
+        match=r"leg_1\.(OA|ob).* (apart by their noise|weakly determined)",
+    ):
         pincal.calibrate(mechanism, data, noise=noise)
 
 

@@ -18,7 +18,7 @@ from pincal.estimation.fit import Fit
 DRAWS = 12
 NOISES = {
     "positions and orientations": pincal.Noise(2e-5, 5e-5, 0.0),
-    "orientations better": pincal.Noise(3e-4, 1e-4, 0.0),
+    "orientations better": pincal.Noise(3e-4, 2e-5, 0.0),
     "readings too": pincal.Noise(2e-5, 2e-5, 3e-4),
 }
 
@@ -76,7 +76,7 @@ def test_redundancies_sum_to_the_degrees_of_freedom(case: str) -> None:
     """Σ_h F_gh s_h = tr(M V_g): at the noise given, over all groups, the degrees of freedom."""
     noise = NOISES[case]
     one = fit_at(noise)
-    moments = Moments.of([one], noise.reading or 1e-4)
+    moments = Moments.of([(one, one.problem)], noise.reading or 1e-4)
     present = np.array([True, True, noise.reading > 0.0])
     share = moments.F[np.ix_(present, present)]
     assert share.sum() == pytest.approx(one.degrees_of_freedom, rel=1e-9)
@@ -87,7 +87,7 @@ def test_moments_are_those_of_the_whole_projection() -> None:
     """F and q from M = I − J (JᵀJ)⁻¹ Jᵀ and V_g, built in full."""
     noise = NOISES["readings too"]
     one = fit_at(noise)
-    moments = Moments.of([one], noise.reading)
+    moments = Moments.of([(one, one.problem)], noise.reading)
     white, T = one.last, one.unknowns.map
     J = (white.jacobian @ T).reshape(-1, T.shape[1])
     M = np.eye(len(J)) - J @ np.linalg.pinv(J)
