@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import runpy
+import shlex
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
@@ -13,9 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
 import pincal
+import pincal.cli.main  # registers the commands
 from pincal import errors
+from pincal.cli.app import app
 from pincal.files.tables import UNITS
 from pincal.model.orientation import WAYS
 from pincal.words.sentences import WORDINGS
@@ -120,7 +124,7 @@ def test_every_finding_is_explained() -> None:
 def test_no_internals_on_the_page_of_errors() -> None:
     """Readers come with the commands that call them; what only other code calls is not there."""
     page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
-    assert "| `pincal import`, `pincal export` | `formats.printers.klipper.read_klipper` |" in page
+    assert "| `pincal import` | `formats.printers.klipper.read_klipper` |" in page
     assert "ways_of" not in page
     assert "root_of" not in page
     for table in page.split("|---|---|---|\n")[1:]:
@@ -195,6 +199,25 @@ def test_no_licence_binds_users(dependencies: dict[str, Any]) -> None:
     assert len(licences) > 40
     bound = {name: text for name, text in licences.items() if not text.startswith(FREE)}
     assert not bound
+
+
+@pytest.mark.parametrize(
+    "page", sorted(ROOT.glob("*.md")) + sorted(ROOT.glob("docs/*.md")), ids=lambda one: one.name
+)
+def test_commands_that_pages_show_exist(page: Path) -> None:
+    """Every ``pincal`` line of a block names a command, and options that its help shows."""
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    fenced = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+    blocks = [text for kind, text in fenced.findall(page.read_text(encoding="utf-8")) if not kind]
+    for line in "".join(blocks).replace("\\\n", " ").splitlines():
+        typed = shlex.split(line.removeprefix("$ "), comments=True) if "pincal " in line else []
+        for start in (i + 1 for i, word in enumerate(typed) if word == "pincal"):
+            own = commands[typed[start]]
+            shown = {
+                name for one in own.params if not getattr(one, "hidden", 0) for name in one.opts
+            }
+            options = {word for word in typed[start:] if re.match("--?[a-z]", word)}
+            assert options <= shown, line
 
 
 @pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/glossary.md", "docs/testing.md"])

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import robot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -69,7 +71,7 @@ def test_expected_errors_over_the_workspace(
     place = tuple(np.argwhere(np.isfinite(values.filled(np.nan)))[40])
     x = left + (right - left) * (place[1] + 0.5) / values.shape[1]
     y = low + (high - low) * (place[0] + 0.5) / values.shape[0]
-    expected = pincal.expected_error(result, np.array([[x, y]]))
+    expected = result.expected_error(np.array([[x, y]]))
     assert values[place] == pytest.approx(1e3 * expected.position, rel=1e-6)
 
     def fail(*_: object) -> None:
@@ -90,3 +92,57 @@ def test_axes_that_are_given_are_drawn_into(draw: object, result: pincal.Calibra
     assert draw(replace(result, legs=hidden), axes) is axes  # type: ignore[operator]
     by_name = getattr(result.plot, draw.__name__)  # type: ignore[attr-defined]
     assert by_name(axes) is axes
+
+
+#: Mechanism, noise, and how it is calibrated.
+CASES = {
+    "per-leg": ("5R", NOISE, {"method": "per-leg"}),
+    "all-legs": ("5R", NOISE, {}),
+    "noisy readings": ("5R", pincal.Noise(1e-4, 1e-4, 1e-4), {}),
+    "arm": ("arm", NOISE, {}),
+    "cables": ("4cable", pincal.Noise(0.0, 0.0, 1e-4), {"fixed": ["k"]}),
+}
+ARM = """
+j1 | revolute | 0 0 1 | 0 0 0.1
+j2 | revolute | 0 1 0 | 0 0 0.2
+j3 | revolute | 1 0 0 | 0.4 0 0
+j4 | revolute | 0 1 0 | 0.3 0 0.1
+"""
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_kind_of_result_plots(case: str, tmp_path: Path) -> None:
+    """Legs alone and together, exact and noisy readings, an arm, a machine without poses."""
+    name, noise, options = CASES[case]
+    if name == "arm":
+        (tmp_path / "arm.urdf").write_text(robot(ARM), encoding="utf-8")
+        mechanism = pincal.load_arm(tmp_path / "arm.urdf", "l4")
+        plan = pincal.sample_configurations(mechanism, 40, 0)
+    else:
+        mechanism = pincal.load_mechanism(name)
+        shift = np.random.default_rng(2).uniform(-0.3, 0.3, (60, mechanism.platform.dof))
+        plan = pincal.Plan(mechanism.platform.home + shift)
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
+    if name == "4cable":
+        data = replace(data, poses=np.full_like(data.poses, np.nan))
+    result = pincal.calibrate(mechanism, data, noise=noise, **options)
+    shown = result.plot.residuals()
+    white = np.concatenate([line.get_ydata() for line in shown.lines[:-3]])
+    assert 0.1 < np.sqrt(np.mean(white**2)) < 1.5
+    bars = [bar for one in result.plot.parameters().containers for bar in one]
+    assert len(bars) == sum(p.high > p.low for leg in result.legs for p in leg.parameters)
+    (image,) = result.plot.correlation().images
+    assert np.abs(image.get_array()).max() <= 1.0 + 1e-9
+    if mechanism.by_readings:
+        with pytest.raises(pincal.WorkspaceError, match="no workspace"):
+            result.plot.error_map()
+    else:
+        values = result.plot.error_map().images[0].get_array().compressed()
+        assert ((values > 0.0) & np.isfinite(values)).any()
+    assert "all legs" in str(result) or options == {"method": "per-leg"}
+    result.save(tmp_path / "result")
+    lines = (tmp_path / "result/residuals.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "leg,row,quantity,unit,residual,sigma"
+    residuals = np.array([float(line.split(",")[4]) for line in lines[1:]])
+    assert (np.abs(residuals) > 1e-9).mean() > 0.95

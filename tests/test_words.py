@@ -151,7 +151,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: 8 poses for 8 parameters"),
-    "unused-poses": ({"unused": 24, "total": 36}, (), (), "24 of 36 measured poses serve other legs only. --poses all"),
+    "unused-poses": ({"unused": 24, "total": 36}, (), (), "24 of 36 measured poses serve other legs only. Leave out --per-leg"),
     "weakly-determined": ({"parameter": "leg_1.l", "half": 0.12, "unit": "m", "held": False}, (), ("leg_1.l", "leg_2.l"), "2 parameters are weakly determined, leg_1.l to ± 0.12 m only"),
     "undetermined-held": ({"groups": (("leg_1.l", "leg_1.L"), ("leg_2.k",)), "weak": ("leg_3.l", "leg_3.k")}, (), (), "leg_1.l and leg_1.L move together; leg_2.k has no effect; leg_3.l and leg_3.k are weakly determined"),
     "far-from-nominal": ({"parameter": "leg_1.gamma", "change": 0.123, "unit": "rad", "options": ("unknown-target",)}, (), ("leg_1.gamma",), "leg_1.gamma moved by +0.123 rad, farther than a machine differs from its drawing"),
@@ -232,9 +232,9 @@ def test_hypotheses_that_explain_alike_are_one_sentence() -> None:
     assert text == (
         "leg_1: the measurements miss every mechanism near the nominal one by 5.1 % of a leg's "
         "length (median), but only by 0.01 % if the readings have the other sign, or by 0.02 % if "
-        "the readings of leg_1 are in mm under a metre header and the base stands elsewhere in "
+        "the readings of leg_1 are in mm under a metre header and the base is elsewhere in "
         "their frame. Change their sign, or the sensor's 'direction' in mechanism.yaml; or: "
-        "Correct the units in the headers; or: Say that the base stands elsewhere in that frame "
+        "Correct the units in the headers; or: Say that the base is elsewhere in that frame "
         "(--unknown-frame)"
     )
     assert len(sentences([sign, unit, finding("many-outliers", share=0.2)])) == 2

@@ -144,6 +144,7 @@ def _leg_results(calibration: Calibration, one: Robust, std: dict[str, Array]) -
                 rows=np.repeat(one.rows[own], values.shape[1]),
                 residuals_before=before.value[own].ravel(),
                 residuals=values.ravel(),
+                quantity=after.quantity,
             )
         )
     return results

@@ -22,6 +22,8 @@ class LegResiduals:
     """Their modelled standard deviations, shape (N, k)."""
     unit: str
     """m of closures, that of the readings otherwise."""
+    quantity: str
+    """``"closure"`` or ``"reading"``."""
 
 
 def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
@@ -36,11 +38,11 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     by_reading = demand.reading * problem.sigma_readings[:, None, own]
     if problem.pose_roots is not None:
         noise = np.concatenate((by_reading, demand.pose @ problem.pose_roots), axis=2)
-        unit = "m" if problem.weighted else condition.reading_unit
-        return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), unit)
+        what = ("m", "closure") if problem.weighted else (condition.reading_unit, "reading")
+        return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), *what)
     if problem.sigma_readings[:, own].any() and demand.value.shape[1] == 1:
         sigma = problem.sigma_readings[:, own]
-        return LegResiduals(demand.as_joint().value, sigma, condition.reading_unit)
+        return LegResiduals(demand.as_joint().value, sigma, condition.reading_unit, "reading")
     n_legs = problem.leg_rows[-1].stop
     h, B = linear.stack.value[:, n_legs:], linear.stack.pose[:, n_legs:]
     whole = problem.observation.measured.sum(axis=1) >= problem.platform.dof
@@ -48,4 +50,4 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     moved = demand.pose @ back  # from what was measured to the estimated pose
     noise = np.concatenate((by_reading, moved * problem.sigma_observed[:, None]), axis=2)
     value = demand.value - (moved @ h[:, :, None])[:, :, 0]
-    return LegResiduals(value, np.linalg.norm(noise, axis=2), "m")
+    return LegResiduals(value, np.linalg.norm(noise, axis=2), "m", "closure")

@@ -7,6 +7,8 @@ each in its own way: that so many of them move as one body would be chance.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_law
@@ -61,7 +63,7 @@ def misaligned(
         if chance > _CHANCE or share < _MUCH:
             continue
         turns = len(amounts) > space
-        values = {
+        values: dict[str, Any] = {
             "frame": frame,
             "remedy": frame if "rad" in platform.units else "base",
             "share": float(share),

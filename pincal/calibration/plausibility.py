@@ -8,6 +8,7 @@ and those that then fit much better are named. If none does, nothing is identifi
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +117,7 @@ def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
         return turned
     for leg, one in judged:
         if one.near > max(_FOLLOWS * one.stroke, _STILL):
-            said = {"left": one.near, "stroke": one.stroke}
+            said: dict[str, Any] = {"left": one.near, "stroke": one.stroke}
             return (finding("readings-do-not-follow", leg=leg.name, **said),)
     return ()
 
@@ -155,7 +156,11 @@ def _turns(sample: Sample) -> tuple[Finding, ...]:
         off = np.flatnonzero(np.nan_to_num(np.round((given - expected) / turn)))
         if len(off) and np.isfinite(given - expected).sum() > 1:
             one = off[0]
-            values = {"leg": leg.name, "reading": given[one], "nominal": expected[one]}
+            values: dict[str, Any] = {
+                "leg": leg.name,
+                "reading": given[one],
+                "nominal": expected[one],
+            }
             where = tuple(sample.rows[rows[off]].tolist())
             return (finding("whole-turns", where, **values),)
     return ()
@@ -179,7 +184,7 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
         return ()
     rows = sample.rows[given.rows]
     worst = int(rows[np.argmax(times)])
-    values = {"worst": worst, "times": float(times.max())}
+    values: dict[str, Any] = {"worst": worst, "times": float(times.max())}
     return (finding("bad-rows", rows[far], **values),)
 
 
@@ -207,7 +212,7 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
         copies.append((other, row))
     if copies:
         rows = tuple(sorted({row for pair in copies for row in pair}))
-        values = {"first": copies[0], "pairs": len(copies)}
+        values: dict[str, Any] = {"first": copies[0], "pairs": len(copies)}
         raise MeasurementError(sentence(finding("rows-copied", rows, **values)))
 
 
@@ -224,5 +229,11 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
         ("orientation", noise.orientation, "rad", QUESTIONED if turns else np.inf),
     ):
         if given > most:
-            values = {"what": what, "given": given, "unit": unit, "most": most, "size": size}
+            values: dict[str, Any] = {
+                "what": what,
+                "given": given,
+                "unit": unit,
+                "most": most,
+                "size": size,
+            }
             raise MeasurementError(sentence(finding("noise-too-large", **values)))

@@ -216,7 +216,7 @@ def as_findings(
     """Return hypotheses that explain measurements as findings."""
     names = mechanism.leg_names
     asked = given.questioned or list(range(len(names)))
-    common = {
+    common: dict[str, Any] = {
         "other_side": given.elsewhere,
         "questioned": tuple(names[i] for i in asked),
         "given": float(given.misfits[asked].max()) if given.fits else None,

@@ -21,6 +21,7 @@ from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter, Parameters
+from pincal.words.numbers import SMALL, Measured, shown_in
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
@@ -32,7 +33,14 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 _PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
+_MISSED = 0.01  # standard deviations, below which a leg misses nothing
 _FELL = 0.5  # of the residuals: less must be left of them if anything was corrected
+
+
+def _whitened(parts: list[tuple[Array, Array, Array]]) -> tuple[Array, Array]:
+    before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
+    noisy = sigma > 0.0
+    return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]
 
 
 class Page(Protocol):
@@ -62,8 +70,13 @@ class IdentifiedParameter(Parameter):
         """Identified less nominal value."""
         return self.identified - self.nominal
 
+    @property
+    def text(self) -> str:
+        """Identified value ± half its 95 % interval, in the unit in which people read it."""
+        return Measured(self.identified, (self.high - self.low) / 2, self.unit).text()
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class LegResult:
     """Calibration of one leg."""
 
@@ -88,6 +101,27 @@ class LegResult:
     """Residuals with nominal parameters, shape (n_residuals,)."""
     residuals: Array
     """Residuals with identified parameters, shape (n_residuals,)."""
+    quantity: str = "closure"
+    """What residuals are of: ``"closure"``, or ``"reading"``."""
+
+    def __repr__(self) -> str:
+        return (
+            f"LegResult({self.name!r}, {len(self.parameters)} parameters, rank {self.rank}, "
+            f"{self.quantity} residuals {self._fell})"
+        )
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.name}: {self.quantity} residuals {self._fell} (root mean square), "
+            f"{self.n_residuals} from {self.n_poses} poses",
+            f"rank {self.rank} of {len(self.parameters)}, condition {self.condition:.3g}",
+        ]
+        return "\n".join([*lines, *(f"  {p.id}  {p.text}" for p in self.parameters)])
+
+    @property
+    def _fell(self) -> str:
+        before, after = (shown_in(one, self.unit) for one in (self.rms_before, self.rms_after))
+        return f"{before:.3g} → {after:.3g} {SMALL[self.unit]}"
 
     @property
     def n_poses(self) -> int:
@@ -277,15 +311,23 @@ class CalibrationResult:
         return self.excess <= _PROMISED
 
     @property
+    def whitened(self) -> tuple[Array, Array]:
+        """Residuals in standard deviations, before and after, of all that carries noise.
+
+        Of the legs and of the platform: where the search started, poses made from readings leave
+        all to the platform.
+        """
+        parts = [(leg.residuals_before, leg.residuals, leg.sigma) for leg in self.legs]
+        parts += [(one.residuals_before, one.residuals, one.sigmas) for one in self.observed]
+        return _whitened(parts)
+
+    @property
     def corrects(self) -> bool:
         """Whether residuals fell by half at least, in standard deviations, or are noise."""
-        parts = [(leg.residuals_before, leg.residuals, leg.sigma) for leg in self.legs]
-        if not any((sigma > 0.0).any() for *_, sigma in parts):
-            parts = [(one.residuals_before, one.residuals, one.sigmas) for one in self.observed]
-        before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
-        noisy = sigma > 0.0
-        squares = [((values[noisy] / sigma[noisy]) ** 2).sum() for values in (before, after)]
-        return self.excess == 1.0 or bool(squares[1] <= _FELL**2 * squares[0])
+        legs = _whitened([(one.residuals_before, one.residuals, one.sigma) for one in self.legs])
+        shown = legs if np.abs(legs[0]).max(initial=0.0) > _MISSED else self.whitened
+        before, after = ((one**2).sum() for one in shown)
+        return self.excess == 1.0 or bool(after <= _FELL**2 * before)
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""
@@ -368,24 +410,10 @@ class CalibrationResult:
         )
 
     def __str__(self) -> str:
-        """Return a page: the fit, all parameters with their 95 % intervals, warnings."""
-        lines = [
-            f"{self.nominal.name}: {self.method}, {self.message}",
-            f"reduced χ² {self.reduced_chi2:.3g} on {self.degrees_of_freedom} degrees of freedom",
-            "",
-            f"{'parameter':16s} {'nominal':>12s} {'identified':>14s} {'± 95 %':>10s}",
-        ]
-        every: tuple[Any, ...] = self.parameters
-        for p in every:
-            half = p.given if p.given == "fixed" else f"{(p.high - p.low) / 2:.2g}"
-            lines.append(f"{p.id:16s} {p.nominal:12.6f} {p.identified:14.7f} {half:>10s} {p.unit}")
-        lines.append("")
-        lines += [
-            f"{leg.name}: rms residual {leg.rms_before:.3g} to {leg.rms_after:.3g} {leg.unit}, "
-            f"{leg.n_residuals} residuals, rank {leg.rank}, condition {leg.condition:.3g}"
-            for leg in self.legs
-        ]
-        return "\n".join(lines + [f"warning: {text}" for text in self.warnings])
+        """Return a page: how it was made, its tables, what it means, warnings."""
+        from pincal.show.notebook import result_text
+
+        return result_text(self)
 
     def save(self, folder: str | Path, *, force: bool = False, report: Page | None = None) -> Path:
         """Write the result to a folder: ``load_result`` gives it back.

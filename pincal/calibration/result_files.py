@@ -50,17 +50,7 @@ def save_result(
         result.nominal.save(scratch / NOMINAL)
         if result.converged:
             result.identified.save(scratch / MECHANISM)
-        units = {leg.unit for leg in result.legs}
-        unit = units.pop() if len(units) == 1 else "m or rad"
-        write_table(
-            scratch / "residuals.csv",
-            {
-                "leg": [leg.name for leg in result.legs for _ in leg.rows],
-                "row": [str(row + 1) for leg in result.legs for row in leg.rows],
-                f"residual [{unit}]": [r for leg in result.legs for r in leg.residuals],
-                f"sigma [{unit}]": [s for leg in result.legs for s in leg.sigma],
-            },
-        )
+        write_table(scratch / "residuals.csv", _residuals(result))
         if result.estimated_poses is not None:
             plan = Plan(result.estimated_poses)
             write_poses(scratch / "poses.csv", result.identified, plan)
@@ -112,6 +102,32 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "legs": [_leg(leg) for leg in result.legs],
         "covariance": result.covariance.tolist(),
         "data": stored(result),
+    }
+
+
+def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
+    """Return columns of residuals in SI: of the legs, and of what was measured of the platform.
+
+    Legs of exact readings close by construction at poses that were estimated: they are left out.
+    """
+    parts = [
+        (leg.name, leg.quantity, leg.unit, *row)
+        for leg in result.legs
+        for row in zip(leg.rows, leg.residuals, leg.sigma, strict=True)
+        if row[2] > 0.0 or not result.observed
+    ]
+    parts += [
+        ("", one.name, one.unit, *row)
+        for one in result.observed
+        for row in zip(one.rows, one.residuals, one.sigmas, strict=True)
+    ]
+    return {
+        "leg": [leg for leg, *_ in parts],
+        "row": [str(row + 1) for *_, row, _, _ in parts],
+        "quantity": [quantity for _, quantity, *_ in parts],
+        "unit": [unit for _, _, unit, *_ in parts],
+        "residual": [repr(float(value)) for *_, value, _ in parts],
+        "sigma": [repr(float(sigma)) for *_, sigma in parts],
     }
 
 

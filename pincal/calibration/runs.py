@@ -19,12 +19,12 @@ from pincal.errors import MeasurementError
 from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.words.sentences import finding
+from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunComparison:
     """Spread of parameters over runs against predicted standard errors."""
 
@@ -42,6 +42,20 @@ class RunComparison:
     near 1 if runs differ by their noise only."""
     p_value: float
     """Probability of such a spread, or a larger one, by noise alone."""
+
+    def __repr__(self) -> str:
+        return f"RunComparison({len(self.runs)} runs, ratio {self.ratio:.2f}, p {self.p_value:.2g})"
+
+    def __str__(self) -> str:
+        worst = int(np.argmax(self.spread / np.where(self.predicted > 0, self.predicted, np.inf)))
+        lines = [
+            f"{len(self.runs)} runs: {', '.join(self.runs)}",
+            f"parameters spread {self.ratio:.2f} times as much as their standard errors say "
+            f"(p = {self.p_value:.2g})",
+            f"{self.names[worst]} most: spread {self.spread[worst]:.3g}, predicted "
+            f"{self.predicted[worst]:.3g}",
+        ]
+        return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
 
     @property
     def agree(self) -> bool:

@@ -31,7 +31,8 @@ from pincal.estimation.start import placed, poses_at_rest
 from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.words.sentences import finding
+from pincal.words.numbers import amount
+from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -40,7 +41,7 @@ UNLIKELY = 1e-3  # probability at which fit and held-out rows part, rows drift, 
 _ENOUGH = 10  # rows from which a trend is asked for
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Validation:
     """Errors at rows that a fit has seen, and at held-out rows."""
 
@@ -62,6 +63,27 @@ class Validation:
     """The same of its orientation, [rad]."""
     findings: tuple[Finding, ...]
     """What to know first: drift, held-out rows that miss by more than is expected."""
+
+    def __repr__(self) -> str:
+        return (
+            f"Validation({self.folds} folds of {self.rows} rows, fit {self.fit:.2f} σ, held-out "
+            f"{self.held_out:.2f} σ, expected {self.expected:.2f} σ)"
+        )
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.rows} rows, held out in {self.folds} folds",
+            f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
+            f"{self.expected:.2f} σ are expected (p = {self.p_value:.2g})",
+        ]
+        for name, sizes, unit in (
+            ("position", self.position, "m"),
+            ("orientation", self.orientation, "rad"),
+        ):
+            if sizes is not None:
+                fit, held = (amount(one, unit) for one in sizes)
+                lines.append(f"platform's {name}: {fit} in the fit, {held} held out")
+        return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
 
 
 def validate(

@@ -236,7 +236,7 @@ def calibrate(
         result.save(output, force=force, report=page)
     for table in calibration_tables(result):
         stdout.print(table)
-    for line in (*calibration_summary(result.measurements, result, page.found.errors), *said):
+    for line in (*calibration_summary(result, page.found.errors), *said):
         stdout.print(line, markup=False)
     for text in warnings(result):
         warn(text)

@@ -17,7 +17,7 @@ from pincal.files.measurement_writing import write_measurements
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism, save_mechanism, write_mechanism
 from pincal.files.output import refuse_existing, writing
-from pincal.files.urdf import turns_beyond
+from pincal.files.urdf import more_than_a_turn
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.klipper import read_klipper
 from pincal.formats.printers.reprap import read_reprap
@@ -260,7 +260,7 @@ def _import_tree(file: Path, output: Path, whose: str, how: ImportOptions, *, fo
 
 def _turned(file: Path) -> tuple[str, ...]:
     """Return what to say of origins that are turned by more than a full turn."""
-    turned = turns_beyond(file)
+    turned = more_than_a_turn(file)
     if not turned:
         return ()
     more = f" (and {len(turned) - 1} more)" if len(turned) > 1 else ""

@@ -171,7 +171,7 @@ def read_joint(element: etree._Element, path: Path) -> Joint:
     return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
 
 
-def turns_beyond(path: Path) -> tuple[str, ...]:
+def more_than_a_turn(path: Path) -> tuple[str, ...]:
     """Return the origins of a URDF whose rpy exceeds a full turn, with file and line: degrees?
 
     Raises:

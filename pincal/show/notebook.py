@@ -1,4 +1,4 @@
-"""Results and mechanisms in notebooks: what their ``_repr_html_`` returns."""
+"""Results and mechanisms in notebooks and in print: their ``_repr_html_`` and ``__str__``."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def result_html(result: CalibrationResult) -> str:
     from pincal.show.report.answers import warning_lines
     from pincal.show.report.parts import Part
     from pincal.show.result_tables import legs_table, outliers_table, parameters_table
-    from pincal.show.summary import held_out_line, noise_line
+    from pincal.show.summary import held_out_line, method_line, noise_line
     from pincal.words.pages import rendered
 
     shown: list[Part] = []
     if result.converged:
-        lines = [noise_line(result)]
+        lines = [f"identified with {method_line(result)}", noise_line(result)]
         lines += [held_out_line(result.validation)] if result.validation is not None else []
         shown = [lines, parameters_table(result), legs_table(result)]
         shown += [outliers_table(result)] if result.outliers else []
@@ -45,3 +45,17 @@ def result_html(result: CalibrationResult) -> str:
         warnings=warning_lines(result),
         shown=shown,
     )
+
+
+def result_text(result: CalibrationResult) -> str:
+    """Return a calibration as a page of text: how it was made, tables, what to know first."""
+    from pincal.show.report.answers import warning_lines
+    from pincal.show.result_tables import calibration_tables
+    from pincal.show.summary import check_lines, method_line, noise_line, tie_lines
+
+    parts = [f"{result.nominal.name}: {method_line(result)}; {result.message}"]
+    if result.converged:
+        parts += [str(table) for table in calibration_tables(result)]
+        lines = (noise_line(result), *tie_lines(result), *check_lines(result))
+        parts.append("\n".join(lines))
+    return "\n\n".join([*parts, *(f"warning: {one}" for one in warning_lines(result))])

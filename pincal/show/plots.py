@@ -131,7 +131,7 @@ def correlation(result: CalibrationResult, ax: Axes | None = None) -> Axes:
     rho = result.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
     image = axes.imshow(rho, vmin=-1.0, vmax=1.0, cmap="RdBu_r")
     axes.figure.colorbar(image, ax=axes, label="correlation")
-    ids = [f"{leg.name}.{p.name}" for leg, p in parameters_of(result)]
+    ids = [p.id for _, p in parameters_of(result)]
     size = float(np.clip(300 / max(len(free), 1), 2, 8))
     places, names = range(len(free)), [ids[i] for i in free]
     axes.set_xticks(places, names, rotation=90, fontsize=size)

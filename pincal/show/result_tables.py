@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from pincal.calibration.result import CalibrationResult, IdentifiedParameter
 from pincal.show.results import (
     Series,
@@ -69,9 +71,9 @@ def outside_table(result: CalibrationResult) -> Table:
     return Table(
         "Outside the mechanism",
         tuple(map(Column, ("unknown", "start", *_HEADS[2:5]))),
-        [_cells(p)[:5] for p in result.external],
-        "frame: where the base is in the frame of the measurements (rx, ry, rz a rotation vector); "
-        "others: where what was measured is on the platform",
+        [(p.id, *_cells(p)[1:5]) for p in result.external],
+        "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
+        "vector); others: where what was measured is on the platform",
     )
 
 
@@ -114,7 +116,10 @@ def observed_table(result: CalibrationResult) -> Table:
 
 def _sizes(one: Series) -> tuple[Cell, ...]:
     """Return root mean squares before and after, σ, and the unit."""
-    cells = [Cell(value, f"{shown_in(value, one.unit):.4f}") for value in one.rms]
+    cells = [
+        Cell(value, "" if np.isnan(value) else f"{shown_in(value, one.unit):.4f}")
+        for value in one.rms
+    ]
     return (*cells, Cell(one.unit, SMALL[one.unit]))
 
 

@@ -13,6 +13,7 @@ from pincal.model.finding import Finding
 from pincal.words.sentences import sentence
 
 Array = NDArray[np.float64]
+_MISSED = 0.01  # standard deviations, below which a reading is not missed at all
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Series:
     unit: str
     rows: NDArray[np.intp]
     before: Array
+    """NaN of readings from which poses were made where the search started: these miss nothing."""
     after: Array
     sigma: Array
     of_leg: bool
@@ -44,13 +46,18 @@ def legs_series(result: CalibrationResult) -> list[Series]:
             leg.name,
             leg.unit,
             leg.rows,
-            leg.residuals_before,
+            np.full(len(leg.rows), np.nan) if _made_poses(leg) else leg.residuals_before,
             leg.residuals,
             leg.sigma * scale,
             of_leg=True,
         )
         for leg in result.legs
     ]
+
+
+def _made_poses(leg: LegResult) -> bool:
+    largest = np.abs(leg.residuals_before).max(initial=0.0)
+    return leg.quantity == "reading" and bool(largest < _MISSED * leg.sigma.max(initial=0.0))
 
 
 def observed_series(result: CalibrationResult) -> list[Series]:

@@ -11,7 +11,6 @@ from pincal.calibration.validation import Validation
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.weak import WeakPair
-from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, turns
 from pincal.show.workspace_errors import WorkspaceErrors
@@ -31,17 +30,15 @@ _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 _ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
 
 
-def calibration_summary(
-    data: Measurements, result: CalibrationResult, errors: WorkspaceErrors | None
-) -> list[str]:
+def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
     """Return what a calibration means.
 
     Args:
-        data: What was measured.
         result: The calibration.
         errors: The platform's over the workspace; None if the fit did not converge.
     """
-    lines = [result.message, noise_line(result)]
+    data = result.measurements
+    lines = [f"{method_line(result)}; {result.message}", noise_line(result)]
     if result.gauge:
         lines.append(
             "fixed by choice, of equal parameters those nearest to nominal: "
@@ -61,9 +58,20 @@ def calibration_summary(
             "errors"
         )
     unused = len(data) - min(leg.n_poses for leg in result.legs)
-    if unused and result.poses == "own" and data.sets is not None:
+    if unused and not result.options.every_pose and data.sets is not None:
         lines.append(sentence(finding("unused-poses", unused=unused, total=len(data))))
     return lines
+
+
+def method_line(result: CalibrationResult) -> str:
+    """Return how parameters were identified."""
+    options = result.options
+    if options.latent:
+        return "all legs together, the poses estimated with the parameters"
+    if options.method == "all-legs":
+        return "all legs together, the poses taken as measured"
+    own = result.measurements.sets is not None and not options.every_pose
+    return f"each leg alone by {'the poses of its set' if own else 'all poses'}, taken as measured"
 
 
 def noise_line(result: CalibrationResult) -> str:
@@ -160,8 +168,8 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     """Return which pairs of parameters are weakly determined; legs alike in one line."""
     alike: dict[tuple[str, ...], list[WeakPair]] = {}
     for pair in pairs:
-        leg, _, name = pair.first.partition(".")
-        other_leg, _, other = pair.second.partition(".")
+        leg, _, name = pair.first.rpartition(".")
+        other_leg, _, other = pair.second.rpartition(".")
         key = (name, other, "") if leg == other_leg else (f"{leg}.{name}", f"{other_leg}.{other}")
         alike.setdefault(key, []).append(pair)
     lines = [_weak_line(own, mechanism) for own in alike.values()]
@@ -173,9 +181,9 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
 def _weak_line(pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
     """Return a line on a pair of parameters, of one leg or alike of several; the weakest counts."""
     worst = pairs[0]
-    legs = list(dict.fromkeys(pair.first.partition(".")[0] for pair in pairs))
+    legs = list(dict.fromkeys(pair.first.rpartition(".")[0] for pair in pairs))
     ids = [worst.first, worst.second]
-    both = [(leg, name) for leg, _, name in (one.partition(".") for one in ids)]
+    both = [(leg, name) for leg, _, name in (one.rpartition(".") for one in ids)]
     whose = ""
     if len(legs) > 1 and both[0][0] == both[1][0]:
         ids = [name for _, name in both]

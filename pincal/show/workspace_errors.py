@@ -7,13 +7,13 @@ motions of the base and platform frame are left out of both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
-from pincal.design.platform_error import sizes, without_frames
+from pincal.design.platform_error import PlatformError, root_mean_squares, sizes, without_frames
 from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.kinematics.configurations import as_plan
@@ -23,8 +23,6 @@ from pincal.workspace.sampling import sample_configurations
 
 Array = NDArray[np.float64]
 _SAMPLED = 1000
-_CONFIDENCE = 0.95
-_DRAWS = 10_000
 _ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
 _HEIGHTS = (0.25, 0.5, 0.75)  # of the workspace, where a spatial one is cut
 
@@ -37,44 +35,45 @@ class WorkspaceErrors:
     """Coordinates, shape (N, dof)."""
     before: Array
     """Of the nominal model, position [m] and orientation [rad], shape (N, 2)."""
-    after: Array
-    """Standard errors to expect of the identified one, shape (N, 2)."""
+    expected: PlatformError
+    """Of the identified one, at the same poses."""
     sampled: bool = True
     """Whether poses are of the workspace, or those of the measurements."""
-    undetermined: NDArray[np.bool_] | None = None
-    """Where what was held moves the platform (see ``calibrate``), shape (N,), if it was."""
-    limit: tuple[float, float] = (np.nan, np.nan)
-    """Below which the identified one's root mean square error is in 95 of 100 calibrations like
-    this one, [m] and [rad]."""
+
+    @property
+    def after(self) -> Array:
+        """Standard errors to expect of the identified mechanism, shape (N, 2), [m] and [rad]."""
+        return np.where(np.isfinite(self.expected.sizes), self.expected.sizes, np.nan)
+
+    @property
+    def undetermined(self) -> NDArray[np.bool_]:
+        """Where what was held moves the platform (see ``calibrate``), shape (N,)."""
+        return np.asarray(np.isinf(self.expected.std).any(axis=1))
+
+    @property
+    def limit(self) -> tuple[float, float]:
+        """Below which ``mean_after`` is in 95 of 100 such calibrations, [m] and [rad]."""
+        return self.expected.limit
 
     @property
     def where(self) -> str:
         """Over which poses means are taken, in words."""
         if not self.sampled:
             return "over the measured poses"
-        known = self._determined
-        if known.all():
+        count = len(self.poses) - int(self.undetermined.sum())
+        if count == len(self.poses):
             return "over the workspace"
-        return (
-            f"over the {known.sum()} of {len(known)} configurations that the measurements determine"
-        )
-
-    @property
-    def _determined(self) -> NDArray[np.bool_]:
-        """Configurations that count: where the measurements determine all, shape (N,)."""
-        return (
-            ~self.undetermined
-            if self.undetermined is not None
-            else np.ones(len(self.poses), dtype=bool)
+        return f"over the {count} of {len(self.poses)} configurations that the measurements " + (
+            "determine"
         )
 
     def mean_before(self) -> tuple[float, float]:
         """Return root mean squares of the nominal model's errors, [m] and [rad]."""
-        return _rms(self.before[self._determined])
+        return root_mean_squares(self.before[~self.undetermined])
 
     def mean_after(self) -> tuple[float, float]:
         """Return root mean squares of the errors to expect, [m] and [rad]."""
-        return _rms(self.after[self._determined])
+        return self.expected.where_determined
 
 
 @dataclass(frozen=True)
@@ -138,14 +137,16 @@ def workspace_errors(result: CalibrationResult, measured: Plan) -> WorkspaceErro
     """
     try:
         found = errors_at(result, sample_configurations(result.nominal, _SAMPLED))
-        if found.undetermined is None or not found.undetermined.all():
+        if not found.undetermined.all():
             return found
     except WorkspaceError:
         pass
-    return replace(errors_at(result, measured), sampled=False, undetermined=None)
+    return errors_at(result, measured, sampled=False)
 
 
-def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErrors:
+def errors_at(
+    result: CalibrationResult, planned: Plan | Array, *, sampled: bool = True
+) -> WorkspaceErrors:
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
     nominal, plan = result.nominal, as_plan(result.nominal, planned)
     moved = platform_errors(nominal, result.identified, plan)
@@ -153,17 +154,5 @@ def errors_at(result: CalibrationResult, planned: Plan | Array) -> WorkspaceErro
     moved[both] = without_frames(
         result.identified, plan.poses[both], moved[both, :, None], result.frames_moved
     )[:, :, 0]
-    after = result.expected_error(plan)
     before = sizes(nominal.platform.units, moved)
-    held = result.undetermined_directions is not None
-    undetermined = np.asarray(np.isinf(after.std).any(axis=1)) if held else None
-    known = np.where(np.isfinite(after.sizes), after.sizes, np.nan)
-    return WorkspaceErrors(plan.poses, before, known, undetermined=undetermined, limit=after.limit)
-
-
-def _rms(sizes: Array) -> tuple[float, float]:
-    known = sizes[np.isfinite(sizes).all(axis=1)]
-    if not len(known):
-        return np.nan, np.nan
-    position, orientation = np.sqrt((known**2).mean(axis=0)).tolist()
-    return position, orientation
+    return WorkspaceErrors(plan.poses, before, result.expected_error(plan), sampled)

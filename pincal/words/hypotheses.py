@@ -25,7 +25,7 @@ _ORDER = "Correct the order of columns"
 _COMMON = {
     "legs": "names of the legs whose readings it concerns; empty for all",
     "left": "misfit that it leaves, in lengths of a leg",
-    "unknown_frame": "whether the base stands elsewhere in the frame of the measurements too",
+    "unknown_frame": "whether the base is elsewhere in the frame of the measurements too",
     "given": "misfit as measured, in lengths of a leg (median); None where nothing fits together",
     "questioned": "names of the legs that do not fit as measured",
     "other_side": "share of the poses on the other side of a singularity than home",
@@ -153,7 +153,7 @@ HYPOTHESES: dict[str, Wording] = {
         "Frame of the measurements",
         "the poses are those in another frame than the base's",
         "The tracker's frame is not the base's.",
-        "Say that the base stands elsewhere in that frame (--unknown-frame)",
+        "Say that the base is elsewhere in that frame (--unknown-frame)",
     ),
 }
 
@@ -184,5 +184,5 @@ def cause(finding: Finding) -> str:
     """Return what a hypothesis says, as what follows 'if'."""
     words = HYPOTHESES[finding.code].said(finding)
     if finding.values["unknown_frame"] and finding.code != "unknown-frame":
-        words += " and the base stands elsewhere in their frame"
+        words += " and the base is elsewhere in their frame"
     return words

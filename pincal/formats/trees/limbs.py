@@ -206,9 +206,9 @@ def point_platform(
     if middle is None or middle.bond.name in driven or any(len(s & driven) != 1 for s in sides):
         raise MechanismError(
             f"{tree.source}: one loop of {len(way)} joints ({', '.join(names)}; driven: "
-            f"{', '.join(n for n in names if n in driven) or 'none'}) shows no platform of its "
-            "own; name it with --platform LINK (of a five-bar with a drive in either leg it is "
-            "the point of the middle joint)"
+            f"{', '.join(n for n in names if n in driven) or 'none'}) has no platform that can be "
+            "recognised; name it with --platform LINK (of a five-bar with a drive in either leg it "
+            "is the point of the middle joint)"
         )
     back = tuple(Pass(one.bond, not one.forth) for one in reversed(way))
     limbs = []

@@ -33,8 +33,9 @@ _TONES = {
 
 def warning_lines(result: CalibrationResult) -> list[str]:
     """Return what the reader should know first."""
-    lines = warnings(result)
-    return lines if result.converged else [f"The fit did not converge: {result.message}", *lines]
+    if result.converged:
+        return warnings(result)
+    return [f"The fit did not converge: {result.message}", *warnings(result)]
 
 
 def answers(found: Findings, notes: Sequence[str]) -> Answers:
@@ -108,6 +109,12 @@ def _residuals(result: CalibrationResult) -> str:
     if not result.degrees_of_freedom:
         return "Residuals are zero, since there are as many unknowns as measured values."
     series = noisy_series(result)
+    if any(np.isnan(one.before).any() for one in series):
+        before, after = (np.sqrt(np.mean(one**2)) for one in result.whitened)
+        return (
+            f"Residuals of readings and platform went from {before:.3g} to {after:.3g} standard "
+            "deviations (root mean square)."
+        )
     alike = [one for one in series if one.unit == series[0].unit]
     unit = alike[0].unit
     before, after, _ = np.sqrt(np.mean([np.square(one.rms) for one in alike], axis=0))

@@ -103,7 +103,9 @@ def _bars(found: Findings, errors: WorkspaceErrors) -> tuple[Figure, str]:
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
     for axes, (title, bars) in zip(panels, parts, strict=True):
         series = {
-            name: {label: float(own[place]) for label, own in bars.items()}
+            name: {
+                label: float(own[place]) for label, own in bars.items() if own[place] == own[place]
+            }
             for place, name in enumerate(("before", "after"))
         }
         draw_bars(axes, series).set_title(title)

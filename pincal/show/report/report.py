@@ -48,6 +48,7 @@ class Report:
     def _page(self) -> str:
         import pincal.show.report.sections as sections  # imports matplotlib: slow
         from pincal.show.report.answers import answers, warning_lines
+        from pincal.show.summary import method_line
         from pincal.words.pages import rendered
 
         found, origin, result = self.found, self.origin, self.found.result
@@ -69,7 +70,9 @@ class Report:
             "report.html",
             name=result.nominal.name,
             description=result.nominal.description,
-            about=f"{origin.date} · {len(found.data)} rows · {result.message}",
+            about=(
+                f"{origin.date} · {len(found.data)} rows · {method_line(result)} · {result.message}"
+            ),
             warnings=warning_lines(result),
             answers=answers(found, origin.notes),
             sections=[

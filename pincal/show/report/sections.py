@@ -32,15 +32,11 @@ from pincal.show.result_tables import (
     runs_table,
 )
 from pincal.show.results import gauge, readings_exact
-from pincal.show.summary import check_lines, tie_lines, weak_lines
+from pincal.show.summary import check_lines, method_line, tie_lines, weak_lines
 from pincal.words.numbers import SMALL, capital
 from pincal.words.table import Column, Table
 
 _LISTED = 50  # outliers in the table; all are in result.json
-_METHODS = {
-    "per-leg": "each leg alone",
-    "all-legs": "all legs at once, with the poses of the platform as unknowns",
-}
 _RESIDUALS = {
     "closure": "closure residuals: by how much a leg misses the platform point, weighted by the "
     "noise",
@@ -62,7 +58,7 @@ _EXACT = (
 
 def measured(found: Findings) -> Section:
     """Return what was measured, and how well."""
-    result, data = found.result, found.data
+    result = found.result
     platform, mechanism = result.nominal.platform, result.nominal
     read = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
     facts = {
@@ -71,10 +67,8 @@ def measured(found: Findings) -> Section:
         "of the platform": _columns(found),
         "readings": ", ".join(f"{name} [{unit}]" for name, unit in read),
         "noise": f"{_SOURCES.get(result.noise_source, result.noise_source)}: {_noise(found)}",
-        "identified": f"{_METHODS[result.method]}; {_RESIDUALS[result.options.residual]}",
+        "identified": f"{method_line(result)}; {_RESIDUALS[_residual(result)]}",
     }
-    if not result.options.every_pose and data.sets is not None:
-        facts["poses"] = "each leg uses the poses that were chosen for it"
     if result.loss != "none":
         facts["robust loss"] = result.loss
     if result.external:
@@ -90,6 +84,10 @@ def measured(found: Findings) -> Section:
     plain = result.options.setup.plain
     parts = (facts, where if plain else None, poses_figure(found))
     return Section("measured", "What was measured, and how well", parts)
+
+
+def _residual(result: CalibrationResult) -> str:
+    return "reading" if result.options.latent else result.options.residual
 
 
 def _rows(found: Findings) -> str:
