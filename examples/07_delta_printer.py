@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -27,7 +28,8 @@ def disc(count: int, radius: float = 0.12) -> np.ndarray:
 
 
 data = pincal.simulate(printer, truth, pincal.Plan(disc(41)), noise, seed=1).measurements
-data.poses[:, :2] = np.nan  # a probe tells the height alone
+heights = data.poses * [np.nan, np.nan, 1.0]  # a probe tells the height alone
+data = replace(data, poses=heights)
 
 weak = pincal.forecast(printer, disc(41), noise, measured=["z"]).weak[0]
 print(f"{weak.first}, {weak.second}: weakly determined, correlation {weak.correlation:.3f}")

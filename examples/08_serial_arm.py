@@ -41,7 +41,7 @@ data = pincal.Measurements(poses, readings=readings)
 
 result = pincal.calibrate(arm, data, noise=noise, setup=setup)
 print(f"{result.message}; reduced χ² {result.reduced_chi2:.2f}")
-print(*(f"- {words[:78]}" for words in result.gauge), sep="\n")
+print(*(f"- {one.code}" for one in result.gauge), sep="\n")
 
 axes = (figure := Figure(figsize=(7, 4), layout="constrained")).subplots()
 for name, model in {"nominal": arm, "calibrated": result.identified}.items():
