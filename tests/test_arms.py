@@ -15,6 +15,7 @@ from random_mechanisms import reached
 
 import pincal
 from pincal.kinematics.closure import LegClosure
+from pincal.words.sentences import sentence
 
 Array = np.ndarray
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
@@ -167,7 +168,7 @@ def test_what_moves_together_is_named(name: str, redundant: int) -> None:
     plan = pincal.sample_configurations(mechanism, 60, 0)
     data = pincal.simulate(mechanism, mechanism, plan, NOISE, 1).measurements
     result = pincal.calibrate(mechanism, data, noise=NOISE)
-    (words,) = result.gauge
+    (words,) = map(sentence, result.gauge)
     assert words.startswith(f"{redundant} parameters are redundant, whatever is measured: ")
     J = jacobian(name, pincal.sample_configurations(mechanism, 30, 7).readings)
     names = list(mechanism.legs[0].parameter_names)
@@ -262,8 +263,9 @@ def test_clean_positions_identify_the_arm(frame: bool) -> None:
     wanted = seen(platform.transforms(unseen.poses).as_matrix(), tracker)
     points = seen(platform.transforms(found).as_matrix(), place)
     np.testing.assert_allclose(points, wanted, atol=1e-9)
-    assert "redundant" in result.gauge[-1]
-    assert any("platform's frame: 3 freedoms" in text for text in result.gauge)
+    texts = list(map(sentence, result.gauge))
+    assert "redundant" in texts[-1]
+    assert any("platform's frame: 3 freedoms" in text for text in texts)
 
 
 def test_a_target_on_the_last_axis() -> None:

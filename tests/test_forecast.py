@@ -95,14 +95,14 @@ def test_full_poses_give_the_covariance_of_the_calibration(
 
 
 @pytest.mark.parametrize(("name", "dealt"), [("5R", True), ("3RRR", False), ("linear_delta", True)])
-def test_each_leg_alone_gives_the_covariance_of_the_default(name: str, dealt: bool) -> None:
-    """``calibrate`` without options, on exact data: the poses of each leg's set, nothing shared."""
+def test_each_leg_alone_gives_the_covariance_of_per_leg(name: str, dealt: bool) -> None:
+    """``calibrate`` leg by leg, on exact data: the poses of each leg's set, nothing shared."""
     mechanism = pincal.load_mechanism(name)
     poses = workspace(name, 60)
     sets = tuple(mechanism.leg_names[row % len(mechanism.legs)] for row in range(60))
     plan = pincal.Plan(poses, sets if dealt else None)
     exact = pincal.simulate(mechanism, mechanism, plan, pincal.Noise(0.0, 0.0, 0.0)).measurements
-    result = pincal.calibrate(mechanism, exact, noise=NOISE)
+    result = pincal.calibrate(mechanism, exact, noise=NOISE, method="per-leg")
     found = pincal.forecast(mechanism, plan, NOISE, method="per-leg")
     np.testing.assert_allclose(found.covariance, result.covariance, rtol=1e-6, atol=1e-18)
     expected = result.expected_error(poses)

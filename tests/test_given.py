@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal.workspace.box import default_grid
 
 FIVE = pincal.load_mechanism("5R")
 POSES = pincal.sample_workspace(FIVE, 12)
@@ -18,7 +19,7 @@ PLAN = pincal.Plan(POSES)
 TAKE: dict[str, Callable[[Any], object]] = {
     "accuracy": lambda m: pincal.accuracy(m, m, POSES),
     "articular_space": lambda m: pincal.articular_space(m, POSES),
-    "default_grid": lambda m: pincal.default_grid(m).size,
+    "default_grid": lambda m: default_grid(m).size,
     "disturb": lambda m: pincal.disturb(m, 1e-3),
     "forecast": lambda m: pincal.forecast(m, POSES).std,
     "forward": lambda m: pincal.forward(m, pincal.inverse(m, POSES).readings).poses,

@@ -164,7 +164,7 @@ def test_one_bad_row_is_found(kind: str) -> None:
     noise = pincal.Noise(2e-5, 5e-5)
     mechanism, _, data = machine(kind, 72, noise)
     assert explain_misfit(mechanism, data) == ()
-    data.poses[10, 0] += 3e-3
+    data = put(data, "poses", (10, 0), data.poses[10, 0] + 3e-3)
     (one,) = explain_misfit(mechanism, data)
     assert (one.code, one.rows) == ("bad-rows", (10,))
     assert said((one,)).startswith("data row 11 misses the nominal mechanism")
@@ -201,13 +201,13 @@ def test_a_leg_fits_whatever_the_order_of_its_parameters(kind: str) -> None:
 @pytest.mark.parametrize("what", ["base", "target", "nothing"])
 def test_parameters_that_moved_as_one_body(kind: str, what: str) -> None:
     """A base that is 10 mm from where it was drawn, or a target: which; of neither, nothing."""
-    from test_misaligned import calibrated, motion, poses
+    from test_misaligned import calibrated, motion
 
     moved = {} if what == "nothing" else {what: motion(kind)}
     result = calibrated(kind, 0, **moved)
     changes = [p.identified - p.nominal for leg in result.legs for p in leg.parameters]
     mechanism = pincal.load_mechanism(kind)
-    found = misaligned(mechanism, np.array(changes), poses(kind), np.empty((40, 0)))
+    found = misaligned(mechanism, np.array(changes), result.poses, np.empty((40, 0)))
     if what == "nothing":
         assert found == ()
         return

@@ -82,12 +82,12 @@ def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, s
     print(f"seed {seed}: {1e3 * rms:.4f} mm held out")
     assert rms <= 0.085e-3
     assert result.legs[0].rank == 27
-    assert any("14 parameters are redundant" in text for text in result.gauge)
-    (held,) = result.undetermined
-    *lost, weak = held.split("; ")
-    assert len(lost) == 4
-    assert any("q_S_ry of arm" in one for one in lost)
-    assert weak == "q_T_rx of arm, tool_rz of arm are hardly told apart"  # ± 0.26 rad if not held
+    (redundant,) = (one for one in result.gauge if one.code == "redundant-parameters")
+    assert redundant.values["count"] == 14
+    (held,) = (one for one in result.findings if one.code == "undetermined-held")
+    assert len(held.values["groups"]) == 4
+    assert any("arm.q_S_ry" in group for group in held.values["groups"])
+    assert held.values["weak"] == ("arm.q_T_rx", "arm.tool_rz")  # ± 0.26 rad if not held
 
 
 def test_the_joint_that_stood_still_is_refused(

@@ -64,7 +64,7 @@ def check_rank(
             f"the measured poses leave parameters undetermined: {all_.describe()} "
             f"(rank {all_.rank} of {all_.n_params}). Measure poses that tell them apart, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
-            "can be (--hold-undetermined, without --per-leg)"
+            "can be (--hold-undetermined; leave out --per-leg)"
         )
     own = (
         identifiability(J[:, columns], leg.parameter_names)
