@@ -120,7 +120,7 @@ def test_every_finding_is_explained() -> None:
 def test_no_internals_on_the_page_of_errors() -> None:
     """Readers come with the commands that call them; what only other code calls is not there."""
     page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
-    assert "| `pincal import`, `pincal export` | `formats.printers.klipper.read_klipper` |" in page
+    assert "| `pincal import` | `formats.printers.klipper.read_klipper` |" in page
     assert "ways_of" not in page
     assert "root_of" not in page
     for table in page.split("|---|---|---|\n")[1:]:
