@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 _ROUNDS = 20
 _REFITS = 5  # with noise that was estimated
 _AT_REST = 1e-10  # [m] and [rad]: the frame moves no more
+_LEAST = 1e-3  # of the largest standard deviation, each over its unit: that of the others
 _ALIKE = 1e-3  # relative change of a standard deviation, below which noise is estimated
 
 
@@ -110,7 +111,7 @@ def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
         if moments.rounding:
             return noise
         pools = pools or moments.first_pools(exact=noise.reading == 0.0)
-        then = estimated_noise(moments, noise, noise.reading or unit, pools)
+        then = _floored(estimated_noise(moments, noise, noise.reading or unit, pools), calibration)
         if _alike(noise, then):
             pools = moments.split(pools)
             if pools is None:
@@ -118,6 +119,18 @@ def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
             then = estimated_noise(moments, noise, noise.reading or unit, pools)
         noise = then
     return noise
+
+
+def _floored(noise: Noise, calibration: Calibration) -> Noise:
+    """Return noise of which no group is all but exact beside the others."""
+    unit = assumed_noise(calibration.mechanism, exact=False)
+    sizes = [getattr(noise, name) / getattr(unit, name) for name in vars(noise)]
+    least = _LEAST * max(sizes)
+    return Noise(
+        max(noise.position, least * unit.position),
+        max(noise.orientation, least * unit.orientation),
+        noise.reading and max(noise.reading, least * unit.reading),
+    )
 
 
 def _alike(noise: Noise, then: Noise) -> bool:

@@ -135,9 +135,10 @@ def explains(one: Judged, given: Judged) -> bool:
     if not given.fits and one.questioned:
         return False  # anything is better than nothing
     units = one.hypothesis.values.get("units", ())
-    if any(of == ("m", "mm") for _, *pair in units for of in [tuple(pair)]):
-        if max((fit.gap for fit in given.fits if fit.rows > 1), default=np.inf) < 1.0:
-            return False  # lengths too large miss by far, and shrinking makes any misfit small
+    shrinks = any((unit, how) == ("m", "mm") for _, unit, how in units)
+    gap = max((fit.gap for fit in given.fits if fit.rows > 1), default=np.inf)
+    if shrinks and gap < 1.0:
+        return False  # lengths too large miss by far, and shrinking makes any misfit small
     return one.plausible and one.misfit * _EACH**one.hypothesis.faults <= given.misfit
 
 
