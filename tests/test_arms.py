@@ -148,16 +148,6 @@ def jacobian(name: str, joints: Array, at: Array | None = None) -> Array:
     return differentiated(twists, n).reshape(-1, n)
 
 
-def groups(words: str) -> list[list[str]]:
-    """Return the parameters of each sentence 'a of arm, b of arm and c of arm move together'."""
-    sentences = words.split(": ", 1)[1].split("; ")
-    return [
-        [one.removesuffix(" of arm") for one in s.removesuffix(" move together").replace(
-            " and ", ", ").split(", ")]
-        for s in sentences
-    ]  # fmt: skip
-
-
 @pytest.mark.parametrize(("name", "redundant"), [("ur10", 12), ("panda", 14), ("tiago", 18)])
 def test_what_moves_together_is_named(name: str, redundant: int) -> None:
     """Each group named is dependent, and none of it without the others; groups make up the loss.
@@ -173,7 +163,7 @@ def test_what_moves_together_is_named(name: str, redundant: int) -> None:
     J = jacobian(name, pincal.sample_configurations(mechanism, 30, 7).readings)
     names = list(mechanism.legs[0].parameter_names)
     null = []
-    for group in groups(words):
+    for group in result.gauge[0].values["groups"]:
         own = [names.index(one.partition(".")[2]) for one in group]
         _, s, axes = np.linalg.svd(J[:, own], full_matrices=False)
         assert s[-1] < 1e-8 * s[0] < 1e-3 * s[-2]

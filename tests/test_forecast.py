@@ -120,16 +120,16 @@ def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
     poses = workspace("5R", 30)
     plan = pincal.Plan(poses, ("leg_1", "leg_2") * 15)
     pincal.write_poses(tmp_path / "plan.csv", mechanism, plan)
-    outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4)
+    outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4, "--per-leg")
     said = " ".join(outcome.out.split())
     own = pincal.forecast(mechanism, plan, method="per-leg")
     over = pincal.sample_configurations(mechanism, 1000, 0)
     alone = 1e3 * own.platform_error(over).position
     best = 1e3 * pincal.forecast(mechanism, plan).platform_error(over).position
     assert best < 0.9 * alone
-    assert f"{best:.3g} mm; the best that any calibration can reach:" in said
+    assert f"{best:.3g} mm; the best that any calibration can reach;" in said
     assert f"each leg alone by the poses of its set: root mean square {alone:.3g} mm" in said
-    assert f"{own.poses_for(1e-4, over):.0f} with each leg alone" in said
+    assert f"{own.poses_for(1e-4, over):.0f} with --per-leg" in said
     outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--measure", "x")
     assert "alone" not in outcome.out
 

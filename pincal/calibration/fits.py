@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 _ROUNDS = 20
 _REFITS = 5  # with noise that was estimated
 _AT_REST = 1e-10  # [m] and [rad]: the frame moves no more
+_OFF = 5e-3  # of the scale of the noise that was estimated
 _LEAST = 1e-3  # of the largest standard deviation, each over its unit: that of the others
 _ALIKE = 1e-3  # relative change of a standard deviation, below which noise is estimated
 
@@ -92,6 +93,10 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
             break
         noise, unit = then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
+        scale = float(np.mean([robust.fit.noise_scale for robust in one.fits]))
+        if abs(scale - 1.0) > _OFF and scale > 0.0:  # a group at its floor leaves that to all
+            noise = Noise(*(scale * value for value in vars(noise).values()))
+            one = search(calibration.with_noise(noise), tied, one)
     return one
 
 
