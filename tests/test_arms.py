@@ -172,7 +172,7 @@ def test_what_moves_together_is_named(name: str, redundant: int) -> None:
         null[-1][own] = axes[-1]
     assert np.linalg.matrix_rank(np.array(null)) == redundant
     assert (
-        "shoulder_pan_z of arm and shoulder_lift_z of arm move together" in words or name != "ur10"
+        "arm.shoulder_pan_z and arm.shoulder_lift_z move together" in words or name != "ur10"
     )
 
 
