@@ -21,6 +21,7 @@ WHY = {
     "lxml": "reads URDF strictly and safely (no entities, no network), with line numbers; yourdfpy "
     "repairs what is broken and folds roll-pitch-yaw into matrices, so what was read could not be "
     "written back bit for bit",
+    "cattrs": "results as plain data and back, bit for bit (`load_result`)",
     "jinja2": "pages (reports, tables, notebooks) from templates that escape what people's files "
     "hold",
     "yourdfpy": "second reader of the URDFs that pincal writes (`pincal check`, tests); shapes for "
