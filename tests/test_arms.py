@@ -171,9 +171,7 @@ def test_what_moves_together_is_named(name: str, redundant: int) -> None:
         null.append(np.zeros(len(names)))
         null[-1][own] = axes[-1]
     assert np.linalg.matrix_rank(np.array(null)) == redundant
-    assert (
-        "arm.shoulder_pan_z and arm.shoulder_lift_z move together" in words or name != "ur10"
-    )
+    assert "arm.shoulder_pan_z and arm.shoulder_lift_z move together" in words or name != "ur10"
 
 
 def measured_by(name: str, phi: Array, count: int, seed: int) -> pincal.Measurements:
