@@ -92,6 +92,10 @@ def _explained(sample: Sample) -> tuple[tuple[Finding, ...], Judged]:
     given = replace(given, elsewhere=other_side(mechanism, given.matrices))
     if given.fits and not given.questioned and given.elsewhere <= 0.5:
         return (), given
+    if slips := _slips(sample, given):  # few rows may be all that is wrong
+        others = judge(sample.part(np.flatnonzero(~np.isin(sample.rows, slips[0].rows))))
+        if others.fits and not others.questioned:
+            return (), given
     return as_findings(mechanism, given, explanations(sample, given)), given
 
 
