@@ -473,7 +473,9 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
-        pytest.param("mirror", {"setup": FRAME}, "as in a left-handed frame", marks=pytest.mark.slow),
+        pytest.param(
+            "mirror", {"setup": FRAME}, "as in a left-handed frame", marks=pytest.mark.slow
+        ),
         pytest.param(
             "millimetres",
             {"setup": FRAME},
@@ -481,7 +483,9 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
             marks=pytest.mark.slow,
         ),
         ("line", {"setup": FRAME}, "all on a line|all at one place"),
-        pytest.param("exchange", {}, "legs are exchanged: .* order of columns", marks=pytest.mark.slow),
+        pytest.param(
+            "exchange", {}, "legs are exchanged: .* order of columns", marks=pytest.mark.slow
+        ),
         ("turn", {}, "contradict each other by .*--unknown-frame"),
         pytest.param(
             "degrees",
@@ -559,7 +563,9 @@ def test_refusals_say_true_numbers() -> None:
     data = put(data, "readings", np.s_[:, :2], data.readings[:, 1::-1])
     with pytest.raises(pincal.MeasurementError) as refused:
         pincal.calibrate(mechanism, data, noise=NOISE)
-    millimetres, percent = re.findall(r"by ([\d.]+) mm .* (\d+) % of", str(refused.value.__cause__))[0]
+    millimetres, percent = re.findall(
+        r"by ([\d.]+) mm .* (\d+) % of", str(refused.value.__cause__)
+    )[0]
     size = largest_size(mechanism.legs, mechanism.platform)
     assert round(float(millimetres) / 10 / size) == int(percent) > 0
 

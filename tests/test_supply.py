@@ -76,7 +76,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     venv.create(folder / "venv", with_pip=True)
     python = folder / "venv" / "bin" / "python"
     subprocess.run([python, "-m", "pip", "install", "-q", "build"], check=True)
-    names = ("pincal", "robots", "tests", "docs", "examples", "benchmarks")
+    names = ("pincal", "robots", "studies", "tests", "docs", "examples", "benchmarks", "tools")
     for name in names:
         ignored = shutil.ignore_patterns("__pycache__", ".*")
         shutil.copytree(ROOT / name, folder / "source" / name, ignore=ignored)
