@@ -102,6 +102,7 @@ def split(side: str, seed: int) -> tuple[Array, Array]:
 
 def aligned(points: Array, goal: Array) -> tuple[Rotation, Array]:
     """Return the turn and the shift that bring points onto a goal best (Kabsch)."""
+    points, goal = np.array(points), np.array(goal)  # SciPy takes writable arrays
     middles = points.mean(axis=0), goal.mean(axis=0)
     turn, _ = Rotation.align_vectors(goal - middles[1], points - middles[0])
     return turn, middles[1] - turn.apply(middles[0])
@@ -175,7 +176,7 @@ def reference(side: str, seed: int) -> Reference:
     readings, goal = data.readings, data.poses[:, :3]
     nominal = np.zeros((8, 6))
     turn, shift = aligned(goal[fit], positions(side, readings[fit], nominal)[0])
-    goal = turn.apply(goal) + shift
+    goal = turn.apply(np.array(goal)) + shift
 
     def residuals(values: Array, rows: Array = fit) -> Array:
         return (positions(side, readings[rows], values.reshape(8, 6))[0] - goal[rows]).ravel()

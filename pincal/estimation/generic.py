@@ -87,13 +87,14 @@ def derivatives_near(
     seen = observation.rows(rows).evaluate(matrices, start.external)
     outer = np.zeros((*seen.pose.shape[:2], len(unknowns.names)))
     outer[:, :, legs.parameter.shape[2] :] = seen.external
+    per = np.array([1.0 / size if unit == "m" else 1.0 for unit in observation.units])
     ok = np.isfinite(seen.pose).all(axis=(1, 2)) & np.isfinite(outer).all(axis=(1, 2))
     return Derivatives(
         matrices[ok],
         legs.pose[ok] / size,
         legs.parameter[ok] / size,
-        seen.pose[ok],
-        outer[ok],
+        seen.pose[ok] * per[:, None],
+        outer[ok] * per[:, None],
     )
 
 

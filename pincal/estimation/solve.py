@@ -22,7 +22,7 @@ from pincal.kinematics.closure import largest_size
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_EVALUATIONS = 300
+_EVALUATIONS = 1000
 _POSE_STEPS = 10
 _FIRST_ORDER = 1e-6  # of the mechanism's size, and [rad]: poses this near are solved
 _SHORTEST = 1e-2  # of a step: poses that need shorter ones stay where they are
