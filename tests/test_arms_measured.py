@@ -77,10 +77,11 @@ def test_errors_are_those_of_many_calibrations(points: bool) -> None:
         std.append(result.legs[0].std)
         one, two = (pincal.forward(m, unseen.readings).poses for m in (result.identified, truth))
         if points:
-            off.append(
-                as_points(mechanism, replace(data, poses=one)).poses[:, :3]
-                - as_points(mechanism, replace(data, poses=two)).poses[:, :3]
-            )
+            ends = [
+                as_points(mechanism, pincal.Measurements(poses, readings=unseen.readings))
+                for poses in (one, two)
+            ]
+            off.append(ends[0].poses[:, :3] - ends[1].poses[:, :3])
         else:
             off.append(mechanism.platform.twists_between(one, two)[:, :3])
     ratio = np.std(found, axis=0) / np.mean(std, axis=0)
