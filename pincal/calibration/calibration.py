@@ -54,6 +54,7 @@ class Calibration:
         found = replace(self)
         model = noise_model(self.mechanism, self.measurements, noise)
         found.__dict__["noise"] = replace(model, source=self.noise.source)
+        found.__dict__["observation"] = self.observation  # which knows no noise
         return found
 
     def at_this_noise(self) -> Calibration:
