@@ -27,18 +27,18 @@ from pincal.errors import (
     WorkspaceError,
 )
 from pincal.estimation.losses import Loss
-from pincal.estimation.observability import indices
+from pincal.estimation.observability.indices import indices
 from pincal.files.measurement_writing import write_measurements, write_poses
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.files.setups import read_setup
-from pincal.kinematics.arm import load_arm
+from pincal.finding import Finding
+from pincal.formats.arm import load_arm
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import free_of_collision
 from pincal.kinematics.singularity import margins
-from pincal.model.finding import Finding
 from pincal.model.instrument import Condition, Instrument
 from pincal.model.leg import Joint, Leg
 from pincal.model.measurements import Measurements, Noise, Plan
@@ -168,7 +168,7 @@ _MOVED = {
     "pincal.design.platform_error": "PlatformError",
     "pincal.design.select_configurations": "ConfigurationChoice",
     "pincal.design.simulate": "Accuracy Simulation",
-    "pincal.estimation.observability": "Identifiability Indices identifiability r_diagonal",
+    "pincal.estimation.observability.indices": "Identifiability Indices identifiability r_diagonal",
     "pincal.files.measurement_writing": "write_readings",
     "pincal.files.measurements": "read_readings",
     "pincal.kinematics.forward": "ForwardSolution",

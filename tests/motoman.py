@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.kinematics.arm import arm
+from pincal.formats.arm import arm
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("PINCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -11,7 +11,7 @@ import pincal
 from pincal.design.certificate import continuous_design
 from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener
-from pincal.estimation.observability import identifiability, indices, r_diagonal
+from pincal.estimation.observability.indices import identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import leg_demand
 
 

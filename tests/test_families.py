@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal import Joint, Leg, along, placed, polar
-from pincal.estimation.observability import identifiability
+from pincal.estimation.observability.indices import identifiability
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.reach import reach_of

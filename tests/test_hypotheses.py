@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.calibration import plausibility
-from pincal.calibration.plausibility import check_copies, check_noise, check_plausible
+from pincal.calibration.hypotheses.plausibility import check_copies, check_noise, check_plausible
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import close
 

@@ -10,7 +10,7 @@ import pytest
 from measured import put
 
 import pincal
-from pincal.estimation.weak import weak_pairs
+from pincal.estimation.observability.weak import weak_pairs
 from pincal.formats.printers.delta import delta_printer
 from pincal.words.sentences import sentence
 

@@ -10,9 +10,9 @@ import pytest
 from measured import machine, put, seen_from_elsewhere
 
 import pincal
-from pincal.calibration.misaligned import misaligned
-from pincal.calibration.plausibility import check_plausible, explain_misfit, said
-from pincal.estimation.drawings import DIFFER, plausible_changes
+from pincal.calibration.hypotheses.misaligned import misaligned
+from pincal.calibration.hypotheses.plausibility import check_plausible, explain_misfit, said
+from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 
 FRAME = pincal.Setup(unknown_frame=True)
 KINDS = ["5R", "3RRR", "6UPS"]

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import pincal
-from pincal.estimation.leg_condition import LegCondition
-from pincal.estimation.observation import Observation
+from pincal.estimation.conditions.leg_condition import LegCondition
+from pincal.estimation.conditions.observation import Observation
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.inverse import sensor_law

@@ -12,8 +12,8 @@ from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.estimation.angles import angle
-from pincal.estimation.observability import r_diagonal
+from pincal.estimation.conditions.angles import angle
+from pincal.estimation.observability.indices import r_diagonal
 from pincal.kinematics import starts
 from pincal.model.orientation import WAYS, columns_of, rotation_of
 

@@ -14,12 +14,8 @@ from pincal.calibration.covariance import covariances
 from pincal.calibration.findings import findings_of
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_residuals import leg_residuals
-from pincal.calibration.result import (
-    CalibrationResult,
-    IdentifiedParameter,
-    LegResult,
-    Observed,
-)
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
+from pincal.calibration.result import CalibrationResult
 from pincal.calibration.ties import tie_tests
 from pincal.estimation.robust import Outlier, Robust
 from pincal.model.measurements import Noise

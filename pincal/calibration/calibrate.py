@@ -10,20 +10,20 @@ import numpy as np
 from pincal.calibration.assemble import assemble
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.misaligned import misaligned
-from pincal.calibration.options import Options
-from pincal.calibration.plausibility import (
+from pincal.calibration.hypotheses.misaligned import misaligned
+from pincal.calibration.hypotheses.plausibility import (
     check_copies,
     check_noise,
     check_plausible,
     explain_misfit,
     said,
 )
+from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, ObservabilityError, PincalError
-from pincal.estimation.external import External
+from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 

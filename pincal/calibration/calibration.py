@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.external import External
-from pincal.estimation.leg_condition import LegCondition
+from pincal.estimation.conditions.external import External
+from pincal.estimation.conditions.leg_condition import LegCondition
+from pincal.estimation.conditions.observation import Observation
+from pincal.estimation.linear import State
 from pincal.estimation.noise import NoiseModel, noise_model
-from pincal.estimation.observation import Observation
-from pincal.estimation.problem import Problem, State
+from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import Unknowns, unknowns
 from pincal.model.measurements import Measurements, Noise

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.fits import Fits
 from pincal.estimation.fit import influence
-from pincal.estimation.gauge import Gauge
+from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.robust import Robust
 from pincal.estimation.unknowns import Unknowns
 from pincal.model.mechanism import Mechanism

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.special import gammainc
 
 from pincal.calibration.result import UNEXPLAINED, CalibrationResult
-from pincal.estimation.drawings import plausible_changes
-from pincal.estimation.unobservable import Held
-from pincal.model.finding import Finding
+from pincal.estimation.observability.drawings import plausible_changes
+from pincal.estimation.observability.unobservable import Held
+from pincal.finding import Finding
 from pincal.model.setup import ORIGIN, Setup
 from pincal.words.sentences import finding
 

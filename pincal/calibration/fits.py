@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from pincal.calibration.calibration import Calibration
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.components import Moments, Pools, estimated_noise
-from pincal.estimation.external import External
-from pincal.estimation.gauge import Gauge, find_gauge
+from pincal.estimation.conditions.external import External
 from pincal.estimation.losses import Loss, loss_of
 from pincal.estimation.noise import assumed_noise
+from pincal.estimation.observability.gauge import Gauge, find_gauge
+from pincal.estimation.observability.unobservable import Held, hold_unobservable
 from pincal.estimation.problem import Problem
 from pincal.estimation.robust import Robust, robust_fit
-from pincal.estimation.solve import System
+from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
-from pincal.estimation.unobservable import Held, hold_unobservable
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 

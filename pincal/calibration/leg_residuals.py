@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.problem import Linear, Problem
+from pincal.estimation.linear import Linear
+from pincal.estimation.problem import Problem
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
 from pincal.errors import MeasurementError
-from pincal.estimation.leg_condition import Residual
+from pincal.estimation.conditions.leg_condition import Residual
 from pincal.estimation.losses import Loss, LossName, loss_of
 from pincal.model.measurements import Noise
 from pincal.model.setup import Setup

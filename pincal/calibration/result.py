@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
 from pincal.calibration.options import Options
 from pincal.design.platform_error import PlatformError, Unidentified, platform_error
-from pincal.estimation.external import External
+from pincal.estimation.conditions.external import External
+from pincal.estimation.observability.weak import WeakPair, weak_pairs
 from pincal.estimation.robust import Outlier
-from pincal.estimation.weak import WeakPair, weak_pairs
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import Parameter, Parameters
-from pincal.words.numbers import SMALL, Measured, shown_in
+from pincal.model.parameter import Parameters
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
@@ -48,135 +48,6 @@ class Page(Protocol):
 
     def html(self) -> str:
         """Return the page."""
-
-
-@dataclass(frozen=True)
-class IdentifiedParameter(Parameter):
-    """One parameter: nominal and identified value, and how sure the latter is."""
-
-    identified: float
-    """Identified value, SI."""
-    std: float
-    """Standard error."""
-    low: float
-    """Lower end of the 95 % confidence interval."""
-    high: float
-    """Upper end of the 95 % confidence interval."""
-    given: str = ""
-    """What was given of it beforehand: ``"fixed"``, ``"tied"``, ``"prior"``, or several."""
-
-    @property
-    def change(self) -> float:
-        """Identified less nominal value."""
-        return self.identified - self.nominal
-
-    @property
-    def text(self) -> str:
-        """Identified value ± half its 95 % interval, in the unit in which people read it."""
-        return Measured(self.identified, (self.high - self.low) / 2, self.unit).text()
-
-
-@dataclass(frozen=True, repr=False)
-class LegResult:
-    """Calibration of one leg."""
-
-    name: str
-    parameters: tuple[IdentifiedParameter, ...]
-    rank: int
-    condition: float
-    """Of the leg's whitened identification Jacobian, columns scaled to unit length."""
-    rms_before: float
-    """Root mean square residual with nominal parameters: closure or joint at measured poses, or
-    predicted less measured reading at those that were estimated."""
-    rms_after: float
-    """Root mean square residual with identified parameters."""
-    unit: str
-    """Of the residuals: m of closures, that of the reading otherwise."""
-    n_residuals: int
-    sigma: Array
-    """Modelled standard deviation of each residual used, shape (n_residuals,)."""
-    rows: NDArray[np.intp]
-    """Rows of the measurements used, shape (n_residuals,)."""
-    residuals_before: Array
-    """Residuals with nominal parameters, shape (n_residuals,)."""
-    residuals: Array
-    """Residuals with identified parameters, shape (n_residuals,)."""
-    quantity: str = "closure"
-    """What residuals are of: ``"closure"``, or ``"reading"``."""
-
-    def __repr__(self) -> str:
-        return (
-            f"LegResult({self.name!r}, {len(self.parameters)} parameters, rank {self.rank}, "
-            f"{self.quantity} residuals {self._fell})"
-        )
-
-    def __str__(self) -> str:
-        lines = [
-            f"{self.name}: {self.quantity} residuals {self._fell} (root mean square), "
-            f"{self.n_residuals} from {self.n_poses} poses",
-            f"rank {self.rank} of {len(self.parameters)}, condition {self.condition:.3g}",
-        ]
-        return "\n".join([*lines, *(f"  {p.id}  {p.text}" for p in self.parameters)])
-
-    @property
-    def _fell(self) -> str:
-        before, after = (shown_in(one, self.unit) for one in (self.rms_before, self.rms_after))
-        return f"{before:.3g} → {after:.3g} {SMALL[self.unit]}"
-
-    @property
-    def n_poses(self) -> int:
-        """Number of poses that served the leg."""
-        return len(np.unique(self.rows))
-
-    @property
-    def identified(self) -> Array:
-        """Identified values, shape (n_params,)."""
-        return np.array([p.identified for p in self.parameters])
-
-    @property
-    def std(self) -> Array:
-        """Standard errors, shape (n_params,)."""
-        return np.array([p.std for p in self.parameters])
-
-
-@dataclass(frozen=True)
-class Observed:
-    """How a measured quantity of the platform fits."""
-
-    name: str
-    unit: str
-    count: int
-    """How often it was measured."""
-    rms: float
-    """Root mean square of predicted less measured."""
-    sigma: float
-    """Root mean square standard deviation of the measurements."""
-    rows: NDArray[np.intp]
-    """Rows of the measurements, shape (count,)."""
-    sigmas: Array
-    """Standard deviations of the measurements, shape (count,)."""
-    residuals_before: Array
-    """Predicted less measured where the search started, shape (count,)."""
-    residuals: Array
-    """Predicted less measured, shape (count,)."""
-
-
-@dataclass(frozen=True)
-class TieTest:
-    """Whether a parameter that was tied has one value for all legs."""
-
-    name: str
-    restrictions: int
-    """By how many parameters there are fewer."""
-    statistic: float
-    """Square of the differences between legs in standard errors, over the restrictions."""
-    p_value: float
-    """Probability of such a growth, or a larger one, if the tie holds."""
-
-    @property
-    def holds(self) -> bool:
-        """Whether the measurements do not contradict the tie, at 1 %."""
-        return self.p_value >= 0.01
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pincal.files.output as output
-from pincal.calibration.result import CalibrationResult, IdentifiedParameter, LegResult, Page
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult
+from pincal.calibration.result import CalibrationResult, Page
 from pincal.calibration.result_data import restored, stored
 from pincal.calibration.runs import RunComparison
 from pincal.errors import MeasurementError

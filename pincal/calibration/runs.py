@@ -16,7 +16,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.calibration.validation import UNLIKELY
 from pincal.errors import MeasurementError
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding, sentences

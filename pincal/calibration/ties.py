@@ -8,7 +8,7 @@ from scipy.stats import f as f_law
 
 from pincal.calibration.covariance import covariances
 from pincal.calibration.fits import Fits
-from pincal.calibration.result import TieTest
+from pincal.calibration.leg_result import TieTest
 
 _MOVED = 1e-9  # by which a unit motion of frames moves a difference of tied parameters
 

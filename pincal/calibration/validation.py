@@ -25,10 +25,10 @@ from pincal.calibration.options import Options
 from pincal.design.platform_error import closing_twists
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
-from pincal.estimation.problem import Linear
+from pincal.estimation.linear import Linear
 from pincal.estimation.solve import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount

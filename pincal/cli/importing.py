@@ -18,6 +18,7 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism, save_mechanism, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.urdf import more_than_a_turn
+from pincal.formats.arm import load_arm
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.klipper import read_klipper
 from pincal.formats.printers.reprap import read_reprap
@@ -26,7 +27,6 @@ from pincal.formats.trees.drawn import closing_in_words
 from pincal.formats.trees.loops_yaml import loops_beside, read_loops
 from pincal.formats.trees.mjcf import read_mjcf
 from pincal.formats.trees.serial import serial_arm
-from pincal.kinematics.arm import load_arm
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Measurements

@@ -10,7 +10,7 @@ import typer
 
 from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.errors import SymmetryError
-from pincal.estimation.observability import identifiability
+from pincal.estimation.observability.indices import identifiability
 from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demand

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from pincal.design.information import information_rows, leg_whitener, parameter_ids
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
-from pincal.estimation.frames import frames_moved, split_frames
-from pincal.estimation.observability import (
+from pincal.estimation.observability.frames import frames_moved, split_frames
+from pincal.estimation.observability.indices import (
     NEGLIGIBLE,
     Identifiability,
     identifiability,
     scaled_axes,
 )
-from pincal.estimation.weak import WeakPair, weak_pairs
+from pincal.estimation.observability.weak import WeakPair, weak_pairs
 from pincal.files.given import as_noise, as_setup
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size

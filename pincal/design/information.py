@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.estimation.external import ExternalUnknowns
-from pincal.estimation.observation import Observation, Rows
+from pincal.estimation.conditions.external import ExternalUnknowns
+from pincal.estimation.conditions.observation import Observation, Rows
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
 from pincal.kinematics.configurations import Legs
 from pincal.kinematics.derivatives import Demand

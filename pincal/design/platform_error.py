@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.frames import frame_motions, unexplained
-from pincal.estimation.observability import NEGLIGIBLE
+from pincal.estimation.observability.frames import frame_motions, unexplained
+from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.derivatives import leg_demand

@@ -14,7 +14,7 @@ from pincal.design.distinct import SAME, distinct, places_of
 from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener, parameter_ids
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.observability import identifiability
+from pincal.estimation.observability.indices import identifiability
 from pincal.files.given import as_noise
 from pincal.kinematics.configurations import block_diagonal
 from pincal.kinematics.derivatives import leg_demand

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pincal.design.search import Search, SelectionOptions
 from pincal.errors import MeasurementError
-from pincal.estimation.observability import Indices, identifiability, indices, r_diagonal
+from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.checks import count_of, described

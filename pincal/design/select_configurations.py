@@ -19,7 +19,7 @@ from pincal.design.distinct import distinct
 from pincal.design.information import information_rows
 from pincal.design.search import SelectionOptions, d_optimal
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.observability import Identifiability, identifiability, scaled_axes
+from pincal.estimation.observability.indices import Identifiability, identifiability, scaled_axes
 from pincal.files.given import as_noise, as_setup
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at

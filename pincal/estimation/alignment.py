@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.estimation.external import External
-from pincal.estimation.problem import Problem, State
+from pincal.estimation.conditions.external import External
+from pincal.estimation.linear import State
+from pincal.estimation.problem import Problem
 from pincal.model.measurements import Measurements
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN

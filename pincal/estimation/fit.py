@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.identifiable import check_information, check_rank
+from pincal.estimation.linear import Linear, State
 from pincal.estimation.losses import outlying
-from pincal.estimation.problem import Linear, Problem, State
-from pincal.estimation.solve import System, near_start, search, solve_poses
+from pincal.estimation.observability.identifiable import check_information, check_rank
+from pincal.estimation.problem import Problem
+from pincal.estimation.solve import near_start, search, solve_poses
+from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]

@@ -12,10 +12,10 @@ from scipy.stats import chi2, norm
 
 from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
+from pincal.estimation.linear import State
 from pincal.estimation.losses import LOSSES, Loss, outlying
-from pincal.estimation.problem import State
-from pincal.estimation.solve import System
-from pincal.estimation.unobservable import check_covariance, check_weakly_determined
+from pincal.estimation.observability.unobservable import check_covariance, check_weakly_determined
+from pincal.estimation.system import System
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -94,8 +94,11 @@ def robust_fit(
         check_weakly_determined(mechanism, system.problem, system.unknowns, error)
         raise
     fit_is_good = found.fit.chi2 <= _GOOD * max(found.fit.degrees_of_freedom, 1)
-    if not found.fit.converged and (fit_is_good or not system.known):
-        check_covariance(mechanism, system.problem, found.fit.covariance)
+    if fit_is_good or not system.known:
+        one = found.fit
+        check_covariance(
+            mechanism, one.problem, one.parameters, one.covariance, converged=one.converged
+        )
     return found
 
 

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.observability import ROUNDING
+from pincal.estimation.observability.indices import ROUNDING
 from pincal.kinematics.closure import product, solve
 
 Array = NDArray[np.float64]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.estimation.losses import Loss, robust_scale
-from pincal.estimation.problem import Linear, Problem, State
-from pincal.estimation.unknowns import Unknowns
+from pincal.estimation.linear import Linear
+from pincal.estimation.problem import Problem
+from pincal.estimation.system import Normal, System
 from pincal.kinematics.closure import largest_size
 
 Array = NDArray[np.float64]
@@ -28,7 +28,6 @@ _FIRST_ORDER = 1e-6  # of the mechanism's size, and [rad]: poses this near are s
 _SHORTEST = 1e-2  # of a step: poses that need shorter ones stay where they are
 _LARGEST_STEP = 0.2  # of the mechanism's size, and [rad], that poses take at once
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
-_ROWS_FOLLOW = 1e-3  # of the cost, by which it may grow as rows follow the state
 _PROBE = 0.1  # of a step, at which its bend is measured
 _BEND = 0.75  # of a step, twice its second-order part at most
 _NO_STEP = 1e-9  # of a standard error
@@ -36,134 +35,6 @@ _NEAR = 0.1  # of a residual's standard deviation: the evened problem is left
 _SLOW = 1e-6  # of a standard error: nearer only if each step halves the distance
 _NEGLIGIBLE = 1e-3  # of a standard error: what is left where no step falls further
 _ROUNDING = 1e-10  # of the cost: falls that are predicted smaller cannot be judged by it
-
-
-@dataclass(frozen=True)
-class System:
-    """The weighted rows of a problem and its priors, in the free unknowns."""
-
-    problem: Problem
-    unknowns: Unknowns
-    known: bool
-    """Whether the scale of the noise is known."""
-    loss: Loss | None = None
-    kept: Mask | None = None
-    """Rows that take part, shape (N,); all if not given."""
-    unit: float = 1.0
-    """Typical standard deviation of residuals that are minimised unweighted, [rad] or [m]."""
-
-    def weights(self, linear: Linear) -> tuple[Array, float]:
-        """Return the weight of each row, shape (N,), and the scale of the noise."""
-        kept = np.ones(len(linear.value)) if self.kept is None else self.kept.astype(float)
-        if self.loss is None:
-            return kept, 1.0
-        scale = max(self.scale(linear), 1.0 if self.known else 1e-300)
-        return kept * self.loss.weights(linear.squares / scale**2, linear.equations), scale
-
-    def scale(self, linear: Linear) -> float:
-        """Return the scale of the noise by the rows in the middle."""
-        own = np.ones(len(linear.value), dtype=bool) if self.kept is None else self.kept
-        equations = linear.equations[own]
-        share = 1.0 - self.unknowns.map.shape[1] / max(int(equations.sum()), 1)
-        return robust_scale(linear.squares[own], equations, max(share, 0.1))
-
-    def minimised(self, linear: Linear) -> tuple[Array, Array]:
-        """Return what is minimised, shape (N, m), and its derivatives, shape (N, m, n)."""
-        if self.problem.weighted:
-            return linear.value, linear.jacobian
-        return linear.stack.value / self.unit, linear.stack.parameter / self.unit
-
-    def rows(
-        self, value: Array, jacobian: Array, weights: Array, state: State
-    ) -> tuple[Array, Array]:
-        """Return Jacobian in the free unknowns and residuals, (M, n_free) and (M,), with priors."""
-        used = weights > 0.0
-        root = np.sqrt(weights[used])[:, None]
-        J = (root[:, :, None] * jacobian[used]).reshape(-1, jacobian.shape[2]) @ self.unknowns.map
-        r, J_prior = self.unknowns.prior_rows(self.values(state))
-        return np.concatenate((J, J_prior)), np.concatenate(((root * value[used]).ravel(), r))
-
-    def values(self, state: State) -> Array:
-        """Return the parameters with zeros for the external unknowns, which have no priors."""
-        n = len(self.unknowns.names)
-        return np.concatenate((state.parameters, np.zeros(n - len(state.parameters))))
-
-    def cost(self, value: Array, weights: Array, state: State) -> float:
-        """Return what is minimised, from residuals of shape (N, m)."""
-        prior, _ = self.unknowns.prior_rows(self.values(state))
-        return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
-
-    def cost_in(self, here: Linear, trial: Linear, weights: Array) -> float:
-        """Return the cost at a trial, in the rows and weights of another state."""
-        value = here.frozen(trial) if self.problem.weighted else self.minimised(trial)[0]
-        return self.cost(value, weights, trial.state)
-
-    def falls(
-        self, here: Linear, trial: Linear, weights: Array, cost: float, new_cost: float
-    ) -> bool:
-        """Return whether a step is a good one.
-
-        Far from the optimum, where rows turn with the state, its own cost falls; near it, in the
-        rows and weights of its beginning.
-        """
-        if self.loss is None and new_cost < cost:
-            return True
-        near = self.loss is not None or new_cost <= (1.0 + _ROWS_FOLLOW) * cost
-        return near and self.cost_in(here, trial, weights) <= cost
-
-    def solve(self, linear: Linear, weights: Array) -> Normal:
-        """Return the normal equations in square-root form."""
-        return Normal.of(*self.rows(*self.minimised(linear), weights, linear.state))
-
-
-@dataclass(frozen=True)
-class Normal:
-    """R δz = −c of Q R = J, columns of unit length."""
-
-    lengths: Array
-    """Of the columns of J, shape (n,)."""
-    R: Array
-    """Shape (n, n)."""
-    c: Array
-    """Qᵀ r, shape (n,)."""
-
-    @classmethod
-    def of(cls, J: Array, r: Array) -> Normal:
-        """Return the normal equations of a Jacobian (m, n) and residuals (m,)."""
-        n = J.shape[1]
-        lengths = np.linalg.norm(J, axis=0)
-        lengths[lengths == 0.0] = 1.0
-        stacked = np.column_stack((J / lengths, r))
-        if len(stacked) <= n:
-            stacked = np.concatenate((stacked, np.zeros((n + 1 - len(stacked), n + 1))))
-        triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
-        return cls(lengths, triangle[:n, :n], triangle[:n, n])
-
-    @property
-    def decrement(self) -> float:
-        """How far the optimum is, to first order: root of the fall of the cost, in σ."""
-        return float(np.linalg.norm(self.c))
-
-    def fall(self, step: Array) -> float:
-        """Return by how much the cost falls by a step, shape (n,), to first order."""
-        return float(self.c @ self.c - ((self.c + self.R @ (step * self.lengths)) ** 2).sum())
-
-    def solve(self, gradient: Array, damping: float) -> Array:
-        """Return (JᵀJ + damping)⁻¹ g of a gradient of shape (n,), shape (n,)."""
-        n = len(self.c)
-        R = np.asarray(
-            np.linalg.qr(np.concatenate((self.R, np.sqrt(damping) * np.eye(n))), mode="r")
-        )
-        half = np.linalg.solve(R.T, gradient / self.lengths)
-        return np.asarray(np.linalg.solve(R, half)) / self.lengths
-
-    def step(self, damping: float = 0.0) -> Array:
-        """Return the least-squares step, shape (n,); damping relative to squares of columns."""
-        R, c, n = self.R, self.c, len(self.c)
-        if damping > 0.0:
-            R = np.concatenate((R, np.sqrt(damping) * np.eye(n)))
-            c = np.concatenate((c, np.zeros(n)))
-        return -np.linalg.lstsq(R, c, rcond=None)[0] / self.lengths
 
 
 @dataclass(frozen=True)

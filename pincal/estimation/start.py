@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.estimation.alignment import aligned
-from pincal.estimation.external import External
-from pincal.estimation.problem import Problem, Stack, State
+from pincal.estimation.conditions.external import External
+from pincal.estimation.linear import Stack, State
+from pincal.estimation.problem import Problem
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.forward import placed_by_arm
 from pincal.kinematics.inverse import inverse

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.calibration.result import CalibrationResult, IdentifiedParameter
+from pincal.calibration.leg_result import IdentifiedParameter
+from pincal.calibration.result import CalibrationResult
 from pincal.show.results import (
     Series,
     legs_series,

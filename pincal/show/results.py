@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.calibration.result import CalibrationResult, IdentifiedParameter, LegResult
-from pincal.model.finding import Finding
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult
+from pincal.calibration.result import CalibrationResult
+from pincal.finding import Finding
 from pincal.words.sentences import sentence
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.validation import Validation
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
-from pincal.estimation.weak import WeakPair
+from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, turns
 from pincal.show.workspace_errors import WorkspaceErrors

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.words.numbers import counted, size
 from pincal.words.wording import Wording
 

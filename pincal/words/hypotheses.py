@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.words.numbers import counted, percent
 from pincal.words.wording import Wording, Words
 

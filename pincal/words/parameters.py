@@ -6,7 +6,7 @@ Each code's ``values`` say what a finding of it holds, in SI; ids are those of p
 
 from __future__ import annotations
 
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.words.numbers import listed
 from pincal.words.wording import P_VALUE, Wording, groups_in_words
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.words.numbers import amount
 from pincal.words.wording import P_VALUE, Wording
 

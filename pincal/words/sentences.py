@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pincal.model.finding import Finding
+from pincal.finding import Finding
 from pincal.words.faults import FAULTS
 from pincal.words.freedoms import FREEDOMS
 from pincal.words.hypotheses import HYPOTHESES, explanation

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from pincal.model.finding import Finding, Severity
+from pincal.finding import Finding, Severity
 
 #: Words that need no values, or a function of the finding.
 Words: TypeAlias = str | Callable[[Finding], str]

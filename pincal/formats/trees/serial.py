@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 from pincal.errors import MechanismError
+from pincal.formats.arm import arm
 from pincal.formats.trees.tree import Tree
-from pincal.kinematics.arm import arm
 from pincal.model.leg import Joint
 from pincal.model.mechanism import Mechanism
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
-from pincal.estimation.observability import r_diagonal
+from pincal.estimation.observability.indices import r_diagonal
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Measurements, Plan
 from pincal.show.results import turns

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.frames import frames_moved, split_frames, still
-from pincal.estimation.generic import derivatives_near, lost_directions
-from pincal.estimation.observability import identifiability
+from pincal.estimation.observability.frames import frames_moved, split_frames, still
+from pincal.estimation.observability.generic import derivatives_near, lost_directions
+from pincal.estimation.observability.indices import identifiability
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
+from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
-from pincal.model.finding import Finding
 from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding
 from pincal.words.wording import groups_in_words

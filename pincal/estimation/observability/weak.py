@@ -14,7 +14,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.observability import NEGLIGIBLE, RANK_TOLERANCE
+from pincal.estimation.observability.indices import NEGLIGIBLE, RANK_TOLERANCE
 
 Array = NDArray[np.float64]
 _WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943

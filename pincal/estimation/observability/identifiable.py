@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.observability import identifiability
-from pincal.estimation.problem import Linear, Problem
+from pincal.estimation.linear import Linear
+from pincal.estimation.observability.indices import identifiability
+from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]

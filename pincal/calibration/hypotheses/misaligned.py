@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_law
 
-from pincal.estimation.drawings import plausible_changes
-from pincal.estimation.frames import frame_motions, unexplained
+from pincal.estimation.observability.drawings import plausible_changes
+from pincal.estimation.observability.frames import frame_motions, unexplained
+from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
-from pincal.model.finding import Finding
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding

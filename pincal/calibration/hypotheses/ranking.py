@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from pincal.calibration.hypotheses import (
+from pincal.calibration.hypotheses.faults import (
     Hypothesis,
     offsets_of,
     several_units,
     single_faults,
     zeros,
 )
-from pincal.calibration.leg_fit import LegFit, leg_fit
-from pincal.calibration.sample import Sample, placed
-from pincal.estimation.drawings import DIFFER
+from pincal.calibration.hypotheses.leg_fit import LegFit, leg_fit
+from pincal.calibration.hypotheses.sample import Sample, placed
+from pincal.estimation.observability.drawings import DIFFER
+from pincal.finding import Finding
 from pincal.kinematics.singularity import margins
-from pincal.model.finding import Finding
 from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.observability import scaled_axes
+from pincal.estimation.observability.indices import scaled_axes
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.leg_fit import QUESTIONED, LegFit, leg_fit
-from pincal.calibration.sample import Sample
+from pincal.calibration.hypotheses.leg_fit import QUESTIONED, LegFit, leg_fit
+from pincal.calibration.hypotheses.sample import Sample
 from pincal.kinematics.inverse import inverse
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS, columns_of, rotation_of

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.drawings import DIFFER, changes_of
-from pincal.estimation.frames import frame_motions
+from pincal.estimation.observability.drawings import DIFFER, changes_of
+from pincal.estimation.observability.frames import frame_motions
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
 from pincal.kinematics.nearest_closure import nearest_closure

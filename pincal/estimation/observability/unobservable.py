@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.drawings import plausible_changes
-from pincal.estimation.generic import derivatives_near, lost_directions
-from pincal.estimation.identifiable import taking_part
-from pincal.estimation.observability import identifiability
-from pincal.estimation.problem import Problem, State
+from pincal.estimation.linear import State
+from pincal.estimation.observability.drawings import DIFFER, plausible_changes
+from pincal.estimation.observability.generic import derivatives_near, lost_directions
+from pincal.estimation.observability.identifiable import taking_part
+from pincal.estimation.observability.indices import identifiability
+from pincal.estimation.problem import Problem
 from pincal.estimation.start import poses_at_rest
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
@@ -121,16 +122,37 @@ def check_weakly_determined(
         raise _weak(taking_part(unknowns.free_labels, weak)) from cause
 
 
-def check_covariance(mechanism: Mechanism, problem: Problem, covariance: Array) -> None:
-    """Raise if noise moves parameters farther than machines differ, where a search was lost.
+def check_covariance(
+    mechanism: Mechanism,
+    problem: Problem,
+    parameters: Array,
+    covariance: Array,
+    *,
+    converged: bool,
+) -> None:
+    """Raise if a search was lost among parameters, or found values that could be any.
+
+    Lost where noise moves parameters farther than machines differ from their drawings; any where
+    it has done so, and two standard errors are longer than the machine, or more than a radian: no
+    linear covariance holds so far.
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem.
+        parameters: Where the search ended, shape (n_params,).
+        covariance: Of all its unknowns, shape (n, n).
+        converged: Whether the search did.
 
     Raises:
         ObservabilityError: that is so; the message names the parameters.
     """
-    std = np.sqrt(np.diagonal(covariance))[: problem.n_parameters]
-    ids = [f"{leg.name}.{name}" for leg in problem.legs for name in leg.parameter_names]
-    far = std > plausible_changes(mechanism, problem.legs)
-    if far.any():
+    n, limit = problem.n_parameters, plausible_changes(mechanism, problem.legs)
+    std = np.sqrt(np.diagonal(covariance))[:n]
+    moved = np.abs(parameters - np.concatenate([leg.nominal for leg in problem.legs]))
+    far = std > limit
+    anything = (2.0 * std > limit / DIFFER) & (moved > limit)
+    if anything.any() if converged else far.any():
+        ids = [f"{leg.name}.{name}" for leg in problem.legs for name in leg.parameter_names]
         raise _weak([one for one, weak in zip(ids, far, strict=True) if weak])
 
 

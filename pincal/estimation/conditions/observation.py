@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.estimation.angles import angle
-from pincal.estimation.external import External, ExternalUnknowns
+from pincal.estimation.conditions.angles import angle
+from pincal.estimation.conditions.external import External, ExternalUnknowns
 from pincal.kinematics.batches import inverse_left_jacobian, turn_between
 from pincal.kinematics.closure import point_velocity
 from pincal.model.instrument import checked

@@ -13,15 +13,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.calibration.leg_fit import QUESTIONED
-from pincal.calibration.ranking import Judged, as_findings, explanations, judge, other_side
-from pincal.calibration.sample import Sample, placed, sample_of
+from pincal.calibration.hypotheses.leg_fit import QUESTIONED
+from pincal.calibration.hypotheses.ranking import (
+    Judged,
+    as_findings,
+    explanations,
+    judge,
+    other_side,
+)
+from pincal.calibration.hypotheses.sample import Sample, placed, sample_of
 from pincal.errors import MeasurementError
-from pincal.estimation.drawings import DIFFER
-from pincal.estimation.external import External
+from pincal.estimation.conditions.external import External
+from pincal.estimation.observability.drawings import DIFFER
+from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.inverse import inverse
-from pincal.model.finding import Finding
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup, Target

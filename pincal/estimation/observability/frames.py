@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.observability import NEGLIGIBLE, RANK_TOLERANCE
+from pincal.estimation.observability.indices import NEGLIGIBLE, RANK_TOLERANCE
 from pincal.kinematics.closure import point_velocity
 from pincal.model.platform import Platform
 

@@ -1,0 +1,1 @@
+"""What legs demand and what instruments measured, as values with derivatives."""

@@ -1,0 +1,1 @@
+"""What measurements determine: rank, observability indices, weak pairs, gauge freedoms."""
