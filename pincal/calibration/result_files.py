@@ -228,6 +228,6 @@ def load_result(folder: str | Path) -> CalibrationResult:
     if "data" not in found:
         raise MeasurementError(
             f"{folder}: a result of version 0.1, which does not hold all that it was made from; "
-            "calibrate again, or read it with pincal.read_result"
+            "calibrate again, or read it with pincal.calibration.result_files.read_result"
         )
     return restored(found["data"], load_mechanism(Path(folder) / NOMINAL))
