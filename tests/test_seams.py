@@ -129,6 +129,19 @@ def test_instruments_without_noise_give_the_truth(name: str, unknown_frame: bool
             np.testing.assert_allclose(leg.nominal, true.nominal, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["3RRR", "5R", "delta"])
+@pytest.mark.parametrize("unknown_frame", [False, True])
+def test_instruments_may_be_far_from_where_they_are_said(name: str, unknown_frame: bool) -> None:
+    """The search starts where the poses that everything else gives place them."""
+    robot, _, data = _measured(name, _frame(pincal.load_mechanism(name)) if unknown_frame else None)
+    far = Station(parameters=_own(("x", "m", -3.0), ("zero", "rad", 2.5)))
+    setup = pincal.Setup(unknown_frame=unknown_frame, instruments=(far,))
+    result = pincal.calibrate(robot, data, setup=setup, noise=pincal.Noise())
+    assert result.converged
+    assert result["station.x"].identified == pytest.approx(-0.48, abs=1e-8)
+    assert result["station.zero"].identified == pytest.approx(0.02, abs=1e-8)
+
+
 def test_an_instrument_is_known_everywhere(tmp_path: Path) -> None:
     """In files, forecasts, validation, tables and reports."""
     robot, _, data = _measured("3RRR")
