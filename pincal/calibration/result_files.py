@@ -1,6 +1,6 @@
 """A result folder: ``result.json``, ``residuals.csv``, the nominal and the calibrated mechanism.
 
-``result.json`` says what was found in words and numbers for programs, and holds under ``data`` all
+``result.json`` says what was found, for people and programs, and holds under ``data`` all
 that the result is made of, bit for bit, so that ``load_result`` gives it back.
 """
 

@@ -87,7 +87,7 @@ def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
     if not len(here):
         raise MeasurementError(
             "the frame of the measurements is unknown and cannot be aligned: in no row with a "
-            "measured position do the readings tell where the nominal machine is. It needs as many "
+            "measured position do the readings say where the nominal machine is. It needs as many "
             "readings as the platform has freedoms; check their units, order and signs"
         )
     least = platform.space
@@ -96,7 +96,7 @@ def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
         if len(here) < least or not spread[least - 2] > 1e-3 * spread[0]:
             raise MeasurementError(
                 f"the frame of the measurements is unknown and cannot be aligned: {len(here)} rows "
-                "with a position from which to tell it, all "
+                "with a position that could show it, all "
                 f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
                 "that span the workspace"
             )

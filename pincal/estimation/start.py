@@ -260,7 +260,7 @@ def check_start(problem: Problem, state: State) -> None:
 def left_out(setup: Setup) -> str:
     """Return which options that free frame and target a setup leaves out, as a remark."""
     options = {
-        "if the base stands elsewhere in it: --unknown-frame": setup.unknown_frame,
+        "if the base is elsewhere in it: --unknown-frame": setup.unknown_frame,
         "if the target is not the platform's origin: --unknown-target or --setup": (
             setup.targets[ORIGIN].unknown
         ),

@@ -1,6 +1,6 @@
 """Gauge freedoms: motions of frames that no measurement of this kind can observe.
 
-If the base stands at an unknown place in the tracker's frame, turning the base frame and all
+If the base is at an unknown place in the tracker's frame, turning the base frame and all
 base points with it changes nothing that is measured; so does turning the platform's frame if
 its orientation is not measured. Such directions are found as what generic poses leave
 undetermined, distinguished from parameters that are truly lost by what they do to the platform, and

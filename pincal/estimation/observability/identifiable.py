@@ -63,7 +63,7 @@ def check_rank(
     if not all_.complete:
         raise ObservabilityError(
             f"the measured poses leave parameters undetermined: {all_.describe()} "
-            f"(rank {all_.rank} of {all_.n_params}). Measure poses that tell them apart, fix "
+            f"(rank {all_.rank} of {all_.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
             "can be (--hold-undetermined; leave out --per-leg)"
         )
