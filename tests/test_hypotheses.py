@@ -16,7 +16,7 @@ from measured import put
 from numpy.typing import NDArray
 
 import pincal
-from pincal.calibration import plausibility
+from pincal.calibration.hypotheses import plausibility
 from pincal.calibration.hypotheses.plausibility import check_copies, check_noise, check_plausible
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import close
