@@ -571,16 +571,20 @@ def test_existing_output_is_refused(command: str, readings: Path) -> None:
 
 @pytest.mark.parametrize("command", some_slow(WRITERS, "calibrate"))
 def test_force_writes_what_a_new_name_gets(command: str, readings: Path) -> None:
-    """With --force an earlier output is replaced by what a new name gets, byte for byte."""
+    """With --force an earlier output is replaced by what a new name gets, and kept as .bak."""
     done(*WRITERS[command], "-o", "new")
     first = contents(readings)
-    if Path("new").is_dir():
-        Path("new/stale").write_text("old")
-    else:
-        Path("new").write_text("old")
-    assert contents(readings) != first
+    for one in Path("new").rglob("*") if Path("new").is_dir() else [Path("new")]:
+        if one.is_file() and one.suffix != ".yaml":  # by which the old is known
+            one.write_text("{}" if one.name == "result.json" else "old")
+    changed = contents(Path("new")) or {"": b"old"}
     done(*WRITERS[command], "-o", "new", "--force")
-    assert contents(readings) == first
+    found = contents(readings)
+    assert {name: found[name] for name in first} == first
+    kept = {
+        name.removeprefix("new.bak").lstrip("/"): found[name] for name in set(found) - set(first)
+    }
+    assert {name: kept[name] for name in changed} == changed
 
 
 @pytest.mark.parametrize("command", ["inverse", "calibrate"])  # a table, a folder

@@ -127,13 +127,15 @@ def test_existing_folder_is_refused(folder: Path) -> None:
     assert names(folder.parent) == ["copy"]
 
 
-def test_force_replaces_the_whole_folder(folder: Path) -> None:
-    """With force nothing of the old folder is left, and no scratch beside it."""
+def test_force_replaces_the_whole_mechanism(folder: Path) -> None:
+    """With force nothing of the old mechanism is left but its backup, and no scratch beside it."""
+    before = contents(folder)
     five = pincal.load_mechanism("5R")
     five.save(folder, force=True)
     assert pincal.load_mechanism(folder) == five
     assert sorted(contents(folder)) == ["leg_1.urdf", "leg_2.urdf", YAML, PLATFORM]
-    assert names(folder.parent) == ["copy"]
+    assert names(folder.parent) == ["copy", "copy.bak"]
+    assert contents(folder.with_name("copy.bak")) == before
 
 
 def test_force_spares_a_folder_that_is_no_mechanism(tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from pincal.show.report.answers import answers
 from pincal.show.report.findings import Findings
 from pincal.show.report.report import Origin, Report
 from pincal.show.result_tables import legs_table, parameters_table
+from pincal.show.results import noisy_series
 from pincal.show.summary import calibration_summary, check_lines
 from pincal.show.workspace_errors import errors_at
 from pincal.words.sentences import finding
@@ -174,6 +175,41 @@ def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
         assert "no accuracy can be promised" in said
         assert "by about" not in said
         assert ("hardly fell" in said) == (verdict == "No")
+        page = page_of(Report(replace(report.found, result=poor), report.origin))
+        assert "No maps: no accuracy can be promised" in page.get_element_by_id("platform")[-1].text
+        bars = page.get_element_by_id("figure-rms").text_content()
+        assert "residuals [mm]" in bars
+        assert "platform: position" not in bars
+        with pytest.raises(pincal.MeasurementError, match="no accuracy can be promised"):
+            poor.plot.error_map()
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_on_maps_as_on_cards(planar: Any) -> None:
+    """Where residuals are larger than the noise, maps and bars are scaled as the answer is."""
+    result, _, report = planar
+    poor = replace(report.found, result=replace(result, reduced_chi2=4.0))
+    np.testing.assert_allclose(poor.maps.after, 2 * report.found.maps.after)
+    bars = page_of(Report(poor, report.origin)).get_element_by_id("figure-rms").text_content()
+    assert f"{2e3 * report.found.errors.mean_after()[0]:.2g}" in bars
+
+
+@pytest.mark.parametrize("frame", [False, True])
+def test_residuals_before_of_noisy_readings(frame: bool) -> None:
+    """Readings and platform share what the nominal model misses, however exact the readings are."""
+    noise = pincal.Noise(1e-4, 1e-4, 1e-6)
+    mechanism, data = measured("3RRR", 30, noise)
+    poses = data.poses + np.array([0.4, 0.2, 0.0]) * frame
+    poses[:, 2] = np.nan
+    setup = pincal.Setup(unknown_frame=frame)
+    result = pincal.calibrate(mechanism, replace(data, poses=poses), noise=noise, setup=setup)
+    series = noisy_series(result)
+    assert [one.name for one in series] == [*mechanism.leg_names, "x", "y"]
+    for one in series:
+        before, after, sigma = one.rms
+        assert before > 4 * after
+        assert after < 1.3 * sigma
+    assert str(result).count("rms before") == 2
 
 
 def test_parameters_are_those_of_the_result(planar: Any) -> None:
@@ -425,7 +461,8 @@ def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:
     page = page_of(report)
     main = page.find(".//main")
     assert [one.get("id") for one in main][1:3] == ["warnings", "answers"]
-    said = f"did not converge: {failed.message}"
+    said = f"The fit {failed.message}"
+    assert said.startswith("The fit did not converge after ")
     assert said in page.get_element_by_id("warnings").text_content()
     assert "the next step would be 1.2e+02 standard errors" in said
     assert "There is no result" in page.get_element_by_id("answers").text_content()

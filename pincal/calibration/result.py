@@ -155,7 +155,7 @@ class CalibrationResult:
         if self.converged:
             return f"converged after {self.evaluations} evaluations"
         return (
-            f"not converged after {self.evaluations} evaluations: the next step would be "
+            f"did not converge after {self.evaluations} evaluations: the next step would be "
             f"{self.left:.2g} standard errors"
         )
 
