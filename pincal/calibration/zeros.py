@@ -44,7 +44,7 @@ def zeros_measured(calibration: Calibration) -> Array | None:
     """
     mechanism = calibration.mechanism
     sample = sample_of(mechanism, calibration.measurements, calibration.options.setup)
-    there = None if sample is None or mechanism.by_readings else placed(sample)
+    there = None if sample is None or mechanism.by_readings else placed([sample])[0]
     if sample is None or there is None or not sample.oriented:
         return None
     matrices, rows = there

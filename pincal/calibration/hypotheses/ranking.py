@@ -1,7 +1,7 @@
 """The rule: a hypothesis explains measurements if each fault put right leaves a third of misfit.
 
 The misfit of a leg is what machines near the nominal one leave of its closure. Hypotheses that
-leave as little as the best cannot be told from it; all of them are named.
+leave as little as the best cannot be separated from it; all of them are named.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pincal.words.sentences import finding
 
 Array = NDArray[np.float64]
 _EACH = 3.0  # by which each fault that is put right divides the misfit
-_EQUAL = 2.0  # times the misfit that the best leaves: cannot be told from it
+_EQUAL = 2.0  # times the misfit that the best leaves: cannot be separated from it
 _FEW, _GRID = 12, 12  # rows, and zeros of a motor that are tried, where the frame is unknown
 _ROUNDS = 3  # of grids, each over a cell of the last
 _FRAMED = 40  # rows, where another frame is tried
@@ -130,7 +130,7 @@ def explanations(sample: Sample, given: Judged) -> list[Judged]:
 def _stages(sample: Sample, given: Judged) -> Iterator[list[Judged]]:
     """Yield hypotheses with their fits, the simplest first.
 
-    A base that stands near where it should is a change of parameters, and no hypothesis.
+    A base that is near where it should be is a change of parameters, and no hypothesis.
     """
     alone = sample.oriented and not sample.free  # legs can be judged one by one
     framed = replace(sample, free=True).part(np.arange(len(sample.rows))[:_FRAMED])

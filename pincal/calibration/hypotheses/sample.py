@@ -1,6 +1,6 @@
 """Measurements in the frame of the nominal machine: rows by which hypotheses are judged.
 
-If the base stands at an unknown place, forward kinematics of the readings says where the nominal
+If the base is at an unknown place, forward kinematics of the readings says where the nominal
 machine was, and the best rigid motion takes that to what was measured (Kabsch 1976). Orientations
 that were not measured are those of forward kinematics.
 """
@@ -43,7 +43,7 @@ class Sample:
     oriented: bool
     """Whether orientations were measured."""
     free: bool
-    """Whether the base stands at an unknown place in the frame of the measurements."""
+    """Whether the base is at an unknown place in the frame of the measurements."""
 
     def matrices(self) -> Array:
         """Return poses as homogeneous matrices, shape (N, 4, 4)."""
@@ -67,18 +67,18 @@ def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample 
     Rows with complete poses; if there are none such, with positions and all readings.
     """
     target, platform = setup.targets[ORIGIN], mechanism.platform
-    told = np.isfinite(data.poses)
-    rows, oriented = np.flatnonzero(told.all(axis=1)), True
+    known = np.isfinite(data.poses)
+    rows, oriented = np.flatnonzero(known.all(axis=1)), True
     if len(rows) < 2:
         whole = np.isfinite(data.readings).all(axis=1)
-        rows = np.flatnonzero(told[:, : platform.units.count("m")].all(axis=1) & whole)
+        rows = np.flatnonzero(known[:, : platform.units.count("m")].all(axis=1) & whole)
         oriented = False
     free = setup.unknown_frame
     if len(rows) < 2 or (target.unknown and np.any(target.offset) + free):
         return None
     most = _ROWS if oriented and not free else _FEWER
     rows = rows[:: -(-len(rows) // most)]
-    poses = np.where(told[rows], data.poses[rows], platform.home)
+    poses = np.where(known[rows], data.poses[rows], platform.home)
     readings, offset = data.readings, np.array(target.offset, dtype=float)
     return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free)
 
