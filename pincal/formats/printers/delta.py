@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 Three = tuple[float, float, float]
 TOWERS = ("tower_a", "tower_b", "tower_c")
 _TEMPLATE = "linear_delta"
+ANGLES = (210.0, 330.0, 90.0)  # of the towers, where none are given [deg]
 MM = 1e-3
 """[m], in which firmware writes."""
 _SMALL = 5e-10  # [m] and [1], below the digits that are written
