@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.observability.indices import ROUNDING
+from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
 _TOLERANCE = 1e-3  # of the bound on det^(1/n)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.observability.indices import ROUNDING
+from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

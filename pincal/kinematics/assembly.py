@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.kinematics.batches import ROUNDING
 from pincal.kinematics.closure import LegClosure, Newton, joint_range, largest_size
+from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.model.platform_kind import PlatformKind

@@ -17,10 +17,11 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import ROUNDING, least_squares, product
+from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import closed_form, wrapped
 from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
 from pincal.kinematics.starts import in_home_mode, start_joints
+from pincal.model.checks import ROUNDING
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.model.sensor import SensorLaw, sensor_laws

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.calibration.hypotheses.rule import RULE
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Measurements
@@ -21,8 +22,6 @@ from pincal.model.setup import ORIGIN, Setup
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
-_ROWS = 500  # enough to judge by
-_FEWER = 100  # where forward kinematics is needed
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample 
     free = setup.unknown_frame
     if len(rows) < 2 or (target.unknown and np.any(target.offset) + free):
         return None
-    most = _ROWS if oriented and not free else _FEWER
+    most = RULE.rows if oriented and not free else RULE.rows_forward
     rows = rows[:: -(-len(rows) // most)]
     poses = np.where(known[rows], data.poses[rows], platform.home)
     readings, offset = data.readings, np.array(target.offset, dtype=float)
