@@ -23,6 +23,7 @@ from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.checks import ROUNDING
 from pincal.model.mechanism import Mechanism
+from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
 from pincal.model.sensor import SensorLaw, sensor_laws
 
@@ -31,7 +32,6 @@ Mask = NDArray[np.bool_]
 CHUNK = 4096
 _ATTEMPTS = 6
 _NEWTON = Newton(steps=15, small=1e-4, closed=1e-11)  # the step after that is rounding
-_LISTED = 10  # poses on a printed page
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class InverseSolution:
     def __str__(self) -> str:
         """Return a page: the poses that are out of reach, the first ones at least."""
         missed = np.flatnonzero(~self.reached.all(axis=1))
-        lines = [f"  pose {row + 1}: {self.reason(row)}" for row in missed[:_LISTED]]
+        lines = [f"  pose {row + 1}: {self.reason(row)}" for row in missed[:ROWS]]
         more = len(missed) - len(lines)
         return "\n".join([repr(self), *lines, *([f"  and {more} more"] if more > 0 else [])])
 
