@@ -104,9 +104,9 @@ SAVE = """
 import os, sys, time
 import pincal
 mechanism = pincal.load_mechanism("5R")
-data = pincal.read_measurements(sys.argv[1], mechanism)
+data = pincal.Measurements.from_csv(sys.argv[1], mechanism)
 result = pincal.calibrate(mechanism, data)
-text = pincal.report(result).html()
+text = result.report().html()
 class Report:
     def html(self):
         return text
@@ -201,7 +201,7 @@ def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_
         poses = workspace("5R", 60_000)
         noise = pincal.Noise(1e-4, 1e-4, 1e-5)
         plan = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), noise).measurements
-        pincal.write_measurements(measured / "many.csv", mechanism, plan, force=True)
+        plan.to_csv(measured / "many.csv", mechanism, force=True)
     process = subprocess.Popen(
         [*PINCAL, *line.format(measured).split(), "-o", "new"],
         cwd=tmp_path,

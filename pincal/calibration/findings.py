@@ -68,6 +68,7 @@ def _noise(result: CalibrationResult) -> list[Finding]:
                 position=noise.position if noise and "m" in units else None,
                 orientation=noise.orientation if noise and "rad" in units else None,
                 reading=noise.reading if noise else 0.0,
+                units=sorted(set(result.nominal.reading_units)),
             )
         ]
     if not dof or UNEXPLAINED <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - UNEXPLAINED:

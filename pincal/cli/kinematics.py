@@ -30,10 +30,9 @@ from pincal.files.tables import write_table
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.model.measurements import Plan
+from pincal.words.wording import LISTED
 from pincal.workspace.criteria import Margins
 from pincal.workspace.sampling import sample_workspace
-
-_SHOWN = 5
 
 
 @command(answers=True)
@@ -122,9 +121,9 @@ def _leave_if_lost(path: Path, places: list[str], reasons: list[str], what: str)
     """Leave with exit code 1, and say why, if some rows have no solution."""
     lost = [f"{place}: {why}" for place, why in zip(places, reasons, strict=True) if why]
     if lost:
-        more = f"; and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+        more = f"; and {len(lost) - LISTED} more" if len(lost) > LISTED else ""
         warn(
             f"{path}: {len(lost)} of {len(places)} {what}s without a solution; their rows are "
-            f"empty, with the reason. {'; '.join(lost[:_SHOWN])}{more}"
+            f"empty, with the reason. {'; '.join(lost[:LISTED])}{more}"
         )
         raise typer.Exit(1)

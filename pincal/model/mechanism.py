@@ -16,7 +16,7 @@ from pincal.errors import MechanismError
 from pincal.model.checks import must_be
 from pincal.model.leg import Leg
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
-from pincal.model.overview import counted, one_line
+from pincal.model.overview import ROWS, counted, one_line
 from pincal.model.parameter import Parameter, Parameters
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
@@ -26,8 +26,6 @@ Array = NDArray[np.float64]
 RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
     name for names, _ in WAYS.values() for name in names
 }
-
-_ROWS = 42  # of a printed table; those that follow are counted
 
 
 @dataclass(frozen=True)
@@ -200,6 +198,23 @@ class Mechanism:
 
         return mechanism_html(self)
 
+    @staticmethod
+    def from_urdf(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
+        """Return a serial arm from any URDF, as a mechanism to calibrate.
+
+        Args:
+            path: The URDF; links that do not lie between base and tip are left out.
+            tip: Link at the end, whose frame is the platform.
+            base: Link at the foot; the root of the URDF if not given.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MechanismError: not well-formed, or no chain of joints from base to tip.
+        """
+        from pincal.formats.arm import load_arm
+
+        return load_arm(path, tip, base)
+
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write ``mechanism.yaml`` and the URDFs to a new folder, whole or not at all.
 
@@ -244,8 +259,8 @@ def _page(mechanism: Mechanism) -> str:
     if len(legs) > len(names):
         grid = [list(row) for row in zip(*grid, strict=True)]
     table = _columns(grid)
-    lines += table[: _ROWS + 1]
-    lines += [f"… and {len(table) - _ROWS - 1} rows more"] * (len(table) > _ROWS + 1)
+    lines += table[: ROWS + 1]
+    lines += [f"… and {len(table) - ROWS - 1} rows more"] * (len(table) > ROWS + 1)
     return "\n".join(lines)
 
 

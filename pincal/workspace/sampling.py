@@ -8,6 +8,9 @@ if it can be driven to from home so.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +31,25 @@ from pincal.workspace.criteria import Margins, in_workspace
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_BATCH = 16_384
-_PILOT = 1_500  # accepted poses from which the box is tightened and connected
-_WIDEN = 0.1  # of the box around the accepted poses, on each side
-_MOST = 400  # batches without enough poses before giving up
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How poses are drawn."""
+
+    batch: int = 16_384
+    """Poses that are drawn together."""
+    part: int = 2048
+    """Poses that are looked at together."""
+    pilot: int = 1_500
+    """Accepted poses from which the box is tightened and connected."""
+    widen: float = 0.1
+    """Of the box around the accepted poses, on each side."""
+    most: int = 400
+    """Batches without enough poses before giving up."""
+
+
+_EFFORT = Effort()
 
 
 def sample_configurations(
@@ -64,7 +82,7 @@ def sample_configurations(
     low, high = _reading_limits(mechanism)
     arm = all(not leg.passive for leg in mechanism.legs)
     poses, readings, total = [], [], 0
-    for _ in range(_MOST):
+    for _ in range(_EFFORT.most):
         drawn = rng.uniform(low, high, (2 * count, len(low)))
         solution = forward(mechanism, drawn)
         kept = np.flatnonzero(solution.converged)
@@ -117,15 +135,21 @@ def sample_workspace(
         return sample_configurations(mechanism, count, seed, least).poses
     _check_count(count)
     rng = generator_of(seed, WorkspaceError)
-    low, high, connected = _explore(mechanism, rng, least)
+    if isinstance(seed, int | np.integer):
+        (low, high, connected), rng.bit_generator.state = _explored(mechanism, int(seed), least)
+    else:
+        low, high, connected = _explore(mechanism, rng, least)
     found = [np.empty((0, mechanism.platform.dof))]
     total = 0
-    for _ in range(_MOST * (1 + count // _BATCH)):
-        poses = rng.uniform(low, high, (_BATCH, mechanism.platform.dof))
-        kept = poses[in_workspace(mechanism, poses, least)]
-        kept = kept[connected(kept)]
-        found.append(kept)
-        total += len(kept)
+    for _ in range(_EFFORT.most * (1 + count // _EFFORT.batch)):
+        drawn = rng.uniform(low, high, (_EFFORT.batch, mechanism.platform.dof))
+        for poses in np.split(drawn, _EFFORT.batch // _EFFORT.part):
+            kept = poses[in_workspace(mechanism, poses, least)]
+            kept = kept[connected(kept)]
+            found.append(kept)
+            total += len(kept)
+            if total >= count:
+                break
         if progress:
             progress(min(total, count))
         if total >= count:
@@ -141,10 +165,19 @@ def _check_count(count: int) -> None:
     Raises:
         WorkspaceError: none, or too many.
     """
-    if not 1 <= count_of(count, "count", WorkspaceError) <= MOST:
+    if not 1 <= count_of(count, "count", WorkspaceError) <= MOST.values:
         raise WorkspaceError(
-            f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
+            f"the number of poses is {count}; expected at least 1 and at most {MOST.values:,}"
         )
+
+
+@lru_cache(maxsize=16)
+def _explored(
+    mechanism: Mechanism, seed: int, least: Margins | None
+) -> tuple[tuple[Array, Array, HomeComponent], Any]:
+    """Return what is explored from a seed, and the state of its generator then."""
+    rng = np.random.default_rng(seed)
+    return _explore(mechanism, rng, least), rng.bit_generator.state
 
 
 def _explore(
@@ -161,20 +194,20 @@ def _explore(
 
     low, high = reach
     kept = home[None]
-    for _ in range(_MOST):
-        poses = rng.uniform(low, high, (_BATCH, len(low)))
+    for _ in range(_EFFORT.most):
+        poses = rng.uniform(low, high, (_EFFORT.batch, len(low)))
         kept = np.concatenate((kept, poses[counts(poses)]))
-        if len(kept) >= _PILOT:
+        if len(kept) >= _EFFORT.pilot:
             break
         if len(kept) > 8:  # few hits: look closer to where they are
             low, high = _around(kept, 0.5, *reach)
     connected = HomeComponent(mechanism.platform, kept, counts)
     for _ in range(2):  # tighten to the part around home, and widen where the box cut
-        low, high = _around(kept[connected(kept)], _WIDEN, *reach)
-        poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
+        low, high = _around(kept[connected(kept)], _EFFORT.widen, *reach)
+        poses = rng.uniform(low, high, (2 * _EFFORT.batch, len(low)))
         kept = np.concatenate((kept, poses[counts(poses)]))
-        connected = HomeComponent(mechanism.platform, kept[-2 * _PILOT :], counts)
-    return *_around(kept[connected(kept)], _WIDEN / 4, *reach), connected
+        connected = HomeComponent(mechanism.platform, kept[-2 * _EFFORT.pilot :], counts)
+    return *_around(kept[connected(kept)], _EFFORT.widen / 4, *reach), connected
 
 
 def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
