@@ -31,18 +31,20 @@ def cost(mechanism: Mechanism, data: pincal.Measurements, noise: pincal.Noise) -
     best = np.full(len(data), np.inf)
     twists, dof = np.zeros(data.poses.shape), platform.dof
 
-    def readings(twists: Array) -> Array:
-        return pincal.inverse(mechanism, platform.moved(data.poses, twists)).readings
+    def readings(twists: Array, steps: Array) -> Array:
+        every = (twists + steps[:, None]).reshape(-1, dof)
+        poses = platform.moved(np.tile(data.poses, (len(steps), 1)), every)
+        return pincal.inverse(mechanism, poses).readings
 
+    steps = h * np.concatenate((np.zeros((1, dof)), np.eye(dof), -np.eye(dof)))
     for _ in range(6):
-        off = (readings(twists) - data.readings) / noise.reading
+        there, *around = np.split(readings(twists, steps), len(steps))
+        off = (there - data.readings) / noise.reading
         off = np.concatenate((off, twists / spread), axis=1)
         squares = np.where(np.isfinite(off).all(axis=1), (off**2).sum(axis=1), np.inf)
         best = np.fmin(best, squares)
-        slopes = [
-            (readings(twists + step) - readings(twists - step)) / (2 * h * noise.reading)
-            for step in h * np.eye(dof)
-        ]
+        pairs = zip(around[:dof], around[dof:], strict=True)
+        slopes = [(more - less) / (2 * h * noise.reading) for more, less in pairs]
         J = np.concatenate(
             (np.stack(slopes, axis=2), np.tile(np.diag(1 / spread), (len(off), 1, 1))), axis=1
         )
