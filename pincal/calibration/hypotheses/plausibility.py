@@ -43,21 +43,27 @@ _FAR = 10.0  # times the median that a row misses by: a slip, if fewer than one 
 def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | None = None) -> None:
     """Raise if measurements cannot come from a mechanism like the nominal one.
 
-    Only rows with complete poses are looked at, and of a leg those with its reading.
-
     Raises:
         MeasurementError: they do not fit; the message says what would explain it.
     """
-    setup = setup or Setup()
-    sample = sample_of(mechanism, data, setup)
-    if sample is None or not sample.oriented:
-        return
-    found = _still(sample)
-    if not found:
-        found, given = _explained(sample)
-        found = found or _strange(sample, given)
-    if found:
+    if found := implausible(mechanism, data, setup):
         raise MeasurementError(said(found))
+
+
+def implausible(
+    mechanism: Mechanism, data: Measurements, setup: Setup | None = None
+) -> tuple[Finding, ...]:
+    """Return why measurements cannot come from a mechanism like the nominal one; empty if they can.
+
+    Only rows with complete poses are looked at, and of a leg those with its reading.
+    """
+    sample = sample_of(mechanism, data, setup or Setup())
+    if sample is None or not sample.oriented:
+        return ()
+    if found := _still(sample):
+        return found
+    found, given = _explained(sample)
+    return found or _strange(sample, given)
 
 
 def explain_misfit(
