@@ -49,8 +49,8 @@ from pincal.model.platform import Platform
 from pincal.model.platform_kind import PlatformKind
 from pincal.model.sensor import Sensor, Term
 from pincal.model.setup import Distance, Setup, Target
-from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import Element, mirror, rotations
+from pincal.symmetry.detect import nearest_group, symmetry_group
+from pincal.symmetry.elements import Element, cyclic, dihedral, mirror, rotations
 from pincal.symmetry.generate import generate
 from pincal.words.table import Table
 from pincal.workspace.articular import articular_space, articular_symmetry
@@ -114,6 +114,8 @@ __all__ = [
     "cartesian",
     "compare_runs",
     "compute_workspace",
+    "cyclic",
+    "dihedral",
     "disturb",
     "forecast",
     "forward",
@@ -129,6 +131,7 @@ __all__ = [
     "load_result",
     "margins",
     "mirror",
+    "nearest_group",
     "picture",
     "placed",
     "polar",
