@@ -71,7 +71,7 @@ def differences(carried: Leg, leg: Leg, platform: Platform) -> Iterator[Differen
             ends = [abs(a.lower - b.lower), abs(a.upper - b.upper)]
             if a.turns and np.isfinite(ends).all():
                 ends = [abs(wrapped(end)) for end in ends]
-            off = max(ends)
+            off = float(max(ends))
             unit = "rad" if a.turns else "m"
             yield Difference(f"limits of joint {b.name!r}", off if np.isfinite(off) else None, unit)
 

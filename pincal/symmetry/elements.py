@@ -212,7 +212,7 @@ def _sign(axis: Array) -> float:
 
 
 def _degrees(angle: float, period: float) -> str:
-    value = round(float(np.degrees(angle)), 9) % period
+    value = float(f"{round(float(np.degrees(angle)), 9) % period:.4g}") % period
     return f"{value:.4g}°"
 
 
