@@ -18,6 +18,7 @@ from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.kinematics.configurations import as_plan
 from pincal.model.measurements import Plan
+from pincal.show.results import promised
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
@@ -95,13 +96,15 @@ class ErrorMaps:
 def error_maps(
     result: CalibrationResult, errors: WorkspaceErrors | None = None
 ) -> ErrorMaps | None:
-    """Return errors over the workspace, None where none was found.
+    """Return errors over the workspace, None where none was found or none can be promised.
 
     Args:
         result: The calibration.
         errors: Those at samples of the workspace, computed if not given.
     """
     nominal, platform = result.nominal, result.nominal.platform
+    if (more := promised(result)) is None:
+        return None
     if errors is None:
         errors = workspace_errors(result, Plan(np.array([platform.home])))
     if not errors.sampled or nominal.by_readings:
@@ -123,7 +126,7 @@ def error_maps(
         return None
     found = errors_at(result, flat[inside])
     both = np.full((2, len(flat), 2), np.nan)
-    both[:, inside] = found.before, found.after
+    both[:, inside] = found.before, more * found.after
     before, after = both.reshape(2, len(heights), n, n, 2)
     return ErrorMaps(x, y, heights, before, after)
 

@@ -68,10 +68,10 @@ def differences(carried: Leg, leg: Leg, platform: Platform) -> Iterator[Differen
         yield from _sensors_differ(carried, leg, index)
     for a, b in zip(carried.moving, leg.moving, strict=True):
         if (a.limited or b.limited) and (a.kind == "prismatic" or barred is None):
-            ends = [abs(a.lower - b.lower), abs(a.upper - b.upper)]
+            ends: list[float] = [abs(a.lower - b.lower), abs(a.upper - b.upper)]
             if a.turns and np.isfinite(ends).all():
                 ends = [abs(wrapped(end)) for end in ends]
-            off = float(max(ends))
+            off = max(ends)
             unit = "rad" if a.turns else "m"
             yield Difference(f"limits of joint {b.name!r}", off if np.isfinite(off) else None, unit)
 

@@ -119,6 +119,17 @@ class Element:
         own = Rotation.from_matrix(-base.Q if reflection else base.Q).magnitude()
         return cls(float(own), reflection, base, platform)
 
+    @staticmethod
+    def rotations(n: int) -> tuple[Element, ...]:
+        """Return the n rotations of D_2n, the identity first."""
+        n = count_of(n, "the order of rotation", SymmetryError)
+        return tuple(Element(wrapped(2 * np.pi * k / n)) for k in range(n))
+
+    @staticmethod
+    def mirror(azimuth: float) -> Element:
+        """Return the reflection through the plane that holds z at an azimuth, [rad]."""
+        return Element(wrapped(2 * azimuth), reflection=True)
+
     @property
     def matrix(self) -> Array:
         """Orthogonal matrix Q of the base's isometry, shape (3, 3)."""
@@ -230,8 +241,7 @@ def wrapped(angle: float) -> float:
 
 def cyclic(n: int) -> tuple[Element, ...]:
     """Return C_n: the n rotations about z, the identity first."""
-    n = count_of(n, "the order of rotation", SymmetryError)
-    return tuple(Element(wrapped(2 * np.pi * k / n)) for k in range(n))
+    return Element.rotations(n)
 
 
 def dihedral(n: int, azimuth: float = 0.0) -> tuple[Element, ...]:
@@ -241,12 +251,8 @@ def dihedral(n: int, azimuth: float = 0.0) -> tuple[Element, ...]:
         n: Number of rotations, and of mirrors.
         azimuth: Of the first mirror plane, [rad]; the others follow every half turn over n.
     """
-    return cyclic(n) + tuple(mirror(azimuth + np.pi * k / n) for k in range(n))
+    return cyclic(n) + tuple(Element.mirror(azimuth + np.pi * k / n) for k in range(n))
 
 
-rotations = cyclic
-
-
-def mirror(azimuth: float) -> Element:
-    """Return the reflection through the plane that holds z at an azimuth, [rad]."""
-    return Element(wrapped(2 * azimuth), reflection=True)
+#: What the package calls them by.
+rotations, mirror = Element.rotations, Element.mirror
