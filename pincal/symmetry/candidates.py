@@ -19,7 +19,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import Element, Isometry
 
 Array = NDArray[np.float64]
-_FLAT = 1e-6  # of the largest extent, below which points lie in a plane or on a line
+_FLAT = 1e-6  # of the size, below which points lie in a plane or on a line
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ class Points:
             float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
             for points in (self.base, self.platform)
         ]
-        return found[0] or self.size, found[1] or found[0] or self.size
+        base, platform = (spread if spread > _FLAT * self.size else 0.0 for spread in found)
+        return base or self.size, platform or base or self.size
 
     @cached_property
     def _free(self) -> tuple[Array, Array] | None:
@@ -65,7 +66,7 @@ class Points:
         if not self.mechanism.platform.turns:
             return None
         both = (self.base, self.platform)
-        return both if all(_rank(points) >= self._wanted for points in both) else None
+        return both if all(self._rank(points) >= self._wanted for points in both) else None
 
     @property
     def _wanted(self) -> int:
@@ -82,13 +83,14 @@ class Points:
         legs = np.arange(len(self.base))
         if not self.mechanism.platform.turns:
             base, platform = (one - one.mean(axis=0) for one in (self.base, self.platform))
-            points, owners = np.concatenate((base, platform)), np.concatenate((legs, legs))
-            if _rank(points) >= self._wanted:
+            points = np.concatenate((base, platform, -base, -platform))  # about their centres
+            owners = np.tile(legs, 4)
+            if self._rank(points) >= self._wanted:
                 return points, owners
         there = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
         points, owners = np.concatenate((self.base, there)), np.concatenate((legs, legs))
         for more in (self.home[:3, 3], self.base.mean(axis=0) + self.size * np.eye(3)[2]):
-            if _rank(points) < self._wanted:
+            if self._rank(points) < self._wanted:
                 points, owners = np.vstack((points, more)), np.append(owners, -1)
         return points, owners
 
@@ -108,20 +110,25 @@ class Points:
         own, its = list(legs), list(images)
         if self._free:
             pairs = [(points[own], points[its]) for points in self._free]
-            if any(_rank(first) < self._wanted for first, _ in pairs):
+            if any(self._rank(first) < self._wanted for first, _ in pairs):
                 return None
             base, platform = (_procrustes(a, b, sign, space) for a, b in pairs)
             return Element.of(base, platform)
         points, owners = self._joined
         rows = [i for i, owner in enumerate(owners) if owner < 0 or owner in to]
         of = [i if owners[i] < 0 else self._row(i, to[int(owners[i])]) for i in rows]
-        if _rank(points[rows]) < self._wanted:
+        if self._rank(points[rows]) < self._wanted:
             return None
         base = _procrustes(points[rows], points[of], sign, space)
         if self.mechanism.platform.turns:
             back = np.linalg.inv(self.home)
             return Element.of(base, Isometry.of(back @ base.matrix @ self.home))
         return Element.of(*(_shifted(base.Q, p[own], p[its]) for p in (self.base, self.platform)))
+
+    def _rank(self, points: Array) -> int:
+        """Return how many directions points span, seen from their centre."""
+        s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        return int(np.count_nonzero(s > _FLAT * self.size))
 
     def _row(self, row: int, leg: int) -> int:
         """Return the row of another leg's point of the same kind."""
@@ -216,12 +223,6 @@ def _alike(first: Element, second: Element) -> bool:
         for a, b in ((first.base, second.base), (first.platform, second.platform))
     )
     return bool(max(off) <= 1e-3)
-
-
-def _rank(points: Array) -> int:
-    """Return how many directions points span, seen from their centre."""
-    s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return int(np.count_nonzero(s > _FLAT * s[0])) if s[0] > 0.0 else 0
 
 
 def _procrustes(first: Array, second: Array, sign: float, space: int) -> Isometry:

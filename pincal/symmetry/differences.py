@@ -82,7 +82,8 @@ def _places_differ(a: Joint, b: Joint, oriented: bool) -> Iterator[Difference]:
     yield Difference(f"position of joint {b.name!r}", shift, "m")
     if oriented:
         turn = a.placement.origin()[:3, :3].T @ b.placement.origin()[:3, :3]
-        off = 2.0 * float(np.arcsin(min(1.0, np.linalg.norm(turn - np.eye(3)) / 8**0.5)))
+        sine = float(np.linalg.norm(turn - np.eye(3))) / 8**0.5
+        off = 2.0 * float(np.arcsin(min(1.0, sine)))
         if a.kind != "fixed":
             off = max(off, float(np.linalg.norm(np.subtract(a.axis, b.axis))))
         yield Difference(f"orientation of joint {b.name!r}", off, "rad")
