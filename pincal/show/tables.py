@@ -53,8 +53,13 @@ def selection_table(selection: Selection) -> Table:
             (leg.leg, leg.poses, leg.efficiency, leg.indices.O1_per_parameter, leg.condition)
             for leg in selection.legs
         ],
-        "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
-        "O1: of the unweighted Jacobian, over the number of parameters",
+        "\n".join(
+            (
+                "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
+                "O1: of the unweighted Jacobian, over the number of parameters",
+                *selection.remarks,
+            )
+        ),
     )
 
 

@@ -60,9 +60,10 @@ class SymmetryGroup:
 
         The index of one is the number of elements over the number of its own.
         """
-        return tuple(self._part(sorted(one)) for one in reversed(subgroups(self.table)))
+        return tuple(self.part(sorted(one)) for one in reversed(subgroups(self.table)))
 
-    def _part(self, indices: Sequence[int]) -> SymmetryGroup:
+    def part(self, indices: Sequence[int]) -> SymmetryGroup:
+        """Return the group of some elements, by index; they are closed."""
         elements = tuple(self.elements[i] for i in indices)
         permutations = tuple(self.permutations[i] for i in indices)
         return SymmetryGroup(self.mechanism, elements, permutations, self.tolerance, self.readings)
