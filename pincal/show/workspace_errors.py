@@ -58,7 +58,7 @@ class WorkspaceErrors:
 
     @property
     def where(self) -> str:
-        """Over which poses means are taken, in words."""
+        """Says over which poses means are taken."""
         if not self.sampled:
             return "over the measured poses"
         count = len(self.poses) - int(self.undetermined.sum())

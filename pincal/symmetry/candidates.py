@@ -1,4 +1,4 @@
-"""Isometries that base points and platform points suggest, wherever the frames stand.
+"""Isometries that base points and platform points suggest, wherever the frames are.
 
 An element carries leg points onto leg points. Where a few legs go fixes it: the isometry of the
 base and that of the platform follow from these points by the orthogonal Procrustes problem (P. H.
@@ -45,7 +45,7 @@ class Points:
 
     @cached_property
     def size(self) -> float:
-        """Scale of the mechanism, wherever its frames stand, [m]."""
+        """Scale of the mechanism, wherever its frames are, [m]."""
         there = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
         spread = np.linalg.norm(self.base - self.base.mean(axis=0), axis=1).max()
         return float(max(spread, np.linalg.norm(there - self.base, axis=1).max())) or 1.0

@@ -1,7 +1,7 @@
 """The symmetry group of a mechanism, detected from geometry, limits, working modes, sensors.
 
 Elements that carry leg points onto leg points are candidates, wherever base and platform frames
-stand. Those that carry every leg onto a leg within a tolerance are looked at together: the group is
+are. Those that carry every leg onto a leg within a tolerance are looked at together: the group is
 the largest closed subset of them, with isometries that are exact, and each of its elements
 is measured again with these.
 """

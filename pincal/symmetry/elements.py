@@ -2,7 +2,7 @@
 
 A pose T = T_base_platform goes to G_base T G_platform⁻¹. If base and platform are drawn about the
 axis of symmetry, both isometries are the same rotation about z or reflection through it (3-RRR
-paper, Eq. 5); of frames that stand elsewhere they differ.
+paper, Eq. 5); of frames that are elsewhere they differ.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import SymmetryError
-from pincal.model.checks import count_of
+from pincal.model.checks import EXACT, count_of
 from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
 #: Angles, [rad], and positions relative to their extent that differ by rounding errors only.
-SAME = 1e-9
+SAME = EXACT
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Element:
         """Return what it does to the platform's positions in all of some orientations alike.
 
         r → Q r + t − R' s, where s is the shift of the platform's isometry: one and the same only
-        where R' s is, such as if the platform's frame stands on its axis.
+        where R' s is, such as if the platform's frame is on its axis.
 
         Args:
             rotations: ``R_base_platform``, shape (N, 3, 3).

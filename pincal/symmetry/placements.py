@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import SymmetryError
-from pincal.kinematics.batches import ROUNDING
+from pincal.model.checks import ROUNDING
 from pincal.model.placement import Coordinate, Placement, Value
 from pincal.symmetry.elements import Isometry, wrapped
 
@@ -71,7 +71,7 @@ def _move_point(
 ) -> tuple[Coordinate, ...]:
     """Return the coordinates of a point on base or platform after the body's isometry.
 
-    Constants that stand first, before turns or an azimuth, are the frame that the others are in.
+    Constants that come first, before turns or an azimuth, are the frame that the others are in.
     """
     first = _frame_size(coordinates)
     frame = Placement(coordinates[:first]).displacement(old)
@@ -124,7 +124,7 @@ def _move_point(
 
 
 def _frame_size(coordinates: tuple[Coordinate, ...]) -> int:
-    """Return how many coordinates that stand first are a constant frame."""
+    """Return how many coordinates that come first are a constant frame."""
     named = [any(isinstance(v, str) for v in c.values) for c in coordinates]
     first = named.index(True) if True in named else 0
     after = coordinates[first:]
