@@ -514,6 +514,7 @@ def test_bad_input_is_named_and_harms_nothing(case: str, work: Path) -> None:
     assert contents(work) == before
 
 
+@pytest.mark.slow  # in every run: test_poses_that_differ_by_their_noise_only_are_refused
 def test_one_orientation_is_seen_through_noise(work: Path) -> None:
     """Poses of one orientation, measured with noise, are refused or warned of by parameter."""
     one_orientation(1e-5)
