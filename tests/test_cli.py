@@ -404,11 +404,6 @@ BAD = {
         ["measured.csv", "line 2", "'x'"],
         edited("measured.csv", "leg_3 [rad]\nleg_1,", "leg_3 [rad]\nleg_1,?"),
     ),
-    "semicolons": Case(
-        "calibrate 3RRR measured.csv",
-        ["measured.csv", "semicolons"],
-        edited("measured.csv", ",", ";"),
-    ),
     "other-mechanisms-table": Case(
         "calibrate 3RRR 5R-files/measured.csv", ["5R-files/measured.csv", "'leg_3'"]
     ),
@@ -820,3 +815,15 @@ def test_nothing_is_lost_at_80_columns(work: Path, monkeypatch: pytest.MonkeyPat
     assert "…" not in said
     for leg in ("leg_1", "leg_2", "leg_3"):
         assert f"{leg} " in said
+
+
+def test_noise_may_have_a_unit(work: Path) -> None:
+    """20um is 2e-5; a unit of another dimension, or none that there is, is refused."""
+    for name, noise in (("a", ["2e-5", "1e-3"]), ("b", ["20um", "1 mrad"])):
+        given = ["--noise-position", noise[0], "--noise-orientation", noise[1]]
+        done("simulate", "3RRR", "plan.csv", *given, "-o", f"{name}.csv")
+    assert Path("a.csv").read_bytes() == Path("b.csv").read_bytes()
+    for wrong in ("20mrad", "20 parsec", "about 3"):
+        outcome = run("simulate", "3RRR", "plan.csv", "--noise-position", wrong, "-o", "c.csv")
+        assert outcome.code == 2
+        assert "um" in outcome.err

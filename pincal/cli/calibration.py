@@ -31,7 +31,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.options import SetupOptions
+from pincal.cli.options import SetupOptions, with_unit
 from pincal.errors import MeasurementError, PincalError
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import load_mechanism, mechanism_files
@@ -115,13 +115,13 @@ class GivenNoise:
     """How well was measured, where that is known."""
 
     noise_position: Annotated[
-        float | None, typer.Option(help="Standard deviation of measured positions [m].")
+        float | None, with_unit("m", "Standard deviation of measured positions [m], or as 20um.")
     ] = None
     noise_orientation: Annotated[
-        float | None, typer.Option(help="Standard deviation of measured angles [rad].")
+        float | None, with_unit("rad", "Standard deviation of measured angles [rad], or as 5mrad.")
     ] = None
     noise_reading: Annotated[
-        float | None, typer.Option(help="Standard deviation of readings [rad or m].")
+        float | None, with_unit("m rad", "Standard deviation of readings [rad or m].")
     ] = None
 
     def of(self, mechanism: Mechanism, data: Measurements) -> Noise | None:
