@@ -12,11 +12,11 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from pincal.model.measurements import EVERY_LEG
+from pincal.show import style
+from pincal.show.pictures.files import drawing
 from pincal.show.pictures.painting import paint, placed
-from pincal.show.pictures.svg import drawing
 from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
-from pincal.show.view.looks import TOWARDS_VIEWER, frame_axes, grid_step, ground, set_colour
-from pincal.show.view.scene import Scene
+from pincal.show.view.scene import Scene, frame_axes, grid_step, ground, set_colour
 from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ def _axes_of_view(planar: bool) -> Array:
     """Return what points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
     if planar:
         return np.eye(3)
-    towards = np.array(TOWARDS_VIEWER) / np.linalg.norm(TOWARDS_VIEWER)
+    towards = np.array(style.TOWARDS_VIEWER) / np.linalg.norm(style.TOWARDS_VIEWER)
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     return np.stack((right, np.cross(towards, right), towards))

@@ -32,7 +32,7 @@ class Picture:
     """Which pose the mechanism is drawn at."""
 
     def draw(self, axes: Axes) -> Axes:
-        """Draw into axes; as its makers meant it, inside ``pincal.show.pictures.svg.drawing()``."""
+        """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
         from pincal.show.pictures.figure import draw_scene
 
         return draw_scene(axes, self.scene, self.row)

@@ -3,32 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2 as chi2_law
 
 from pincal.calibration.result import CalibrationResult
 from pincal.show.report.findings import Findings
-from pincal.show.report.parts import Answers, Card, Part, Sizes
 from pincal.show.results import contradicted, noisy_series, promised, warnings
-from pincal.show.summary import held_out_line, noise_line, platform_size
+from pincal.show.summary import FRAMES, held_out_line, noise_line, platform_size
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import SMALL, amount, capital, counted, rounded, shown_in
+from pincal.words.pages import rendered
 from pincal.words.sentences import WORDINGS
 
-_CLEARLY = 2.0  # by how much an error must fall to be called better without reserve
-_SIZE = "By how much?"
-#: Looks of verdicts; those not listed ask for care.
-_TONES = {
-    "Yes": "good",
-    "Nothing speaks against it": "good",
-    "Hardly": "bad",
-    "No sign of it": "bad",
-    "There is no result": "bad",
-    "No": "bad",
-    "Not shown": "bad",
-    "Not as it is": "bad",
-}
+_BETTER = "Is it better?"
+_AS_LARGE = "times as large as the noise given makes them"
+
+
+@dataclass(frozen=True)
+class Card:
+    """An answer on the first screen."""
+
+    question: str
+    verdict: str
+    tone: str
+    """``"good"``, ``"care"``, ``"bad"``, or empty for neither."""
+    texts: Sequence[str] = ()
+    lines: Sequence[str] = ()
+    sizes: Sequence[tuple[str, float, float]] = ()
+    """Errors of the platform before and after, [m] or [rad], by what is shown in 1e-3 of that."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """The first screen."""
+
+    cards: tuple[Card, ...]
+
+    def __html__(self) -> str:
+        """Return the section for a page."""
+        return rendered("answers.html", answers=self)
 
 
 def warning_lines(result: CalibrationResult) -> list[str]:
@@ -46,62 +61,51 @@ def answers(found: Findings, notes: Sequence[str]) -> Answers:
         notes: What was not done, and why.
     """
     if found.errors is None:
-        lost = WORDINGS["not-converged"]
         said = (
             "The search for the parameters ended without an answer, so there is no calibrated "
-            "mechanism, and none is shown or written."
+            "mechanism, and none is shown or written.",
+            f"{WORDINGS['not-converged'].remedy}.",
         )
-        return Answers((_card("Is it better?", "There is no result", said, f"{lost.remedy}."),))
-    return Answers(
-        (
-            _better(found, found.errors),
-            _how_much(found, found.errors),
-            _reliable(found.result, notes),
-        )
-    )
-
-
-def _card(question: str, verdict: str, *parts: Part) -> Card:
-    tone = "" if question == _SIZE else _TONES.get(verdict.partition(":")[0], "care")
-    return Card(question, verdict, parts, tone)
+        return Answers((Card(_BETTER, "There is no result", "bad", said),))
+    last = _reliable(found.result, notes)
+    return Answers((_better(found, found.errors), _how_much(found, found.errors), last))
 
 
 def _better(found: Findings, errors: WorkspaceErrors) -> Card:
-    (before, turned), (after, turning) = errors.mean_before(), errors.mean_after()
     result, more = found.result, found.result.excess
-    ratios = [before / after / more] + ([turned / turning / more] if found.turns else [])
-    both = zip((before, turned)[: len(ratios)], errors.limit, strict=False)
-    sure = [one / limit / more for one, limit in both]
+    both = errors.mean_before(), errors.mean_after(), errors.limit
+    before, after, limit = np.array(both)[:, : 1 + found.turns]
+    ratios, sure = before / after / more, before / limit / more
     if not result.corrects:
-        verdict = "No"
+        verdict, tone = "No", "bad"
         said = (
-            f"The fit failed: residuals hardly fell, and are {more:.3g} times as large as the "
-            f"noise given makes them. {WORDINGS['not-corrected'].means}"
+            f"The fit failed: residuals hardly fell, and are {more:.3g} {_AS_LARGE}. "
+            f"{WORDINGS['not-corrected'].means}"
         )
     elif not result.promises:
-        verdict = "Not shown"
+        verdict, tone = "Not shown", "bad"
         said = (
-            f"Residuals fell, but are still {more:.3g} times as large as the noise given makes "
-            "them: something is wrong with rows, noise or model, and parameters follow it."
+            f"Residuals fell, but are still {more:.3g} {_AS_LARGE}: something is wrong with rows, "
+            "noise or model, and parameters follow it."
         )
-    elif min(ratios) >= _CLEARLY:
+    elif ratios.min() >= 2.0:
         checked = bool(result.degrees_of_freedom) and not contradicted(result)
-        verdict = "Yes" if checked else "Probably"
+        verdict, tone = ("Yes", "good") if checked else ("Probably", "care")
         said = (
             f"The platform's root mean square error {errors.where} should be about "
             f"{_times(ratios)} smaller than that of the nominal model, with 95 % confidence "
             f"{_times(sure)} at least."
         )
-    elif max(ratios) > 1.0:
-        verdict = "Hardly"
+    elif ratios.max() > 1.0:
+        verdict, tone = "Hardly", "bad"
         said = (
             "What the calibration corrects is little more than what it does not know: more or "
             "better measurements are needed."
         )
     else:
-        verdict = "No sign of it"
+        verdict, tone = "No sign of it", "bad"
         said = "The correction is smaller than its own uncertainty."
-    return _card("Is it better?", verdict, said, _residuals(result))
+    return Card(_BETTER, verdict, tone, (said, _residuals(result)))
 
 
 def _residuals(result: CalibrationResult) -> str:
@@ -109,9 +113,8 @@ def _residuals(result: CalibrationResult) -> str:
     if not result.degrees_of_freedom:
         return "Residuals are zero, since there are as many unknowns as measured values."
     series = noisy_series(result)
-    legs = [one.name for one in series if one.of_leg]
     others = [one.name for one in series if not one.of_leg]
-    whose = ", ".join([*(["all legs"] if legs else []), *others])
+    whose = ", ".join([*(["all legs"] if len(others) < len(series) else []), *others])
     if len(units := {one.unit for one in series}) > 1:
         before, after = (np.sqrt(np.mean(one**2)) for one in result.whitened)
         unit = "standard deviations"
@@ -131,54 +134,46 @@ def _times(ratios: Sequence[float]) -> str:
     shown = [f"{rounded(ratio)} times" for ratio in ratios]
     if len(set(shown)) == 1:
         return shown[0]
-    return " and ".join(
-        f"{one} ({what})" for one, what in zip(shown, ("position", "orientation"), strict=True)
-    )
+    return f"{shown[0]} (position) and {shown[1]} (orientation)"
 
 
 def _how_much(found: Findings, errors: WorkspaceErrors) -> Card:
-    result, more = found.result, promised(found.result)
-    if more is None:
-        return _card(
-            _SIZE,
-            WORDINGS["residuals-too-large"].title,
-            f"Residuals are {result.excess:.3g} times as large as the noise given makes them, so "
-            "that the parameters' uncertainties mean nothing. Look at the warnings first.",
+    question, result = "By how much?", found.result
+    if (more := promised(result)) is None:
+        said = (
+            f"Residuals are {result.excess:.3g} {_AS_LARGE}, so that the parameters' uncertainties "
+            "mean nothing. Look at the warnings first."
         )
+        return Card(question, WORDINGS["residuals-too-large"].title, "", (said,))
     before, after = errors.mean_before(), tuple(more * one for one in errors.mean_after())
     names = ("position [mm]", "orientation [mrad]")[: 1 + found.turns]
-    rows = [
-        (name, f"{1e3 * old:.3g}", f"{1e3 * new:.3g}")
-        for name, old, new in zip(names, before, after, strict=False)
-    ]
-    frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
     verdict = f"{amount(before[0], 'm')} → {amount(after[0], 'm')}"
-    said = (
-        f"Error of the platform, root mean square {errors.where}{frames}. After: about what is to "
-        "be expected by the parameters' uncertainties, if the model is right; 95 of 100 such "
-        f"calibrations stay below {platform_size(errors.limit, found.turns, more)}."
-    )
-    if more == 1.0:
-        return _card(_SIZE, verdict, Sizes(rows), said)
-    return _card(
-        _SIZE,
-        f"{verdict} or more",
-        Sizes(rows),
-        said,
-        f"Residuals are {more:.2g} times as large as the noise given makes them, and errors after "
-        "are scaled by that: so large they are if the noise is larger than given; if the model "
-        "lacks something, no number says how large.",
-    )
+    texts = [
+        f"Error of the platform, root mean square {errors.where}"
+        f"{FRAMES if result.moves_frames else ''}. After: about what is to be expected by the "
+        "parameters' uncertainties, if the model is right; 95 of 100 such calibrations stay below "
+        f"{platform_size(errors.limit, found.turns, more)}."
+    ]
+    if more > 1.0:
+        verdict += " or more"
+        texts.append(
+            f"Residuals are {more:.2g} {_AS_LARGE}, and errors after are scaled by that: so large "
+            "they are if the noise is larger than given; if the model lacks something, no number "
+            "says how large."
+        )
+    sizes = tuple(zip(names, before, after, strict=False))
+    return Card(question, verdict, "", texts, sizes=sizes)
 
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Card:
-    count = len(warnings(result))
-    verdict = "Nothing speaks against it"
-    if count:
-        start = "Not as it is" if contradicted(result) else "With care"
-        verdict = f"{start}: {'one warning' if count == 1 else f'{count} warnings'} above"
+    verdict, tone = "Nothing speaks against it", "good"
+    if count := len(warnings(result)):
+        poor = contradicted(result)
+        warned = "one warning" if count == 1 else f"{count} warnings"
+        verdict = f"{'Not as it is' if poor else 'With care'}: {warned} above"
+        tone = "bad" if poor else "care"
     elif result.validation is None:
-        verdict = "Not tested on rows left out"
+        verdict, tone = "Not tested on rows left out", "care"
     lines = [_chi2(result)]
     if (one := result.validation) is not None:
         lines.append(f"{capital(held_out_line(one))}.")
@@ -190,15 +185,14 @@ def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Card:
     if result.outliers:
         rows = counted(len(result.outliers), "row does", "rows do")
         lines.append(f"{rows} not fit the others.")
-    return _card("Can I rely on it?", verdict, [*lines, *notes])
+    return Card("Can I rely on it?", verdict, tone, lines=[*lines, *notes])
 
 
 def _chi2(result: CalibrationResult) -> str:
     """Return how the residuals compare with the noise."""
     if result.noise_source == "estimated":
         return f"{capital(noise_line(result))}; so residuals cannot contradict it."
-    dof = result.degrees_of_freedom
-    if not dof:
+    if not (dof := result.degrees_of_freedom):
         return f"{capital(noise_line(result))}."
     text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
     if result.loss == "none":

@@ -1,25 +1,17 @@
-"""Sections of a report: words, tables and figures on one subject each."""
+"""What a report's sections show: facts, tables and figures by name; their words are the page's."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from pincal.calibration.result import CalibrationResult
 from pincal.model.measurements import EVERY_LEG, Noise
-from pincal.show.report.figures import (
-    changes_figure,
-    observability_figure,
-    platform_figure,
-    poses_figure,
-)
+from pincal.show.report import figures
 from pincal.show.report.findings import Findings
-from pincal.show.report.maps import maps_figure
-from pincal.show.report.parts import Command, Part, Section
-from pincal.show.report.residuals import histogram_figure, residuals_figure
 from pincal.show.result_tables import (
     CONDITION,
     SIGMA,
@@ -35,7 +27,6 @@ from pincal.show.summary import check_lines, method_line, tie_lines, weak_lines
 from pincal.words.numbers import capital
 from pincal.words.table import Column, Table
 
-_LISTED = 50  # outliers in the table; all are in result.json
 _RESIDUALS = {
     "closure": "closure residuals: by how much a leg misses the platform point, weighted by the "
     "noise",
@@ -49,24 +40,73 @@ _SOURCES = {
     "repeats": "from rows that were measured repeatedly",
     "estimated": "estimated from the residuals, since none was given",
 }
-_EXACT = (
-    "Readings were taken as exact: the legs close by construction, and what the model leaves over "
-    "is by how much the platform misses what was measured of it."
-)
 
 
-def measured(found: Findings) -> Section:
+def shown(
+    found: Findings, files: tuple[tuple[str, str], ...], notes: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return what the page of a report shows, by name; nothing of a fit that did not converge.
+
+    Args:
+        found: The calibration.
+        files: Those that were read, and their SHA-256.
+        notes: Sentences beside those on held-out rows and runs.
+    """
+    result, drawn = found.result, {"poses": figures.poses_figure(found)}
+    heads = Column("file"), Column("SHA-256")
+    hashes = Table("Files read, and their SHA-256", heads, files)
+    tables = {"files": hashes if files else None}
+    units = result.nominal.platform.units
+    always = {
+        "method": method_line(result),
+        "facts": _facts(found),
+        "lengths": result.nominal.platform.coordinates[: units.count("m")],
+        "figures": drawn,
+        "tables": tables,
+    }
+    if not result.converged:
+        return always
+    drawn |= {
+        "changes": figures.changes_figure(found),
+        "residuals": figures.residuals_figure(found),
+        "histogram": figures.histogram_figure(found),
+        "platform": figures.platform_figure(found),
+        "maps": figures.maps_figure(found),
+        "observability": figures.observability_figure(found),
+    }
+    legs, runs = legs_table(result), result.runs
+    sizes = legs.only("leg", "rms before", "rms after", "σ", "unit", "poses", caption=SIGMA)
+    rank = legs.only("leg", "rank", "condition", caption=CONDITION)
+    tables |= {
+        "parameters": parameters_table(result),
+        "outside": outside_table(result) if result.external else None,
+        "legs": replace(sizes, title="Residuals of the legs"),
+        "observed": observed_table(result) if result.observed else None,
+        "rank": replace(rank, title="Rank and condition of the legs"),
+        "outliers": outliers_table(result, 50) if result.outliers else None,
+        "runs": runs_table(runs) if runs is not None else None,
+    }
+    checks = [capital(line) for line in (*tie_lines(result), *check_lines(result))]
+    return always | {
+        "exact": readings_exact(result),
+        "no_maps": "" if found.maps else _why_no_maps(result),
+        "weak": [f"{line}." for line in weak_lines(result.weak, result.nominal)],
+        "checks": [f"{line}." for line in (*checks, *notes)],
+    }
+
+
+def _facts(found: Findings) -> dict[str, str]:
     """Return what was measured, and how well."""
-    result = found.result
-    platform, mechanism = result.nominal.platform, result.nominal
+    result, mechanism = found.result, found.result.nominal
     read = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
+    residual = "reading" if result.options.latent else result.options.residual
     facts = {
         "mechanism": mechanism.name,
-        "rows": _rows(found),
-        "of the platform": _columns(found),
+        "rows": _rows(result),
+        "of the platform": _columns(result),
         "readings": ", ".join(f"{name} [{unit}]" for name, unit in read),
-        "noise": f"{_SOURCES.get(result.noise_source, result.noise_source)}: {_noise(found)}",
-        "identified": f"{method_line(result)}; {_RESIDUALS[_residual(result)]}",
+        "noise": f"{_SOURCES.get(result.noise_source, result.noise_source)}: {_noise(result)}",
+        "identified": f"{method_line(result)}; {_RESIDUALS[residual]}",
     }
     if result.loss != "none":
         facts["robust loss"] = result.loss
@@ -78,136 +118,43 @@ def measured(found: Findings) -> Section:
             "no such measurement can determine it, so of equal parameters those nearest to nominal "
             f"were taken: {'; '.join(gauge(result))}"
         )
-    words = platform.coordinates[: platform.units.count("m")]
-    where = f"Positions {', '.join(words)} are those of the platform's frame in the base frame."
-    plain = result.options.setup.plain
-    parts = (facts, where if plain else None, poses_figure(found))
-    return Section("measured", "What was measured, and how well", parts)
+    return facts
 
 
-def _residual(result: CalibrationResult) -> str:
-    return "reading" if result.options.latent else result.options.residual
-
-
-def _rows(found: Findings) -> str:
-    data = found.data
-    text = f"{len(data)}"
+def _rows(result: CalibrationResult) -> str:
+    data = result.measurements
+    parts = [f"{len(data)}"]
     for name, values in (("sets", data.sets), ("runs", data.runs)):
         if values is not None:
-            counts = Counter(values)
-            text += f"; {name}: " + ", ".join(
-                f"{'every leg' if one in ('', EVERY_LEG) else one} {n}" for one, n in counts.items()
-            )
+            counts = Counter("every leg" if one in ("", EVERY_LEG) else one for one in values)
+            parts.append(f"{name}: {', '.join(f'{one} {n}' for one, n in counts.items())}")
     if data.places is not None:
-        text += f"; {len(set(data.places))} poses, some measured more than once"
-    return text
+        parts.append(f"{len(set(data.places))} poses, some measured more than once")
+    return "; ".join(parts)
 
 
-def _columns(found: Findings) -> str:
+def _columns(result: CalibrationResult) -> str:
     """Return which quantities of the platform were measured, and how often if not always."""
-    data, platform = found.data, found.result.nominal.platform
+    data, platform = result.measurements, result.nominal.platform
     columns = dict(zip(platform.coordinates, data.poses.T, strict=True)) | dict(data.extra)
     counts = {name: int(np.isfinite(values).sum()) for name, values in columns.items()}
-    shown = [
-        name if count == len(data) else f"{name} ({count} rows)"
-        for name, count in counts.items()
-        if count
-    ]
-    return ", ".join(shown) or "nothing"
+    often = {name: "" if n == len(data) else f" ({n} rows)" for name, n in counts.items() if n}
+    return ", ".join(map("".join, often.items())) or "nothing"
 
 
-def _noise(found: Findings) -> str:
+def _noise(result: CalibrationResult) -> str:
     """Return standard deviations of what was measured."""
-    noise, data = found.result.noise, found.data
-    if noise is not None:
-        return f"σ {noise_said(found.result, noise)}"
+    if result.noise is not None:
+        return f"σ {noise_said(result, result.noise)}"
+    data, units = result.measurements, np.array(result.nominal.platform.units)
     sigma = data.sigma_poses
-    linear = np.array([unit == "m" for unit in found.result.nominal.platform.units])
-    middle = [
-        0.0 if values is None or not np.isfinite(values).any() else float(np.nanmedian(values))
-        for values in (
-            None if sigma is None else sigma[:, linear],
-            None if sigma is None else sigma[:, ~linear],
-            data.sigma_readings,
-        )
-    ]
-    return f"σ, median of the rows: {noise_said(found.result, Noise(*middle))}"
-
-
-def parameters(found: Findings) -> Section:
-    """Return all parameters by leg, and those outside the mechanism."""
-    result = found.result
-    outside = outside_table(result) if result.external else None
-    parts = (parameters_table(result), changes_figure(found), outside)
-    return Section("parameters", "Parameters", parts)
-
-
-def residuals(found: Findings) -> Section:
-    """Return residuals by leg, row and size."""
-    result = found.result
-    observed = observed_table(result) if result.observed else None
-    figures = (residuals_figure(found), histogram_figure(found))
-    heads = ("leg", "rms before", "rms after", "σ", "unit", "poses")
-    legs = replace(legs_table(result).only(*heads, caption=SIGMA), title="Residuals of the legs")
-    parts: tuple[Part, ...] = (legs, *figures, observed)
-    if readings_exact(result):
-        parts = (_EXACT, observed, *figures)
-    return Section("residuals", "Residuals before and after", parts)
-
-
-def platform(found: Findings) -> Section:
-    """Return the platform's errors over the workspace."""
-    shown: Part = f"No maps: {_why_no_maps(found.result)}."
-    if found.maps is not None:
-        shown = maps_figure(found.maps, found.turns)
-    return Section("platform", "Error of the platform", (platform_figure(found), shown))
-
-
-def observability(found: Findings) -> Section:
-    """Return how well the poses used determine the parameters."""
-    weak = weak_lines(found.result.weak, found.result.nominal)
-    table = legs_table(found.result).only("leg", "rank", "condition", caption=CONDITION)
-    table = replace(table, title="Rank and condition of the legs")
-    parts = (table, observability_figure(found), [f"{line}." for line in weak] or None)
-    return Section("observability", "Observability", parts)
-
-
-def outliers(result: CalibrationResult) -> Section:
-    """Return rows that were rejected, weighted down, or just do not fit."""
-    title = "What was rejected or weighted down"
-    loss = "No robust loss was used" if result.loss == "none" else f"Robust loss: {result.loss}"
-    if not result.outliers:
-        return Section("outliers", title, (f"{loss}; all rows fit each other.",))
-    moved = (
-        ""
-        if result.shift is None
-        else f" With these rows, parameters would move by up to {result.shift:.1f} standard errors."
+    parts = [None if sigma is None else sigma[:, units == unit] for unit in ("m", "rad")]
+    known = (
+        np.ones(0) if one is None else one[np.isfinite(one)]
+        for one in (*parts, data.sigma_readings)
     )
-    said = f"{loss}; rows that do not fit the others: {len(result.outliers)}.{moved}"
-    return Section("outliers", title, (said, outliers_table(result, _LISTED)))
-
-
-def checks(result: CalibrationResult, notes: Sequence[str]) -> Section:
-    """Return ties, held-out rows and runs."""
-    lines = [f"{capital(text)}." for text in (*tie_lines(result), *check_lines(result))]
-    lines += [f"{text}." for text in notes]
-    parts: list[Part] = [lines or ["No rows were held out, and no ties tested."]]
-    if (runs := result.runs) is not None:
-        parts.append(runs_table(runs.names, runs.spread.tolist(), runs.predicted.tolist()))
-    return Section("checks", "Held-out rows, ties and runs", tuple(parts))
-
-
-def reproduction(
-    command: str, versions: Iterable[str], files: Sequence[tuple[str, str]], date: str
-) -> Section:
-    """Return how to make the same result again."""
-    hashes = Table("Files read, and their SHA-256", (Column("file"), Column("SHA-256")), files)
-    parts = (
-        Command(command) if command else None,
-        f"Made on {date} with {', '.join(versions)}. No random choice is involved.",
-        hashes if files else None,
-    )
-    return Section("reproduction", "How to reproduce it", parts)
+    middle = (float(np.median(one)) if one.size else 0.0 for one in known)
+    return f"σ, median of the rows: {noise_said(result, Noise(*middle))}"
 
 
 def _why_no_maps(result: CalibrationResult) -> str:

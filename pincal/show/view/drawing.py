@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.show.style import CARRIED, DOMAIN, GROUND, IDENTIFIED
-from pincal.show.view.bodies import Body
-from pincal.show.view.looks import frame_axes, ground, set_colour
-from pincal.show.view.scene import Scene
-from pincal.show.view.shapes import Shape
+from pincal.show.view.bodies import Body, Shape
+from pincal.show.view.scene import Scene, frame_axes, ground, set_colour
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of pyzmq, when meshcat asks for it

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.show.style import DOMAIN, IDENTIFIED
+from pincal.show.style import DOMAIN, IDENTIFIED, TOWARDS_VIEWER
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
-from pincal.show.view.looks import TOWARDS_VIEWER, grid_step, set_colour
-from pincal.show.view.scene import Scene
+from pincal.show.view.scene import Scene, grid_step, set_colour
 from pincal.words.numbers import FACTORS, POSES, SMALL
 from pincal.words.pages import rendered
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import html
 from functools import cached_property
-from pathlib import Path
 from weakref import finalize
 
 import numpy as np
@@ -13,19 +11,21 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.output import writing
 from pincal.kinematics.configurations import home_of
 from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show.page import Page
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
 Array = NDArray[np.float64]
 _SAMPLED = 24
 
 
-class View:
+class View(Page):
     """A view of a mechanism: a page to open, to save, or to see in a notebook."""
+
+    sandbox, height = "allow-scripts allow-downloads", "600px"
 
     def __init__(self, scene: Scene, source: str = "") -> None:
         self.scene = scene
@@ -41,16 +41,6 @@ class View:
 
         return page(self.scene, self._source)
 
-    def save(self, path: str | Path, *, force: bool = False) -> Path:
-        """Write the page to a file, whole or not at all, and return its path.
-
-        Raises:
-            FileError: the file exists and ``force`` is not set, or cannot be written.
-        """
-        with writing(path, force=force) as scratch:
-            scratch.write_text(self.html(), encoding="utf-8")
-        return Path(path)
-
     @cached_property
     def url(self) -> str:
         """Where browsers of this machine find the page, until ``close`` or the process ends."""
@@ -64,13 +54,6 @@ class View:
         """Stop serving the page, if it was asked for by ``url``."""
         if self.__dict__.pop("url", None):
             self._close()
-
-    def _repr_html_(self) -> str:
-        """Return the page in a frame of its own, for notebooks."""
-        return (
-            '<iframe sandbox="allow-scripts allow-downloads" style="width: 100%; height: 600px; '
-            f'border: 0" srcdoc="{html.escape(self.html())}"></iframe>'
-        )
 
 
 def view(
