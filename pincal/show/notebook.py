@@ -16,28 +16,20 @@ def mechanism_html(mechanism: Mechanism) -> str:
     drawn = on_page("figure-mechanism")(
         lambda: (picture(mechanism).figure(), f"{mechanism.name} at home")
     )
-    title = f"{mechanism.name}: {len(mechanism.legs)} legs, " + ", ".join(
-        mechanism.platform.coordinates
-    )
     table = nominal_table(mechanism)
-    return rendered("mechanism.html", title=title, mechanism=mechanism, figure=drawn(), table=table)
+    return rendered("mechanism.html", mechanism=mechanism, figure=drawn(), table=table)
 
 
 def result_html(result: CalibrationResult) -> str:
     """Return a calibration: what to know first, parameters, residuals."""
+    from pincal.show import result_tables, summary
     from pincal.show.report.answers import warning_lines
-    from pincal.show.result_tables import legs_table, outliers_table, parameters_table
-    from pincal.show.summary import held_out_line, method_line, noise_line
     from pincal.words.pages import rendered
 
-    shown: list[object] = []
-    if result.converged:
-        lines = [f"identified with {method_line(result)}", noise_line(result)]
-        lines += [held_out_line(result.validation)] if result.validation is not None else []
-        shown = [lines, parameters_table(result), legs_table(result)]
-        shown += [outliers_table(result)] if result.outliers else []
-    title = f"{result.nominal.name}: calibration, {result.message}"
-    return rendered("result.html", title=title, warnings=warning_lines(result), shown=shown)
+    warnings = warning_lines(result)
+    return rendered(
+        "result.html", result=result, warnings=warnings, tables=result_tables, summary=summary
+    )
 
 
 def result_text(result: CalibrationResult) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -10,7 +11,7 @@ from pincal.files.output import writing
 
 
 class Page:
-    """A page, which needs no other file and no network."""
+    """A page, made when it is first asked for."""
 
     sandbox: ClassVar[str] = ""
     """What its scripts may do in a notebook."""
@@ -18,7 +19,11 @@ class Page:
     """Of the frame in a notebook."""
 
     def html(self) -> str:
-        """Return the page."""
+        """Return the page, which needs no server, no other file and no network."""
+        return self._page
+
+    @cached_property
+    def _page(self) -> str:
         raise NotImplementedError
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:

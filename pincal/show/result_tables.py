@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from pincal.calibration.leg_result import IdentifiedParameter
@@ -19,8 +20,8 @@ from pincal.words.table import Cell, Table, Value, columns
 
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
 _SIZES = ("rms before", "rms after", "σ", "unit")
-SIGMA = "σ: what the noise alone makes of residuals"
-CONDITION = "condition: of the leg's whitened identification Jacobian, columns scaled"
+_SIGMA = "σ: what the noise alone makes of residuals"
+_CONDITION = "condition: of the leg's whitened identification Jacobian, columns scaled"
 
 
 def calibration_tables(result: CalibrationResult) -> list[Table]:
@@ -91,12 +92,24 @@ def legs_table(result: CalibrationResult) -> Table:
             )
             for leg, one in zip(result.legs, legs_series(result), strict=True)
         ],
-        f"{SIGMA}; {CONDITION}",
+        f"{_SIGMA}; {_CONDITION}",
     )
     if not exact:
         return found
-    found = found.only("leg", "poses", "rank", "condition", caption=CONDITION)
+    found = found.only("leg", "poses", "rank", "condition", caption=_CONDITION)
     return replace(found, title="Legs; readings were taken as exact")
+
+
+def residuals_table(result: CalibrationResult) -> Table:
+    """Return the residuals of the legs alone."""
+    found = legs_table(result).only("leg", *_SIZES, "poses", caption=_SIGMA)
+    return replace(found, title="Residuals of the legs")
+
+
+def rank_table(result: CalibrationResult) -> Table:
+    """Return rank and condition of the legs alone."""
+    found = legs_table(result).only("leg", "rank", "condition", caption=_CONDITION)
+    return replace(found, title="Rank and condition of the legs")
 
 
 def observed_table(result: CalibrationResult) -> Table:
@@ -133,6 +146,11 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
         ],
         f"and {more} more in result.json" if more > 0 else "",
     )
+
+
+def files_table(files: Sequence[tuple[str, str]]) -> Table:
+    """Return files that were read, and their SHA-256."""
+    return Table("Files read, and their SHA-256", columns("file", "SHA-256"), files)
 
 
 def runs_table(runs: RunComparison) -> Table:

@@ -61,24 +61,11 @@ def _few(found: Finding) -> str:
     return f"{', '.join(v['legs'])}: {v['poses']} poses for {v['unknowns']} parameters"
 
 
-def _tie(found: Finding) -> str:
-    v = found.values
-    return (
-        f"{v['name']} is tied over the legs, and the measurements contradict that "
-        f"(p = {v['p_value']:.2g})"
-    )
-
-
 def _held(found: Finding) -> str:
     v = found.values
     parts = [groups_in_words(v["groups"])] if v["groups"] else []
     parts += [f"{listed(v['weak'])} are weakly determined"] if v["weak"] else []
     return f"these measurements do not determine everything: {'; '.join(parts)}"
-
-
-def _unused(found: Finding) -> str:
-    v = found.values
-    return f"{v['unused']} of {v['total']} measured poses serve other legs only"
 
 
 PARAMETERS: dict[str, Wording] = {
@@ -96,7 +83,7 @@ PARAMETERS: dict[str, Wording] = {
     "unused-poses": Wording(
         "Poses that serve one leg only",
         {"unused": "number of poses that do not serve every leg", "total": "number of poses"},
-        _unused,
+        "{unused} of {total} measured poses serve other legs only",
         "Each leg was identified by the poses of its set only.",
         "Leave out --per-leg, or add --poses all: then every leg uses every pose",
         "info",
@@ -146,7 +133,7 @@ PARAMETERS: dict[str, Wording] = {
     "tie-contradicted": Wording(
         "A tie does not hold",
         {"name": "name of the tied parameters, or several with commas", "p_value": P_VALUE},
-        _tie,
+        "{name} is tied over the legs, and the measurements contradict that (p = {p_value:.2g})",
         "The legs differ in this parameter by more than their standard errors explain (1 %).",
         "Leave the tie out (--tie)",
     ),

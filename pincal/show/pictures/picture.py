@@ -14,7 +14,6 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
@@ -86,17 +85,13 @@ def picture(
         magnify: Factor on what differs between its parameters and the nominal ones.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
-            is not one of this mechanism.
-        MeasurementError: no poses, too many or not whole, no such row; a workspace of a wrong
-            shape; a factor that is not positive.
+        MechanismError: as ``view``.
+        MeasurementError: as ``view``; no such row.
     """
     mechanism = as_mechanism(mechanism)
-    identified = None if identified is None else as_mechanism(identified)
     plan = plan_of(mechanism, [mechanism.platform.home] if poses is None else poses)
     if not 0 <= row < max(len(plan.poses), 1):
         raise MeasurementError(
             f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"
         )
-    cloud = None if workspace is None else numbers_of(workspace, "workspace", MeasurementError)
-    return Picture(scene(mechanism, plan, cloud, identified, magnify), row)
+    return Picture(scene(mechanism, plan, workspace, identified, magnify), row)

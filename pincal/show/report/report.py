@@ -39,26 +39,28 @@ class Report(Page):
         self.found = found
         self.origin = origin
 
-    def html(self) -> str:
-        """Return the page, which needs no other file and no network."""
-        return self._page
-
     @cached_property
     def _page(self) -> str:
+        from pincal.show import result_tables, results, summary
+        from pincal.show.report import facts, figures  # imports matplotlib: slow
         from pincal.show.report.answers import answers, warning_lines
-        from pincal.show.report.sections import shown  # imports matplotlib: slow
         from pincal.words.pages import rendered
 
         found, origin = self.found, self.origin
         versions = [f"{package} {version(package)}" for package in _PACKAGES]
         return rendered(
             "report.html",
+            found=found,
             result=found.result,
             origin=origin,
+            facts=facts,
+            figures=figures,
+            results=results,
+            summary=summary,
+            tables=result_tables,
             warnings=warning_lines(found.result),
             answers=answers(found, origin.notes),
             versions=[*versions, f"Python {platform.python_version()}"],
-            **shown(found, origin.files, origin.notes),
         )
 
 

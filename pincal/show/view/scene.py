@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of
@@ -91,24 +92,11 @@ class Scene:
 def scene(
     mechanism: Mechanism,
     plan: Plan,
-    workspace: Array | None = None,
-    identified: Mechanism | None = None,
+    workspace: ArrayLike | None = None,
+    identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
 ) -> Scene:
-    """Return the scene of a mechanism at the poses of a plan.
-
-    Args:
-        mechanism: The nominal mechanism.
-        plan: The poses, and the sets they belong to.
-        workspace: Positions, shape (M, 2) or (M, 3), or poses that begin with them, [m].
-        identified: The identified mechanism, to be shown beside the nominal one.
-        magnify: Factor on the differences of its parameters.
-
-    Raises:
-        MechanismError: poses of a wrong shape; an identified mechanism with other parameters.
-        MeasurementError: no poses, too many or not whole; a workspace of a wrong
-            shape; a factor that is not positive.
-    """
+    """Return the scene of a mechanism at the poses of a plan; all else as of ``view``."""
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
             f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
@@ -120,14 +108,10 @@ def scene(
             "not whole; those that a calibration estimated can be drawn: "
             "result.estimated_poses, or poses.csv in the folder of the result"
         )
-    found = Scene(
-        mechanism,
-        plan,
-        body(mechanism, plan),
-        joints_at(mechanism, plan).readings,
-    )
+    found = Scene(mechanism, plan, body(mechanism, plan), joints_at(mechanism, plan).readings)
     if identified is not None:
-        found = replace(found, identified=_identified(found, identified, magnify))
+        machine = _identified(found, as_mechanism(identified), magnify)
+        found = replace(found, identified=machine)
     return found if workspace is None else replace(found, cloud=_cloud(mechanism, workspace))
 
 
@@ -145,7 +129,7 @@ def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> P
     return Plan(mechanism.platform.coordinates_of(given))
 
 
-def _cloud(mechanism: Mechanism, workspace: Array) -> Cloud:
+def _cloud(mechanism: Mechanism, workspace: ArrayLike) -> Cloud:
     """Return the positions of a workspace, and which are of a fundamental domain."""
     lengths = mechanism.platform.units.count("m")
     given = numbers_of(workspace, "workspace", MeasurementError)

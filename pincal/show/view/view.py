@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError, WorkspaceError
+from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
-from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.page import Page
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
 Array = NDArray[np.float64]
-_SAMPLED = 24
 
 
 class View(Page):
@@ -30,10 +28,6 @@ class View(Page):
     def __init__(self, scene: Scene, source: str = "") -> None:
         self.scene = scene
         self._source = source
-
-    def html(self) -> str:
-        """Return the page, which needs no server and no network."""
-        return self._page
 
     @cached_property
     def _page(self) -> str:
@@ -85,10 +79,8 @@ def view(
             shape; a factor that is not positive.
     """
     mechanism = as_mechanism(mechanism)
-    identified = None if identified is None else as_mechanism(identified)
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
-    cloud = None if workspace is None else numbers_of(workspace, "workspace", MeasurementError)
-    return View(scene(mechanism, plan, cloud, identified, magnify), source)
+    return View(scene(mechanism, plan, workspace, identified, magnify), source)
 
 
 def _some_poses(mechanism: Mechanism) -> Plan:
@@ -97,7 +89,7 @@ def _some_poses(mechanism: Mechanism) -> Plan:
 
     home = home_of(mechanism)
     try:
-        more = sample_configurations(mechanism, _SAMPLED)
+        more = sample_configurations(mechanism, 24)
     except WorkspaceError:  # none with the default margins
         return home
     read = [plan.readings for plan in (home, more) if plan.readings is not None]
