@@ -70,7 +70,7 @@ def planar() -> tuple[pincal.CalibrationResult, pincal.Measurements, Report]:
     options: dict[str, Any] = {"noise": NOISE, "loss": "reject"}
     result = pincal.calibrate(mechanism, data, **options)
     result = replace(result, validation=pincal.validate(mechanism, data, **options))
-    return result, data, pincal.report(result, command="pincal", date=DATE)
+    return result, data, result.report(command="pincal", date=DATE)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def cables() -> Report:
     poses[::3, 2] = np.nan
     data, setup = replace(data, poses=poses), pincal.Setup(unknown_frame=True)
     result = pincal.calibrate(mechanism, data, noise=noise, setup=setup)
-    return pincal.report(result, date=DATE)
+    return result.report(date=DATE)
 
 
 @pytest.mark.slow
@@ -237,7 +237,7 @@ def test_names_are_not_capitalised() -> None:
     mechanism, data = measured("3RRR", 20)
     result = pincal.calibrate(mechanism, data, noise=NOISE)
     weak = {one.split(".")[1] for pair in result.weak for one in (pair.first, pair.second)}
-    page = page_of(pincal.report(result, notes=["l of the second run was 1.5 m"]))
+    page = page_of(result.report(notes=["l of the second run was 1.5 m"]))
     lines = [one.text_content() for one in page.xpath("//*[@id='observability']//li")]
     first = {re.match(r"[\w.]+", line)[0].rpartition(".")[2] for line in lines}  # type: ignore[index]
     assert first - {"2"} <= weak  # "2 more such pairs"
@@ -250,7 +250,7 @@ def test_fixed_parameters_look_fixed() -> None:
     mechanism, data = measured("3RRR", 30)
     given: dict[str, Any] = {"fixed": ["k", "leg_2.gamma"], "tied": ["ob"], "priors": {"OA": 1e-3}}
     result = pincal.calibrate(mechanism, data, noise=NOISE, **given)
-    page = page_of(pincal.report(result))
+    page = page_of(result.report())
     text = io.StringIO()
     Console(file=text, width=100).print(parameters_table(result))
     printed = [line.split() for line in text.getvalue().splitlines()]
@@ -344,7 +344,7 @@ def test_names_are_text() -> None:
         gauge=(finding("redundant-parameters", count=1, groups=((EVIL, "k"),)),),
         outliers=(Outlier(3, (names[0],), 9.0, 1.0, EVIL, 9.0),),
     )
-    report = pincal.report(result, command=EVIL, notes=[EVIL + "\0"])
+    report = result.report(command=EVIL, notes=[EVIL + "\0"])
     page = page_of(report)
     assert not list(page.iter("script", "b"))
     assert page.find(".//title").text == f"{EVIL}: calibration"
@@ -367,7 +367,7 @@ def test_the_same_bytes_but_for_the_date(planar: Any) -> None:
     """Made anew, in whatever style the user draws, a report is the same."""
     result, _, report = planar
     with mpl.rc_context({"font.size": 20, "svg.fonttype": "path"}):
-        again = pincal.report(result, command="pincal", date=DATE)
+        again = result.report(command="pincal", date=DATE)
         assert again.html() == report.html()
         assert mpl.rcParams["font.size"] == 20
 
@@ -378,7 +378,7 @@ def test_as_many_unknowns_as_values_prove_nothing() -> None:
     mechanism, data = measured("3RRR", 8)
     result = pincal.calibrate(mechanism, data, noise=NOISE)
     assert result.degrees_of_freedom == 0
-    page = page_of(pincal.report(result))
+    page = page_of(result.report())
     first = page.get_element_by_id("answers").text_content()
     assert "as many unknowns as measured values" in first
     assert "nan" not in page.get_element_by_id("answers").text_content()
@@ -398,7 +398,7 @@ def test_exact_readings_are_no_proof() -> None:
     poses[:, 2] = np.nan
     data = replace(data, poses=poses)
     result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 0.0))
-    page = page_of(pincal.report(result))
+    page = page_of(result.report())
     first = page.get_element_by_id("answers").text_content()
     (x, y) = result.observed
     before, after = (
@@ -458,7 +458,7 @@ def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:
     """A fit that did not converge says so first, and shows and writes no calibrated mechanism."""
     result, _, _ = planar
     failed = replace(result, converged=False, left=123.0)
-    report = pincal.report(failed)
+    report = failed.report()
     page = page_of(report)
     main = page.find(".//main")
     assert [one.get("id") for one in main][1:3] == ["warnings", "answers"]
@@ -501,7 +501,7 @@ def test_unknown_frames(cables: Report) -> None:
     moved, setup = data.poses + np.array([0.4, 0.2, 0.0]), pincal.Setup(unknown_frame=True)
     given = replace(data, poses=moved)
     aligned = pincal.calibrate(mechanism, given, noise=NOISE, setup=setup)
-    poses = pincal.report(aligned).found.poses
+    poses = aligned.report().found.poses
     np.testing.assert_allclose(poses, data.poses, atol=0.02)
 
 
@@ -513,7 +513,7 @@ def test_without_a_workspace(planar: Any, monkeypatch: pytest.MonkeyPatch) -> No
         raise pincal.WorkspaceError("none")
 
     monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
-    report = pincal.report(result)
+    report = result.report()
     page = page_of(report)
     assert "over the measured poses" in page.get_element_by_id("answers").text_content()
     assert "no workspace was found" in page.get_element_by_id("platform").text_content()
@@ -534,7 +534,7 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Working folder with a 5R and measurements of it."""
     mechanism, data = measured("5R", 30)
     mechanism.save(tmp_path / "robot")
-    pincal.write_measurements(tmp_path / "measured.csv", mechanism, data)
+    data.to_csv(tmp_path / "measured.csv", mechanism)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -593,8 +593,8 @@ def test_answers_as_json(typed: list[object], key: str) -> None:
 
 def test_json_of_plan_and_simulation(work: Path) -> None:
     """'select' and 'simulate' answer in JSON too, and write their files all the same."""
-    pincal.write_poses("c.csv", pincal.load_mechanism("5R"), pincal.Plan(np.random.default_rng(0)
-        .uniform((-0.3, 0.9), (0.3, 1.3), (200, 2))))  # fmt: skip
+    poses = np.random.default_rng(0).uniform((-0.3, 0.9), (0.3, 1.3), (200, 2))
+    pincal.Plan(poses).to_csv("c.csv", "5R")
     chosen = done("select", "5R", "--candidates", "c.csv", "--count", 8, "-o", "p.csv", "--json")
     assert json.loads(chosen.out)["poses"] == 16
     told = json.loads(done("simulate", "5R", "p.csv", "-o", "m.csv", "--json").out)

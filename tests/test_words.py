@@ -155,6 +155,8 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "weakly-determined": ({"parameter": "leg_1.l", "half": 0.12, "unit": "m", "held": False}, (), ("leg_1.l", "leg_2.l"), "2 parameters are weakly determined, leg_1.l to ± 0.12 m only"),
     "undetermined-held": ({"groups": (("leg_1.l", "leg_1.L"), ("leg_2.k",)), "weak": ("leg_3.l", "leg_3.k")}, (), (), "leg_1.l and leg_1.L move together; leg_2.k has no effect; leg_3.l and leg_3.k are weakly determined"),
     "far-from-nominal": ({"parameter": "leg_1.gamma", "change": 0.123, "unit": "rad", "options": ("unknown-target",)}, (), ("leg_1.gamma",), "leg_1.gamma moved by +0.123 rad, farther than a machine differs from its drawing"),
+    "zeros-found": ({"changes": (("leg_1.gamma", 0.7, "rad"),)}, (), ("leg_1.gamma",), "zeros of readings are far from the drawing's: leg_1.gamma by 0.7 rad. Nothing to do if"),
+    "sign-changed": ({"lengths": (("leg_1.l", 0.05, -0.0478),)}, (), ("leg_1.l",), "lengths changed their sign: leg_1.l from 0.05 to -0.0478 m"),
     "tie-contradicted": ({"name": "l", "p_value": 0.001}, (), (), "l is tied over the legs, and the measurements contradict that (p = 0.001)"),
     "held-out-worse": ({"held_out": 3.0, "expected": 1.1, "p_value": 1e-6}, (), (), "the model follows its rows more closely than the machine. Measure more poses"),
     "drift": ({"leg": "leg_1", "correlation": -0.8, "p_value": 1e-9}, (), (), "leg_1: residuals follow the order of the rows (rank correlation -0.80, p = 1e-09): drift"),

@@ -255,7 +255,10 @@ class CalibrationResult:
         """Return the report as a page: ``html()``, ``save(path)``, or shown by a notebook.
 
         Args:
-            **origin: Of ``pincal.report``: command, files, notes, date.
+            **origin: ``command``, ``files``, ``notes`` and ``date``, which the page names.
+
+        Raises:
+            FileError: a file that cannot be read.
         """
         from pincal.show.report.report import report
 
