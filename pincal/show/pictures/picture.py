@@ -85,8 +85,10 @@ def picture(
         magnify: Factor on what differs between its parameters and the nominal ones.
 
     Raises:
-        MechanismError: as ``view``.
-        MeasurementError: as ``view``; no such row.
+        MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
+            is not one of this mechanism.
+        MeasurementError: no poses, too many or not whole, no such row; a workspace of a wrong
+            shape; a factor that is not positive.
     """
     mechanism = as_mechanism(mechanism)
     plan = plan_of(mechanism, [mechanism.platform.home] if poses is None else poses)

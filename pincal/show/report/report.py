@@ -43,7 +43,7 @@ class Report(Page):
     def _page(self) -> str:
         from pincal.show import result_tables, results, summary
         from pincal.show.report import facts, figures  # imports matplotlib: slow
-        from pincal.show.report.answers import answers, warning_lines
+        from pincal.show.report.answers import Answers, warning_lines
         from pincal.words.pages import rendered
 
         found, origin = self.found, self.origin
@@ -59,7 +59,7 @@ class Report(Page):
             summary=summary,
             tables=result_tables,
             warnings=warning_lines(found.result),
-            answers=answers(found, origin.notes),
+            answers=Answers(found, origin.notes),
             versions=[*versions, f"Python {platform.python_version()}"],
         )
 
