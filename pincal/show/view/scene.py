@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,6 +75,15 @@ class Scene:
     def planar(self) -> bool:
         """Whether all moves in the x-y plane."""
         return len(self.mechanism.platform.closure_rows) == 2
+
+    def by_set(self) -> Iterator[tuple[str, str, Array, Array]]:
+        """Yield name, colour, positions (n, 3) and legs' segments (k, 2, 3) of each set, [m]."""
+        at = self.body.placements[:, self.body.part("platform/body"), :3, 3]
+        skeletons = self.body.skeletons()
+        for name in dict.fromkeys(self.sets):
+            own = np.array(self.sets) == name
+            lines = skeletons[own].reshape(-1, 2, 3)
+            yield name, set_colour(self, name), at[own], lines[np.isfinite(lines).all(axis=(1, 2))]
 
     def points(self) -> Array:
         """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
