@@ -56,7 +56,7 @@ class WorkspaceErrors:
 
     @property
     def where(self) -> str:
-        """Over which poses means are taken, in words."""
+        """Over which poses means are taken, as sentences say it."""
         if not self.sampled:
             return "over the measured poses"
         count = len(self.poses) - int(self.undetermined.sum())
