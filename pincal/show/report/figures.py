@@ -169,8 +169,13 @@ def residuals_figure(found: Findings) -> Drawn:
     """Return residuals before and after against the row, one line of panels for each series."""
     series = noisy_series(found.result)
     drawn = _figure(0.5 + 1.25 * len(series))
-    panels = drawn.subplots(len(series), 2, sharex=True, sharey="col", squeeze=False)
+    panels = drawn.subplots(len(series), 2, sharex=True, squeeze=False)
+    alike: dict[tuple[str, bool], tuple[Axes, Axes]] = {}
     for index, (one, (left, right)) in enumerate(zip(series, panels, strict=True)):
+        first = alike.setdefault((one.unit, one.of_leg), (left, right))
+        if first[0] is not left:
+            left.sharey(first[0])
+            right.sharey(first[1])
         unit = SMALL[one.unit]
         factor, rows, many = FACTORS[unit], one.rows + 1, len(one.rows) > PAGE.many
         colour, marker, _ = look(index)
