@@ -1,6 +1,6 @@
 """A result folder: ``result.json``, ``residuals.csv``, the nominal and the calibrated mechanism.
 
-``result.json`` says what was found in words and numbers for programs, and holds under ``data`` all
+``result.json`` says what was found, for people and programs, and holds under ``data`` all
 that the result is made of, bit for bit, so that ``load_result`` gives it back.
 """
 
@@ -18,7 +18,7 @@ from pincal.calibration.result import CalibrationResult, Page
 from pincal.calibration.result_data import restored, stored
 from pincal.calibration.runs import RunComparison
 from pincal.errors import MeasurementError
-from pincal.files.input import read_text
+from pincal.files.input import LARGEST_FILE, read_text
 from pincal.files.measurement_writing import write_poses
 from pincal.files.mechanism_folders import load_mechanism, own_files
 from pincal.files.tables import write_table
@@ -28,7 +28,6 @@ from pincal.words.sentences import sentence
 FORMAT = 2
 RESULT = "result.json"
 MECHANISM, NOMINAL = "mechanism", "nominal"
-_LARGEST = 256 * 1024 * 1024  # bytes
 
 
 def save_result(
@@ -207,7 +206,7 @@ def read_result(folder: str | Path) -> dict[str, Any]:
         MeasurementError: not a result of pincal, or of an unknown version.
     """
     path = Path(folder) / RESULT
-    text = read_text(path, _LARGEST, MeasurementError)
+    text = read_text(path, LARGEST_FILE["result"], MeasurementError)
     try:
         data = json.loads(
             text, parse_float=_finite, parse_constant=_finite, object_pairs_hook=_once

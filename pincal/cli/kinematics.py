@@ -29,10 +29,9 @@ from pincal.files.output import refuse_existing
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.model.measurements import Plan
+from pincal.words.wording import LISTED
 from pincal.workspace.criteria import Margins
 from pincal.workspace.sampling import sample_workspace
-
-_SHOWN = 5
 
 
 @command(answers=True)
@@ -114,8 +113,8 @@ def _columns(
 def _refuse_lost(path: Path, lost: list[tuple[str, str]], what: str) -> None:
     """Raise if some rows have no solution."""
     if lost:
-        named = "; ".join(f"{place}: {reason}" for place, reason in lost[:_SHOWN])
-        more = f"; and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+        named = "; ".join(f"{place}: {reason}" for place, reason in lost[:LISTED])
+        more = f"; and {len(lost) - LISTED} more" if len(lost) > LISTED else ""
         raise MeasurementError(
             f"{path}: {len(lost)} {what}(s) without a solution, nothing written. {named}{more}. "
             "Correct or remove these rows"

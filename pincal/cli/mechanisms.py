@@ -86,7 +86,7 @@ def check(mech: Mech) -> None:
             "parameters": dict(zip(leg.parameter_names, leg.nominal.tolist(), strict=True)),
             "rank": found.rank,
             "condition": found.condition,
-            "not_told_apart": found.groups,
+            "not_separable": found.groups,
         }
     group = symmetry_group(mechanism)
     if len(mechanism.legs) > 1:

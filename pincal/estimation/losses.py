@@ -98,9 +98,9 @@ def robust_scale(squares: Array, equations: NDArray[np.intp], share: float) -> f
         equations: How many equations each row gives, shape (N,).
         share: Degrees of freedom over equations: residuals of a fit are smaller than the noise.
     """
-    told = equations > 0
-    ratio = squares[told] / chi2.ppf(0.5, equations[told])
-    return float(np.sqrt(np.median(ratio) / share)) if told.any() else 1.0
+    counts = equations > 0
+    ratio = squares[counts] / chi2.ppf(0.5, equations[counts])
+    return float(np.sqrt(np.median(ratio) / share)) if counts.any() else 1.0
 
 
 def loss_of(given: LossName | Loss) -> Loss | None:

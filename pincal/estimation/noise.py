@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.model.checks import ROUNDING
 from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 
@@ -18,7 +19,6 @@ Array = NDArray[np.float64]
 Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 10  # degrees of freedom of a standard deviation from repeated rows
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
-_ROUNDED = 1e-12  # of the readings: a spread below is that of a mean's rounding
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
     turns = (~linear).sum()
     orientation = squares[:, ~linear].sum() / (dof * turns) if turns else 0.0
     reading = (np.concatenate(readings) ** 2).sum() / (dof * data.readings.shape[1])
-    if reading <= (_ROUNDED * np.abs(data.readings[whole]).max(initial=0.0)) ** 2:
+    if reading <= (ROUNDING * np.abs(data.readings[whole]).max(initial=0.0)) ** 2:
         reading = 0.0
     if dof * linear.sum() < _ENOUGH or not position > 0.0 or (turns and not orientation > 0.0):
         return None

@@ -21,7 +21,7 @@ from pincal.model.mechanism import Mechanism
 Array = NDArray[np.float64]
 _ROUNDS = 10
 _GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
-_LOG_LEAST = -650.0  # of probabilities that floating point can hold
+_LOG_LEAST = float(np.log(np.finfo(float).tiny))  # of probabilities that can be held
 Progress = Callable[[str], None]
 
 

@@ -14,6 +14,8 @@ from pincal.errors import PincalError
 Array = NDArray[np.float64]
 LARGEST = 1e12
 """Size of a mechanism's numbers, [m] or [rad]: larger ones are slips, their squares overflow."""
+ROUNDING = 1e-12
+"""Of the sizes that a number is made of, and angles [rad]: what rounding errors may reach."""
 EXACT = 1e-9
 """Of lengths relative to the size, and of unit vectors: what agrees so far is equal."""
 

@@ -56,7 +56,7 @@ class WorkspaceErrors:
 
     @property
     def where(self) -> str:
-        """Over which poses means are taken, as sentences say it."""
+        """Over which poses means are taken, for sentences."""
         if not self.sampled:
             return "over the measured poses"
         count = len(self.poses) - int(self.undetermined.sum())

@@ -15,10 +15,9 @@ from pincal.errors import WorkspaceError
 from pincal.model.orientation import WAYS, rotation_of
 from pincal.model.platform import Platform
 from pincal.symmetry.elements import SAME, Element
-from pincal.workspace.axes import Axis
+from pincal.workspace.axes import MOST, Axis
 
 Array = NDArray[np.float64]
-_MOST = 1_000_000
 _PLANE_STEP = np.radians(5.0)
 _SPACE_STEP = np.radians(30.0)
 _SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
@@ -97,8 +96,8 @@ class Orientations:
         if "tilt" in values and "azimuth" not in values:
             values["azimuth"] = _round("azimuth", np.radians(10.0)).values
         lists = [values.get(name, np.zeros(1)) for name in columns]
-        if math.prod(len(v) for v in lists) > _MOST:
-            raise WorkspaceError(f"more than {_MOST:,} orientations; take larger steps")
+        if math.prod(len(v) for v in lists) > MOST.orientations:
+            raise WorkspaceError(f"more than {MOST.orientations:,} orientations; take larger steps")
         grid = np.stack(np.meshgrid(*lists, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls.from_rotations(rotation_of(way, grid))
 

@@ -25,7 +25,6 @@ Indices = NDArray[np.int64]
 #: Takes numbers of positions to those of their images.
 Carrier: TypeAlias = Callable[[Indices], Indices]
 POSITION_AXES = ("x", "y", "radius", "bearing", "z")
-_MOST = 1_000_000_000  # positions of a grid, a byte each
 BLOCK = 1 << 17
 """Positions, or pairs of position and orientation, in memory at a time."""
 
@@ -76,8 +75,10 @@ class Grid:
                     "axis 'bearing' goes round more than once, or its step does not divide the "
                     "full turn; expected for example 'bearing [deg]=0:360:5'"
                 )
-        if self.size > _MOST:
-            raise WorkspaceError(f"a grid of {self.size:.3g} positions; at most {_MOST:.0e}")
+        if self.size > MOST.positions:
+            raise WorkspaceError(
+                f"a grid of {self.size:.3g} positions; at most {MOST.positions:.0e}"
+            )
 
     def __repr__(self) -> str:
         """Return the grid in a line."""
@@ -207,10 +208,10 @@ class Samples:
     def __post_init__(self) -> None:
         finite = np.isfinite([self.radius, *self.height]).all()
         ordered = self.radius > 0.0 and self.height[0] <= self.height[1]
-        if not (1 <= self.count <= MOST and finite and ordered and self.elements):
+        if not (1 <= self.count <= MOST.values and finite and ordered and self.elements):
             raise WorkspaceError(
                 f"{self.count} samples in a cylinder of radius {self.radius:g}, height "
-                f"{self.height[0]:g} to {self.height[1]:g}: expected 1 to {MOST:,}, a "
+                f"{self.height[0]:g} to {self.height[1]:g}: expected 1 to {MOST.values:,}, a "
                 "positive radius, and the lower end first"
             )
 

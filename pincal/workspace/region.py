@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,18 +196,31 @@ class Workspace:
         )
 
 
+@dataclass(frozen=True)
+class Computing:
+    """How a workspace is computed."""
+
+    symmetry: bool = True
+    """Compute a fundamental domain of the mechanism's group only, as far as the group maps
+    positions and orientations onto themselves."""
+    connected: bool = False
+    """Keep only what hangs together, on this grid, with the position that counts and is nearest
+    to home."""
+    jobs: int = 1
+    """Processes; -1 for one a core."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler to run on."""
+    progress: Callable[[int], None] | None = None
+    """Called with the number of positions done."""
+
+
 def compute_workspace(
     mechanism: GivenMechanism,
     kind: str,
     positions: Positions,
     orientations: Orientations | None = None,
     least: Margins | None = None,
-    *,
-    symmetry: bool = True,
-    connected: bool = False,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] | None = None,
+    **options: Any,
 ) -> Workspace:
     """Return the positions that a platform reaches in one orientation, some, or all of a set.
 
@@ -221,31 +235,26 @@ def compute_workspace(
         orientations: Orientations asked; if not given, home's for a constant orientation, and
             all round (5° apart in a plane, 30° in space) if reachable or dexterous.
         least: Margins from singularities.
-        symmetry: Compute a fundamental domain of the mechanism's group only, as far as the
-            group maps positions and orientations onto themselves.
-        connected: Keep only what hangs together, on this grid, with the position that counts and
-            is nearest to home.
-        jobs: Processes; -1 for one a core.
-        scheduler: Address of a Dask scheduler to run on.
-        progress: Called with the number of positions done.
+        **options: ``symmetry``, ``connected``, ``jobs``, ``scheduler``, ``progress``: see
+            ``Computing``.
 
     Raises:
         WorkspaceError: an unknown kind, no orientations where they are needed, or work that
             cannot be run as asked.
     """
-    mechanism = as_mechanism(mechanism)
+    how, mechanism = Computing(**options), as_mechanism(mechanism)
     asked = _asked(mechanism, kind, orientations)
     if not hasattr(positions, "at"):
         raise WorkspaceError(f"positions: expected a Grid or Samples; got {described(positions)}")
     _check_positions(mechanism, positions)
-    if connected and not isinstance(positions, Grid):
+    if how.connected and not isinstance(positions, Grid):
         raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
     refuse_readings(mechanism)
     every = kind != "reachable"
     least = as_margins(least)
     group = symmetry_group(mechanism, SAME).elements
     elements: tuple[Element, ...] = (Element(0.0),)
-    if symmetry:
+    if how.symmetry:
         kept = _keep_side(mechanism, group, least)
         elements = tuple(e for e in kept if positions.carrier(e) and asked.maps(e))
     unused = tuple(e for e in group if e not in elements)
@@ -255,18 +264,18 @@ def compute_workspace(
     size = max(1, min(BLOCK, most // len(asked)))
     inside, computed = np.zeros(positions.size, dtype=bool), 0
     for done, (chunk, bits) in enumerate(
-        run(task, list(_chunks(positions.size, size)), jobs, scheduler), 1
+        run(task, list(_chunks(positions.size, size)), how.jobs, how.scheduler), 1
     ):
         packed = np.frombuffer(bits, dtype=np.uint8)
         inside[slice(*chunk)] = np.unpackbits(packed, count=chunk[1] - chunk[0])
-        if progress:
-            progress(min(done * size, positions.size))
+        if how.progress:
+            how.progress(min(done * size, positions.size))
     for begin, end in _chunks(positions.size, BLOCK):
         index = np.arange(begin, end)
         lowest = task.lowest(index)
         computed += int(np.count_nonzero(lowest == index))
         inside[begin:end] = inside[lowest]
-    if connected and isinstance(positions, Grid) and inside.any():
+    if how.connected and isinstance(positions, Grid) and inside.any():
         inside = part_around(positions, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
     return Workspace(kind, task.test, positions, inside, elements, unused, computed)

@@ -28,7 +28,7 @@ def page(scene: Scene, source: str = "") -> str:
 
     Args:
         scene: What to show.
-        source: Where it comes from, to be read.
+        source: Where it comes from.
     """
     text = json.dumps(_data(scene, source), ensure_ascii=False, separators=(",", ":"))
     return rendered(

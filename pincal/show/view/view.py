@@ -70,7 +70,7 @@ def view(
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
         magnify: Factor on what differs between its parameters and the nominal ones.
-        source: Where it comes from, to be read on the page.
+        source: Where it comes from, for the page.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
