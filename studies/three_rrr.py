@@ -249,7 +249,7 @@ def _against(
     printed, inverse = _equation_10(study.mechanism, symmetric)
     claims.append(
         (
-            "equal |R_ii| at mapped poses (Eq. 10)",
+            "equal R_ii at mapped poses (Eq. 10)",
             "leg 1 at λ_κ(R) as leg κ at R",
             f"off by {100 * printed:.2g} % at most with λ_κ, by {inverse:.0e} with λ_κ⁻¹",
             "holds with the inverse: λ_κ carries leg 1 onto leg κ, so that leg κ's poses go back",

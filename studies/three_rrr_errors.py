@@ -20,16 +20,15 @@ SIGMA = 2e-3  # of the parameters' errors
 
 def cramer_rao(study: Study, ways: list[Way]) -> dict[str, tuple[float, float]]:
     """Compare the Cramér-Rao bounds of ways; return their gains over the first way."""
-    mechanism, kinds, full = study.mechanism, {}, {}
+    mechanism, kinds, own = study.mechanism, {}, {}
     for way in ways:
         method: Method = "all-legs" if way.residual == "closure" else "per-leg"
-        own, every = (
-            way.bound(mechanism, mechanism, NOISE, one) for one in ("per-leg", "all-legs")
-        )
-        covariance = own if method == "per-leg" else every
+        covariance = way.bound(mechanism, mechanism, NOISE, method)
         single = float(np.exp(np.log(np.diagonal(covariance)).mean() / 2))
-        kinds[way.name] = (single, _axes(own))
-        full[way.name] = _axes(every)
+        kinds[way.name] = (single, _axes([covariance]))
+        sizes = np.cumsum([len(leg.parameters) for leg in mechanism.legs])[:-1]
+        legs = np.split(np.arange(len(covariance)), sizes)
+        own[way.name] = _axes([covariance[np.ix_(leg, leg)] for leg in legs])
     first = kinds[ways[0].name]
     gains = {name: (first[0] / one, first[1] / two) for name, (one, two) in kinds.items()}
     study.heading("What the poses can give")
@@ -48,16 +47,17 @@ def cramer_rao(study: Study, ways: list[Way]) -> dict[str, tuple[float, float]]:
             "bound, parameters [m, rad, 1]": [one for one, _ in kinds.values()],
             "gain": [one for one, _ in gains.values()],
             "bound, axes [m, rad, 1]": [two for _, two in kinds.values()],
-            "gain by axes, each leg's own": [two for _, two in gains.values()],
-            "gain by axes, all legs together": [full[ways[0].name] / one for one in full.values()],
+            "gain by axes, each leg's own": [own[ways[0].name] / one for one in own.values()],
+            "gain by axes, full": [two for _, two in gains.values()],
         },
     )
     return gains
 
 
-def _axes(covariance: Array) -> float:
-    """Return the geometric mean of the principal axes of a covariance's ellipsoid."""
-    return float(np.exp(np.linalg.slogdet(covariance)[1] / (2 * len(covariance))))
+def _axes(covariances: list[Array]) -> float:
+    """Return the geometric mean of the principal axes of the ellipsoids of some covariances."""
+    logs = sum(float(np.linalg.slogdet(one)[1]) for one in covariances)
+    return float(np.exp(logs / (2 * sum(len(one) for one in covariances))))
 
 
 def asymmetry(study: Study, plan: pincal.Plan, count: int) -> None:
@@ -85,7 +85,7 @@ def asymmetry(study: Study, plan: pincal.Plan, count: int) -> None:
     study.heading("How fast a nominal design loses with asymmetry")
     headers = (
         "σ [m, rad, 1]",
-        *(f"{w} [%]" for w in ("O₁", "O₁, worst", "|R_ii|", "|R_ii|, worst")),
+        *(f"{w} [%]" for w in ("O₁", "O₁, worst", "R_ii", "R_ii, worst")),
     )
     study.table(
         "asymmetry",
