@@ -414,3 +414,27 @@ def test_columns_without_a_meaning_are_logged(
         pincal.Plan.from_csv(path, THREE)
     messages = {record.getMessage() for record in caplog.records}
     assert messages == {f"{path}: columns not used: leg_4, temperature"}
+
+
+@pytest.mark.parametrize(
+    ("name", "reader"),
+    [("m.xlsx", "read_excel"), ("m.ods", "read_excel"), ("m.parquet", "read_parquet")],
+)
+def test_spreadsheets_are_read_by_pandas(
+    name: str, reader: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sheet gives what its CSV file gives; without its package, or damaged, that is said."""
+    pandas = pytest.importorskip("pandas")
+    (tmp_path / "m.csv").write_bytes(table("1.5,-2,3e-1,4,5,6", "1,2.25,3,0.125,5,6"))
+    (tmp_path / name).write_bytes(b"a sheet")
+    with pytest.raises(MeasurementError, match=f"{name}: "):
+        pincal.Measurements.from_csv(tmp_path / name, THREE)
+    frame = pandas.read_csv(tmp_path / "m.csv")
+    monkeypatch.setattr(pandas, reader, lambda _: frame)
+    expected = pincal.Measurements.from_csv(tmp_path / "m.csv", THREE)
+    found = pincal.Measurements.from_csv(tmp_path / name, THREE)
+    assert np.array_equal(found.poses, expected.poses)
+    assert np.array_equal(found.readings, expected.readings)
+    monkeypatch.setattr(pandas, reader, lambda _: frame.rename(columns={"x [m]": "x"}))
+    with pytest.raises(MeasurementError, match=f"{name}: .*'x'"):
+        pincal.Measurements.from_csv(tmp_path / name, THREE)

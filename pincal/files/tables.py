@@ -12,7 +12,7 @@ import math
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.files.input import LARGEST_FILE, plain_number, read_text, why_no_number
+from pincal.files.input import LARGEST_FILE, plain_number, read_bytes, read_text, why_no_number
 from pincal.files.output import writing
 from pincal.model.checks import LARGEST, must_be
 
@@ -43,6 +43,7 @@ UNITS: dict[str, tuple[str, float]] = {
 }
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _MOST_COLUMNS = 1000
+_SHEETS = (".xlsx", ".xls", ".ods", ".parquet")
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
@@ -137,6 +138,8 @@ def read_table(source: str | Path | Any) -> Table:
     if is_dataframe(source):
         return _of_dataframe(source)
     path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
+    if path.suffix.lower() in _SHEETS:
+        return replace(_of_dataframe(_sheet(path)), path=path)
     largest = LARGEST_FILE["table"]
     text = read_text(path, largest, MeasurementError, pipe=True, otherwise="cp1252")
     separator = _separator(text)
@@ -165,6 +168,28 @@ def read_table(source: str | Path | Any) -> Table:
         _log.info("%s: cells separated by %s%s", path, named, ", decimal commas" * decimals)
     columns = zip(*rows, strict=True)
     return Table(path, units, dict(zip(units, map(list, columns), strict=True)), lines)
+
+
+def _sheet(path: Path) -> Any:
+    """Return the first sheet of a spreadsheet, or a Parquet file, as a DataFrame.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: it is none of its kind, or the package that reads it is not installed.
+    """
+    read_bytes(path, LARGEST_FILE["table"], MeasurementError)
+    try:
+        import pandas
+
+        kind = path.suffix.lower()
+        return (pandas.read_parquet if kind == ".parquet" else pandas.read_excel)(path)
+    except ImportError as error:
+        raise MeasurementError(
+            f"{path}: {error}. Spreadsheets are read by pandas and the package named (openpyxl, "
+            "odfpy, pyarrow); install it, or save the table as CSV"
+        ) from error
+    except Exception as error:  # each package has its own
+        raise MeasurementError(f"{path}: no {kind} file: {str(error)[:200]}") from error
 
 
 def _separator(text: str) -> str:
