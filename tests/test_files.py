@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import shutil
@@ -707,3 +708,26 @@ def test_corrections_to_the_origin_of_the_urdf(tmp_path: Path) -> None:
     assert np.allclose(pincal.inverse(again, poses).readings, expected, atol=1e-12)
     truth = pincal.disturb(mechanism, 1e-3, 1)  # twice moved
     assert np.isfinite(pincal.inverse(pincal.disturb(truth, 1e-3, 2), poses).readings).all()
+
+
+def test_a_folder_that_hides_a_bundled_mechanism_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A folder of that name here is taken, and it is said that it is not the bundled one."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(logging.getLogger("pincal"), "propagate", True)
+    with caplog.at_level(logging.INFO, "pincal"):
+        pincal.load_mechanism("5R")
+        assert caplog.text == ""
+        pincal.load_mechanism("3RRR").save("5R")
+        assert pincal.load_mechanism("5R").name == "3RRR"
+    assert "not the bundled mechanism of that name" in caplog.text
+
+
+def test_a_sensors_form_has_the_default_of_python(folder: Path) -> None:
+    """Without ``form`` a sensor's reading gives the joint's position, as in ``Sensor``."""
+    before = pincal.load_mechanism(folder)
+    text = (folder / YAML).read_text()
+    (folder / YAML).write_text(text.replace("form: joint, ", ""))
+    assert "form: joint" not in (folder / YAML).read_text()
+    assert pincal.load_mechanism(folder) == before

@@ -26,7 +26,7 @@ _NOISE = 5e-5  # of positions, of the machine's size
 
 @app.command()
 def demo(
-    mech: Annotated[str, typer.Argument(metavar="[MECH]", help="Mechanism.")] = "3RRR",
+    mech: Annotated[str, typer.Argument(metavar="MECH", help="Mechanism.")] = "3RRR",
     output: Annotated[
         Path | None, output_option("FOLDER", "Folder for all files; else a temporary one.")
     ] = None,

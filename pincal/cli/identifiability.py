@@ -25,7 +25,7 @@ def identifiability(
     how: PlanOptions,
     plan: Annotated[
         Path | None,
-        typer.Argument(metavar="[PLAN.csv]", help="Poses to measure; else --count random ones."),
+        typer.Argument(metavar="PLAN.csv", help="Poses to measure; else --count random ones."),
     ] = None,
     per_leg: Annotated[
         bool,

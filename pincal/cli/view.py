@@ -47,7 +47,7 @@ class SeenOptions:
     files: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[POSES.csv|RESULT]",
+            metavar="POSES.csv|RESULT",
             help="Poses, a plan or measurements; the folder of a calibration.",
         ),
     ] = None

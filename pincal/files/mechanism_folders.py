@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from pincal.model.platform_kind import KINDS, PlatformKind
 from pincal.model.sensor import Sensor
 
 YAML = "mechanism.yaml"
+
+_log = logging.getLogger(__name__)
 
 GivenMechanism = Mechanism | str | Path
 """A mechanism, its bundled name, or its folder."""
@@ -101,8 +104,11 @@ def _folder(name_or_path: str | Path) -> Path:
     folder = Path(
         must_be(name_or_path, (str, Path), "a mechanism's name or folder", MechanismError)
     )
-    if not is_folder(folder) and str(name_or_path) in bundled():
-        folder = bundled()[str(name_or_path)]
+    if str(name_or_path) in bundled():
+        if not is_folder(folder):
+            folder = bundled()[str(name_or_path)]
+        elif not folder.samefile(bundled()[str(name_or_path)]):
+            _log.info("%s: the folder here, not the bundled mechanism of that name", name_or_path)
     name = str(name_or_path)[:200]
     if not is_folder(folder):
         alike = get_close_matches(name.lower(), known := {one.lower(): one for one in bundled()}, 1)

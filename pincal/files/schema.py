@@ -60,7 +60,7 @@ class SensorSpec(Strict):
     """Sensor of a leg."""
 
     joint: Name
-    form: Literal["joint", "reading"]
+    form: Literal["joint", "reading"] = "joint"
     gain: Value = 1.0
     offset: Value = 0.0
     direction: Literal[1, -1] = 1
