@@ -792,7 +792,7 @@ def test_no_export_holds_what_is_no_number(
 
 
 def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
-    """Noise given a tenth of what it is: all files are written, exit code 1; --accept makes it 0."""
+    """Noise given as a tenth: all files are written, exit code 1; --accept makes it 0."""
     small = ["--noise-position", 1e-5, "--noise-orientation", 1e-5, "--folds", 0]
     line = ["calibrate", "3RRR", "measured.csv", *small]
     outcome = run(*line, "-o", "doubted")
