@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_law
+from scipy.special import chdtrc
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
@@ -174,7 +174,7 @@ class CalibrationResult:
         dof, chi2 = self.degrees_of_freedom, self.reduced_chi2
         if self.noise_source == "estimated" or not dof:
             return 1.0
-        return float(np.sqrt(chi2)) if chi2_law.sf(dof * chi2, dof) < UNEXPLAINED else 1.0
+        return float(np.sqrt(chi2)) if chdtrc(dof, dof * chi2) < UNEXPLAINED else 1.0
 
     @property
     def promises(self) -> bool:

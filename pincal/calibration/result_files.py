@@ -20,7 +20,7 @@ from pincal.calibration.runs import RunComparison
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, read_text
 from pincal.files.measurement_writing import write_poses
-from pincal.files.mechanism_folders import load_mechanism, own_files
+from pincal.files.mechanism_folders import load_mechanism, own_files, write_mechanism
 from pincal.files.tables import write_table
 from pincal.model.measurements import Plan
 from pincal.words.sentences import sentence
@@ -50,9 +50,11 @@ def save_result(
     with output.writing(folder, force=force, folder=RESULT, own=own) as scratch:
         text = json.dumps(as_json(result), indent=2, ensure_ascii=False, allow_nan=False)
         (scratch / RESULT).write_text(text + "\n", encoding="utf-8")
-        result.nominal.save(scratch / NOMINAL)
-        if result.converged:
-            result.identified.save(scratch / MECHANISM)
+        mechanisms = {NOMINAL: result.nominal}
+        mechanisms |= {MECHANISM: result.identified} if result.converged else {}
+        for name, mechanism in mechanisms.items():
+            (scratch / name).mkdir()
+            write_mechanism(mechanism, scratch / name)
         write_table(scratch / "residuals.csv", _residuals(result))
         if result.estimated_poses is not None:
             plan = Plan(result.estimated_poses)

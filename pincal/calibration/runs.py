@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import f as f_law
+from scipy.special import chdtrc, fdtrc
 
 from pincal.calibration.calibrate import identify, prepared
 from pincal.calibration.calibration import Calibration
@@ -129,6 +128,6 @@ def runs_compared(calibration: Calibration) -> RunComparison:
         predicted=np.sqrt(np.einsum("rii->ri", C).mean(axis=0)),
         ratio=float(np.sqrt(statistic / dof)),
         p_value=float(
-            chi2.sf(statistic, dof) if known else f_law.sf(statistic / dof, dof, max(freedoms, 1))
+            chdtrc(dof, statistic) if known else fdtrc(dof, max(freedoms, 1), statistic / dof)
         ),
     )

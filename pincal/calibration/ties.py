@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2 as chi2_law
-from scipy.stats import f as f_law
+from scipy.special import chdtrc, fdtrc
 
 from pincal.calibration.covariance import covariances
 from pincal.calibration.fits import Fits
@@ -41,5 +40,5 @@ def tie_tests(free: Fits) -> tuple[TieTest, ...]:
     statistic = float(off @ np.linalg.solve(R @ covariance @ R.T, off)) / len(R)
     dof = sum(one.fit.degrees_of_freedom for one in free.fits)
     known = calibration.noise.known
-    p = chi2_law.sf(statistic * len(R), len(R)) if known else f_law.sf(statistic, len(R), dof)
+    p = chdtrc(len(R), statistic * len(R)) if known else fdtrc(len(R), dof, statistic)
     return (TieTest(", ".join(calibration.options.tied), len(R), statistic, float(p)),)

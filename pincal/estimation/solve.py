@@ -90,7 +90,7 @@ def search(
     here, damping, growth, evaluations = start, 0.0, 10.0, 1
     weights, scale = system.weights(here)
     normal = system.solve(here, weights)
-    cost = system.cost(system.minimised(here)[0], weights, here.state)
+    cost = system.cost(system.residuals(here), weights, here.state)
     highest = max(cost, highest) if np.isfinite(highest) else cost
     while normal.decrement > max(_BY.no_step, _rounding(system, here)):
         if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
@@ -109,7 +109,7 @@ def search(
         better = False
         if trial is not None:
             new_weights, new_scale = system.weights(trial)
-            new_cost = system.cost(system.minimised(trial)[0], new_weights, trial.state)
+            new_cost = system.cost(system.residuals(trial), new_weights, trial.state)
             new = system.solve(trial, new_weights)
             better = system.falls(here, trial, weights, cost, new_cost)
             if blind:
@@ -151,11 +151,13 @@ def _along_the_valley(
         return np.zeros_like(step)
     weighted = system.problem.weighted
     there = here.white(probe.value[:, :, None])[:, :, 0] if weighted else probe.value / system.unit
-    value, jacobian = system.minimised(here)
-    slope = (there - value) / _BY.probe - jacobian @ (T @ step)
-    bent = 2.0 / _BY.probe * slope * np.sqrt(weights)[:, None]
-    J = (jacobian @ T) * np.sqrt(weights)[:, None, None]
-    change = -0.5 * normal.solve(np.einsum("nmk,nm->k", J, bent), damping)
+    slope = (there - system.residuals(here)) / _BY.probe
+    bent = np.zeros_like(step)
+    for poses in here.parts():
+        J = system.derivatives(here, poses) @ T
+        beside = (slope[poses] - J @ step) * weights[poses, None]
+        bent += np.einsum("nmk,nm->k", J, beside)
+    change = normal.solve(-bent / _BY.probe, damping)
     if not np.isfinite(change).all():
         return np.zeros_like(step)
     small = 2.0 * np.linalg.norm(change * normal.lengths) <= _BY.bend * np.linalg.norm(
@@ -197,7 +199,7 @@ def near_start(
     costs = []
     for one in (first, near):
         weights, _ = system.weights(one)
-        costs.append(system.cost(system.minimised(one)[0], weights, one.state))
+        costs.append(system.cost(system.residuals(one), weights, one.state))
     better = np.isfinite(costs[1]) and not costs[1] > costs[0]
     return (near if better else first), count + found.evaluations + more
 
@@ -212,7 +214,7 @@ def _trial(problem: Problem, here: Linear, step: Array) -> tuple[Linear | None, 
             trial, count = solve_poses(problem, problem.linearise(problem.moved(here, step)))
     except (MeasurementError, np.linalg.LinAlgError):
         return None, 1
-    finite = np.isfinite(trial.value).all() and np.isfinite(trial.jacobian).all()
+    finite = np.isfinite(trial.value).all() and trial.stack.finite
     return (trial if finite else None), 1 + count
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-ROWS = 42
+ROWS = 30
 """Of a table or list on a printed page; those that follow are counted."""
 _WIDTH = 118  # of a line
 

@@ -14,7 +14,6 @@ from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
 from pincal.show.summary import forecast_lines
-from pincal.symmetry.detect import SymmetryGroup
 from pincal.words.numbers import SMALL, shown_in
 from pincal.words.table import Cell, Column, Table, Value, columns
 from pincal.workspace.articular import ArticularSymmetry
@@ -48,8 +47,13 @@ def selection_table(selection: Selection) -> Table:
             (leg.leg, leg.poses, leg.efficiency, leg.indices.O1_per_parameter, leg.condition)
             for leg in selection.legs
         ],
-        "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
-        "O1: of the unweighted Jacobian, over the number of parameters",
+        "\n".join(
+            (
+                "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
+                "O1: of the unweighted Jacobian, over the number of parameters",
+                *selection.remarks,
+            )
+        ),
     )
 
 
@@ -83,24 +87,6 @@ def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Table:
             ("identified (after)", *sizes[1], after.unreachable),
             ("better by", *(Cell(one, f"{one:.1f} times") for one in ratio), None),
         ],
-    )
-
-
-def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
-    """Return a group's elements, where they carry the legs, and what breaks others."""
-    names = group.mechanism.leg_names
-    lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
-    lines += [f"broken: {text}" for text in group.breaks]
-    size = f"{group.name}, {len(group.elements)} elements"
-    return Table(
-        f"{group.mechanism.name}: {size}, nominal geometry and modes",
-        tuple(Column(head) for head in ("element", *(f"{name} to" for name in names))),
-        [
-            (str(element), *(names[i] for i in permutation))
-            for element, permutation in zip(group.elements, group.permutations, strict=True)
-        ],
-        "\n".join(lines),
-        wrap=False,
     )
 
 

@@ -63,6 +63,13 @@ class Criteria:
         self.mechanism = mechanism
         self.least = as_margins(least)
         self._type2 = self.least.least_type2(mechanism)
+        rows, dof = mechanism.constraints, mechanism.platform.dof
+        if self._type2 > -np.inf and rows < dof:
+            raise WorkspaceError(
+                f"the legs of {mechanism.name!r} make {rows} equations, too few for the {dof} "
+                "freedoms of its platform: they do not hold it anywhere. Add legs, read more of "
+                "their joints, or ask for reach alone (--no-margins)"
+            )
         if self._type2 > -np.inf and abs(home_determinant(mechanism)) < EXACT:
             raise WorkspaceError(
                 f"the home pose of {mechanism.name!r} is at a type-2 singularity, so it does not "

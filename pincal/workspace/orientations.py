@@ -102,18 +102,18 @@ class Orientations:
         return cls.from_rotations(rotation_of(way, grid))
 
     def maps(self, element: Element) -> bool:
-        """Return whether an element carries the set onto itself: R → Q R Qᵀ."""
-        x, y, z, w = self.quaternions.T
-        axis = np.stack((x, y, z), axis=1) @ element.matrix.T
-        if element.reflection:  # the axis of a turn is a pseudovector
-            axis = -axis
-        images = np.column_stack((axis, w))
-        if len(images) > 1 and not self._has(images[:: max(1, len(images) // 64)]):
-            return False
-        return self._has(images)
+        """Return whether an element carries the set onto itself: R → Q R Pᵀ."""
+        side = -1.0 if element.reflection else 1.0
+        before, after = (
+            Rotation.from_matrix(side * by.Q) for by in (element.base, element.platform)
+        )
+        every = self.rotations
+        some = every[:: max(1, len(self) // 64)]
+        return all(self._has(before * part * after.inv()) for part in (some, every))
 
-    def _has(self, quaternions: Array) -> bool:
-        away, _ = self._tree.query(quaternions, distance_upper_bound=SAME)
+    def _has(self, rotations: Rotation) -> bool:
+        images = rotations.as_quat(canonical=True)
+        away, _ = self._tree.query(images, distance_upper_bound=SAME)
         return bool(np.isfinite(away).all())
 
     @cached_property

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import write_table
-from pincal.kinematics.singularity import margins
-from pincal.model.checks import described
+from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import SAME, Element
+from pincal.symmetry.elements import IDENTITY, Element, Isometry
 from pincal.workspace.chunks import run
 from pincal.workspace.criteria import Margins, as_margins, refuse_readings
 from pincal.workspace.neighbours import at_edge, edges, part_around
@@ -38,6 +37,7 @@ from pincal.workspace.positions import (
     Samples,
     representatives,
 )
+from pincal.workspace.symmetric import keep_side, moves_of, usable
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -52,14 +52,14 @@ class _Task:
 
     test: PositionTest
     positions: Positions
-    elements: tuple[Element, ...]
+    moves: tuple[Isometry, ...]
 
     def __reduce__(self) -> tuple[type[_Task], tuple[object, ...]]:
-        return _Task, (self.test, self.positions, self.elements)
+        return _Task, (self.test, self.positions, self.moves)
 
     @cached_property
     def lowest(self) -> Carrier:
-        return representatives(self.positions, self.elements)
+        return representatives(self.positions, self.moves)
 
     def __call__(self, begin: int, end: int) -> bytes:
         index = np.arange(begin, end)
@@ -98,7 +98,8 @@ class Workspace:
 
     def representative(self, index: Indices) -> Mask:
         """Return which positions, by number, are of the fundamental domain that was computed."""
-        return representatives(self.asked, self.elements)(index) == index
+        moves = moves_of(self.elements, self.test.orientations)
+        return representatives(self.asked, moves)(index) == index
 
     @cached_property
     def cut(self) -> bool:
@@ -252,13 +253,13 @@ def compute_workspace(
     refuse_readings(mechanism)
     every = kind != "reachable"
     least = as_margins(least)
-    group = symmetry_group(mechanism, SAME).elements
-    elements: tuple[Element, ...] = (Element(0.0),)
+    group = symmetry_group(mechanism, ROUNDING, readings=False).elements
+    elements: tuple[Element, ...] = (IDENTITY,)
     if how.symmetry:
-        kept = _keep_side(mechanism, group, least)
-        elements = tuple(e for e in kept if positions.carrier(e) and asked.maps(e))
+        elements = usable(keep_side(mechanism, group, least), positions, asked)
     unused = tuple(e for e in group if e not in elements)
-    task = _Task(PositionTest(mechanism, asked, every, least), positions, elements)
+    moves = moves_of(elements, asked)
+    task = _Task(PositionTest(mechanism, asked, every, least), positions, moves)
     task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
     most = _CHUNK if task.test.in_closed_form else min(_CHUNK, _CLOSED)
     size = max(1, min(BLOCK, most // len(asked)))
@@ -306,24 +307,6 @@ def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orien
     if kind == "constant-orientation":
         return Orientations.home(platform)
     return Orientations.everywhere(platform)
-
-
-def _keep_side(
-    mechanism: Mechanism, group: tuple[Element, ...], least: Margins
-) -> tuple[Element, ...]:
-    """Return the elements that keep home on its side of type-2 singularities.
-
-    An element that permutes legs oddly turns the determinant's sign over, which the margin
-    looks at, unless home is where it was.
-    """
-    platform = mechanism.platform
-    if least.least_type2(mechanism) == -np.inf:
-        return group
-    home = np.array([platform.home])
-    images = np.concatenate([element.poses(platform, home) for element in group])
-    with np.errstate(invalid="ignore"):
-        same = margins(mechanism, images).type2 > 0.0
-    return tuple(element for element, ok in zip(group, same, strict=True) if ok)
 
 
 def _check_positions(mechanism: Mechanism, positions: Positions) -> None:

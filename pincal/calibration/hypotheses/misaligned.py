@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_law
+from scipy.special import fdtrc
 
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.estimation.observability.drawings import plausible_changes
@@ -97,4 +97,4 @@ def _as_one(gain: Array, motions: Array, changes: Array, scale: Array) -> tuple[
     k, n = len(along), len(changes)
     inside, outside = along @ along, own @ own - along @ along
     amounts = np.linalg.lstsq(R, along, rcond=None)[0]
-    return float(f_law.sf(inside / k / (outside / (n - k)), k, n - k)), amounts
+    return float(fdtrc(k, n - k, inside / k / (outside / (n - k)))), amounts

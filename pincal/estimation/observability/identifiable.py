@@ -57,14 +57,13 @@ def check_rank(
         ObservabilityError: a parameter is not determined; the message names it.
         MeasurementError: a derivative does not exist at some pose.
     """
-    J = linear.jacobian.reshape(-1, linear.jacobian.shape[2])
-    if not np.isfinite(J).all():
+    if not (linear.stack.finite and np.isfinite(linear.white.whitener).all()):
         names = [leg.name for leg in problem.legs]
         raise MeasurementError(
             f"{', '.join(names)}: a residual or its derivative is not finite at some measured "
             "pose; a leg may be folded or stretched there"
         )
-    J = np.asarray(np.linalg.qr(J, mode="r"))  # the same columns but for a rotation
+    J = linear.triangle
     _, prior = unknowns.prior_rows(unknowns.start)
     all_ = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
     if ended and not all_.complete:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2 as chi2_law
+from scipy.special import gammaincinv
 
 from pincal.calibration.result import CalibrationResult
 from pincal.show import summary
@@ -120,6 +120,6 @@ class Answers:
             return f"{line}."
         text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
         if result.loss == "none":
-            low, high = chi2_law.ppf((0.025, 0.975), dof) / dof
+            low, high = 2.0 * gammaincinv(dof / 2.0, (0.025, 0.975)) / dof
             text += f"; {low:.2f} to {high:.2f} is expected by the noise"
         return text + "."
