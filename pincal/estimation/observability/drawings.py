@@ -13,7 +13,7 @@ from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 DIFFER = 0.05
-"""Of a mechanism's size, [rad] and [1]: by more no machine differs from its drawing."""
+"""Of a mechanism's size, of a gain, and [rad]: by more no machine differs from its drawing."""
 
 
 def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -> Array:
@@ -26,6 +26,11 @@ def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -
 
 
 def changes_of(leg: Leg, size: float) -> Array:
-    """Return by how much a leg's parameters may differ, shape (n_params,); lengths of ``size``."""
-    units = [leg.units[name] for name in leg.parameter_names]
-    return DIFFER * np.array([size if unit == "m" else 1.0 for unit in units])
+    """Return by how much a leg's parameters may differ, shape (n_params,).
+
+    Lengths by a share of ``size``, gains of themselves, angles of a radian.
+    """
+    scales = {"m": size, "rad": 1.0}
+    return DIFFER * np.array(
+        [scales.get(leg.units[name], abs(value) or 1.0) for name, value in leg.parameters]
+    )
