@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammainc
 
 from pincal.calibration.result import UNEXPLAINED, CalibrationResult
 from pincal.estimation.observability.drawings import plausible_changes
@@ -42,7 +41,7 @@ def _noise(result: CalibrationResult) -> list[Finding]:
                 reading=noise.reading if noise else 0.0,
             )
         ]
-    if not dof or UNEXPLAINED <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - UNEXPLAINED:
+    if not dof or UNEXPLAINED <= result.chi2_p_value <= 1.0 - UNEXPLAINED:
         return []
     code = "chi2-too-large" if chi2 > 1.0 else "chi2-too-small"
     return [finding(code, chi2=chi2, dof=dof, source=result.noise_source)]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_law
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
@@ -72,6 +71,11 @@ class CalibrationResult:
     degrees_of_freedom: int
     reduced_chi2: float
     """χ² over degrees of freedom, near 1 if the noise is as given or was estimated."""
+    chi2_p_value: float
+    """Probability of such a χ², or a larger one, by the noise: χ², or F where repeated rows show
+    the noise."""
+    noise_freedoms: float | None
+    """Fewest degrees of freedom of the noise in a standard error; None if the noise is known."""
     evaluations: int
     """Evaluations of the conditions."""
     left: float
@@ -174,7 +178,7 @@ class CalibrationResult:
         dof, chi2 = self.degrees_of_freedom, self.reduced_chi2
         if self.noise_source == "estimated" or not dof:
             return 1.0
-        return float(np.sqrt(chi2)) if chi2_law.sf(dof * chi2, dof) < UNEXPLAINED else 1.0
+        return float(np.sqrt(chi2)) if self.chi2_p_value < UNEXPLAINED else 1.0
 
     @property
     def promises(self) -> bool:
@@ -229,7 +233,7 @@ class CalibrationResult:
             self.poses if poses is None else poses,
             None if lost is None else Unidentified(lost, self.nominal),
             self.frames_moved,
-            None if self.noise_source != "estimated" else self.degrees_of_freedom,
+            self.noise_freedoms,
         )
 
     @property

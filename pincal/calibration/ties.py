@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2 as chi2_law
-from scipy.stats import f as f_law
 
+from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import covariances
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import TieTest
@@ -40,7 +39,5 @@ def tie_tests(free: Fits) -> tuple[TieTest, ...]:
         return ()
     off = R @ values
     statistic = float(off @ np.linalg.solve(R @ covariance @ R.T, off)) / len(R)
-    dof = sum(one.fit.degrees_of_freedom for one in free.fits)
-    known = calibration.noise.known
-    p = chi2_law.sf(statistic * len(R), len(R)) if known else f_law.sf(statistic, len(R), dof)
-    return (TieTest(", ".join(calibration.options.tied), len(R), statistic, float(p)),)
+    p = exceeded(statistic, len(R), confidence(free).least or np.inf)
+    return (TieTest(", ".join(calibration.options.tied), len(R), statistic, p),)

@@ -20,11 +20,11 @@ from scipy.stats import spearmanr
 from pincal.calibration.calibrate import prepared
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.leg_residuals import leg_residuals
 from pincal.calibration.options import Options
 from pincal.design.platform_error import closing_twists
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
+from pincal.estimation.leg_residuals import leg_residuals
 from pincal.estimation.linear import Linear
 from pincal.estimation.solve import solve_poses
 from pincal.estimation.start import placed, poses_at_rest

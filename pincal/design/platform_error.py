@@ -56,7 +56,7 @@ class PlatformError:
     """``"m"`` or ``"rad"`` of each freedom."""
     weights: Array = field(default_factory=lambda: np.zeros((2, 0)))
     """Eigenvalues of the mean squares of position and orientation, shape (2, n)."""
-    degrees_of_freedom: int | None = None
+    degrees_of_freedom: float | None = None
     """Of the noise, where its scale was estimated; None where it is known."""
 
     @cached_property
@@ -114,7 +114,7 @@ def platform_error(
     planned: Plan | Array,
     lost: Array | Unidentified | None = None,
     frames: Array | None = None,
-    degrees_of_freedom: int | None = None,
+    degrees_of_freedom: float | None = None,
 ) -> PlatformError:
     """Return what the covariance of the parameters means for the platform.
 

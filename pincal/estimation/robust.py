@@ -130,9 +130,10 @@ def _fitted(
 def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
     """Return the least-squares fit of the rows that fit each other."""
     one, kept = robust, np.ones(len(robust.weights), dtype=bool)
+    counts = kept if robust.system.kept is None else robust.system.kept
     for _ in range(_ROUNDS):
         linear = one.last
-        now = ~outlying(linear.squares / robust.scale**2, linear.equations)
+        now = counts & ~outlying(linear.squares / robust.scale**2, linear.equations)
         if one is not robust and (now == kept).all():
             break
         kept = now
