@@ -14,7 +14,7 @@ from pincal.calibration.covariance import covariances
 from pincal.calibration.findings import findings_of
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
-from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result import CalibrationResult, excess_of
 from pincal.calibration.ties import tie_tests
 from pincal.estimation.leg_residuals import leg_residuals
 from pincal.estimation.robust import Outlier, Robust
@@ -35,18 +35,21 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     mechanism = calibration.mechanism
     fits = [one.fit for one in found.fits]
     covariance, outer = covariances(found)
+    sure = confidence(found)
+    dof = sum(one.degrees_of_freedom for one in fits)
+    chi2 = float(sum(one.chi2 for one in fits) / dof) if dof else np.nan
+    p_value = exceeded(chi2, dof, sure.of_chi2) if calibration.noise.known else 1.0
+    by = excess_of(chi2, p_value)
+    covariance, outer = by**2 * covariance, None if outer is None else by**2 * outer
     sizes = [len(leg.parameters) for leg in mechanism.legs]
     variances = np.split(np.diagonal(covariance), np.cumsum(sizes)[:-1])
     std = dict(zip(mechanism.leg_names, map(np.sqrt, variances), strict=True))
-    dof = sum(one.degrees_of_freedom for one in fits)
-    sure = confidence(found)
     by_name = {
         leg.name: leg
         for one, freedoms in zip(found.fits, sure.of_unknowns, strict=True)
         for leg in _leg_results(calibration, one, std, quantiles(freedoms))
     }
     legs = tuple(by_name[name] for name in mechanism.leg_names)
-    chi2 = float(sum(one.chi2 for one in fits) / dof) if dof else np.nan
     directions = None if held is None or not held.of_legs.shape[1] else held.of_legs
     shifts = [one.shift for one in found.fits]
     result = CalibrationResult(
@@ -59,7 +62,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         noise_source=calibration.noise.source,
         degrees_of_freedom=dof,
         reduced_chi2=chi2,
-        chi2_p_value=exceeded(chi2, dof, sure.of_chi2),
+        chi2_p_value=p_value,
         noise_freedoms=sure.least,
         evaluations=sum(one.evaluations for one in fits),
         left=max(one.left for one in fits),
@@ -77,7 +80,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         if found.latent
         else None,
     )
-    return replace(result, findings=findings_of(result, held))
+    return replace(result, findings=findings_of(result, held, found))
 
 
 def _noise(calibration: Calibration, chi2: float) -> Noise | None:

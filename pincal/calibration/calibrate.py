@@ -90,7 +90,7 @@ def identify(calibration: Calibration) -> CalibrationResult:
 def _explained(result: CalibrationResult, found: Fits) -> CalibrationResult:
     """Return the result with what would explain residuals or changes that are too large, first."""
     first: tuple[Finding, ...] = ()
-    if not (result.promises and result.corrects):
+    if not (result.explained and result.corrects):
         first = _causes(result.calibration, found.external)
     elif result.converged and result.options.setup.plain and not result.options.tied:
         changes = np.array([p.change for leg in result.legs for p in leg.parameters])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult
 from pincal.calibration.result import CalibrationResult
 from pincal.finding import Finding
-from pincal.words.sentences import sentence
+from pincal.words.sentences import WORDINGS, sentence
 
 Array = NDArray[np.float64]
 _MISSED = 0.01  # standard deviations, below which a reading is not missed at all
@@ -115,11 +115,7 @@ def gauge(result: CalibrationResult) -> list[str]:
     return [sentence(one) for one in result.gauge]
 
 
-def contradicted(result: CalibrationResult) -> bool:
-    """Return whether noise, held-out rows, runs or ties contradict the model."""
-    return (
-        result.excess > 1.0
-        or (result.validation is not None and bool(result.validation.findings))
-        or (result.runs is not None and not result.runs.agree)
-        or not all(tie.holds for tie in result.ties)
-    )
+def unpromised(result: CalibrationResult) -> str:
+    """Return why no limit is promised, in titles of findings; empty if one is."""
+    titles = dict.fromkeys(WORDINGS[one.code].title for one in result.contradictions)
+    return ", ".join(title[:1].lower() + title[1:] for title in titles)

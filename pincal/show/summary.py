@@ -12,7 +12,7 @@ from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
-from pincal.show.results import gauge, turns
+from pincal.show.results import gauge, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import amount, listed, size
 from pincal.words.results import noise
@@ -108,27 +108,30 @@ def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     turning, more = turns(result), result.excess
     before = platform_size(errors.mean_before(), turning)
     text = f"platform, root mean square {errors.where}: "
-    if not (result.promises and result.corrects):
+    if not (result.explained and result.corrects):
         return (
             f"{text}the calibrated model differs from the nominal one by {before}, but no accuracy "
             f"can be promised of it: residuals are {more:.3g} times as large as the noise given "
             f"makes them{'' if result.corrects else ', and hardly fell'}"
         )
     frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
-    after = platform_size(errors.mean_after(), turning, more)
-    limit = platform_size(errors.limit, turning, more)
-    scaled = f", {more:.2g} times as large as the noise given says, as residuals are"
+    after = platform_size(errors.mean_after(), turning)
+    if not result.promises:
+        return (
+            f"{text}the nominal model was off by {before}, the calibrated one by {after} or "
+            f"more{frames}; no limit is promised: {unpromised(result)}"
+        )
+    limit = platform_size(errors.limit, turning)
     return (
         f"{text}the nominal model was off by {before}, the calibrated one by about {after}{frames} "
-        f"(expected by the parameters' uncertainties{scaled if more > 1.0 else ''}; 95 of 100 such "
-        f"calibrations stay below {limit}; ± of single parameters may be larger where they "
-        "compensate each other)"
+        "(expected by the parameters' uncertainties; 95 of 100 such calibrations stay below "
+        f"{limit}; ± of single parameters may be larger where they compensate each other)"
     )
 
 
-def platform_size(sizes: tuple[float, float], turns: bool, by: float = 1.0) -> str:
-    """Return errors of the platform, [m] and [rad], times a factor."""
-    return size(by * sizes[0], by * sizes[1] if turns else None)
+def platform_size(sizes: tuple[float, float], turns: bool) -> str:
+    """Return errors of the platform, [m] and [rad]."""
+    return size(sizes[0], sizes[1] if turns else None)
 
 
 def check_lines(result: CalibrationResult) -> list[str]:

@@ -83,6 +83,40 @@ def _drift(found: Finding) -> str:
     )
 
 
+def _proportion(found: Finding) -> str:
+    v = found.values
+    parts = (f"{100 * ratio:.0f} % of it in {name}" for name, ratio in v["ratios"].items())
+    return (
+        f"the noise is not in the proportion given (p = {v['p_value']:.1g}): residuals "
+        f"show {', '.join(parts)}"
+    )
+
+
+_TERMS = {
+    "angle": ("its own value", "an eccentric disc, a gear or a lead that is not even is likely"),
+    "pose": ("the pose", "legs or base that bend, or an error of the tracker over its volume"),
+    "order": ("the order of the rows", "drift, of temperature or of a reference, is likely"),
+    "approach": ("the side from which it was approached", "play or friction is likely"),
+}
+
+
+def _lacks(found: Finding) -> str:
+    v = found.values
+    what, cause = _TERMS[v["term"]]
+    return (
+        f"{v['quantity']}: residuals follow {what} (p = {v['p_value']:.1g}), and the model has "
+        f"nothing for that: {cause}"
+    )
+
+
+def _step(found: Finding) -> str:
+    v = found.values
+    return (
+        f"{v['quantity']} is off by {amount(v['size'], v['unit'])} from data row "
+        f"{found.rows[0] + 1} on (p = {v['p_value']:.1g})"
+    )
+
+
 def _runs(found: Finding) -> str:
     v = found.values
     return (
@@ -153,6 +187,44 @@ RESULTS: dict[str, Wording] = {
         _chi2,
         "Residuals are smaller than the noise given makes them: intervals are too wide.",
         "Correct the noise, if it is known to be smaller",
+    ),
+    "noise-in-other-proportion": Wording(
+        "Noise in another proportion",
+        {
+            "ratios": "standard deviations seen over those given, by positions, orientations, "
+            "readings",
+            "p_value": P_VALUE,
+        },
+        _proportion,
+        "Some measured quantities are noisier than given, others less (p below 0.01): weights and "
+        "intervals are wrong though χ² may look right.",
+        "Leave the noise out: it is then estimated by group",
+    ),
+    "model-lacks": Wording(
+        "Residuals follow something",
+        {
+            "quantity": "the reading or measured quantity that is off",
+            "term": 'what its error follows: "angle", "pose", "order" or "approach"',
+            "p_value": "the probability of the most improbable of all such tests, by chance",
+        },
+        _lacks,
+        "Residuals follow what the model lacks, more than chance explains (p below 0.01, all tests "
+        "together): intervals and platform errors are too small by nobody knows how much.",
+        "Model it or remove its cause; measure in a mixed order",
+    ),
+    "step": Wording(
+        "A step",
+        {
+            "quantity": "the reading or measured quantity that is off",
+            "size": "by how much, after the step [m or rad]",
+            "unit": '"m" or "rad"',
+            "p_value": "the probability of such a step anywhere, by chance",
+        },
+        _step,
+        "A sensor, target or frame changed its place during the experiment. The finding's row is "
+        "the first after it.",
+        "Look for an encoder that slipped, or a target that was hit; name runs in a column run, or "
+        "leave the shorter part out",
     ),
     "outliers": Wording(
         "Outliers",

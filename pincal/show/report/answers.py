@@ -10,7 +10,7 @@ from scipy.stats import chi2 as chi2_law
 from pincal.calibration.result import CalibrationResult
 from pincal.show.report.findings import Findings
 from pincal.show.report.parts import Answers, Card, Part, Sizes
-from pincal.show.results import contradicted, noisy_series, warnings
+from pincal.show.results import noisy_series, unpromised, warnings
 from pincal.show.summary import held_out_line, noise_line, platform_size
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import SMALL, amount, capital, counted, rounded, shown_in
@@ -69,29 +69,30 @@ def _card(question: str, verdict: str, *parts: Part) -> Card:
 def _better(found: Findings, errors: WorkspaceErrors) -> Card:
     (before, turned), (after, turning) = errors.mean_before(), errors.mean_after()
     result, more = found.result, found.result.excess
-    ratios = [before / after / more] + ([turned / turning / more] if found.turns else [])
+    ratios = [before / after] + ([turned / turning] if found.turns else [])
     both = zip((before, turned)[: len(ratios)], errors.limit, strict=False)
-    sure = [one / limit / more for one, limit in both]
+    sure = [one / limit for one, limit in both]
     if not result.corrects:
         verdict = "No"
         said = (
             f"The fit failed: residuals hardly fell, and are {more:.3g} times as large as the "
             f"noise given makes them. {WORDINGS['not-corrected'].means}"
         )
-    elif not result.promises:
+    elif not result.explained:
         verdict = "Not shown"
         said = (
             f"Residuals fell, but are still {more:.3g} times as large as the noise given makes "
             "them: something is wrong with rows, noise or model, and parameters follow it."
         )
     elif min(ratios) >= _CLEARLY:
-        checked = bool(result.degrees_of_freedom) and not contradicted(result)
+        checked = bool(result.degrees_of_freedom) and result.promises
         verdict = "Yes" if checked else "Probably"
         said = (
-            f"The platform's root mean square error {errors.where} should be about "
-            f"{_times(ratios)} smaller than that of the nominal model, with 95 % confidence "
-            f"{_times(sure)} at least."
+            f"The platform's root mean square error {errors.where} should be "
+            f"{'about' if result.promises else 'at most'} {_times(ratios)} smaller than that of "
+            "the nominal model"
         )
+        said += f", with 95 % confidence {_times(sure)} at least." if result.promises else "."
     elif max(ratios) > 1.0:
         verdict = "Hardly"
         said = (
@@ -137,14 +138,14 @@ def _times(ratios: Sequence[float]) -> str:
 
 def _how_much(found: Findings, errors: WorkspaceErrors) -> Card:
     result, more = found.result, found.result.excess
-    if not (result.promises and result.corrects):
+    if not (result.explained and result.corrects):
         return _card(
             _SIZE,
             WORDINGS["residuals-too-large"].title,
             f"Residuals are {more:.3g} times as large as the noise given makes them, so that the "
             "parameters' uncertainties mean nothing. Look at the warnings first.",
         )
-    before, after = errors.mean_before(), tuple(more * one for one in errors.mean_after())
+    before, after = errors.mean_before(), errors.mean_after()
     names = ("position [mm]", "orientation [mrad]")[: 1 + found.turns]
     rows = [
         (name, f"{1e3 * old:.3g}", f"{1e3 * new:.3g}")
@@ -152,21 +153,20 @@ def _how_much(found: Findings, errors: WorkspaceErrors) -> Card:
     ]
     frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
     verdict = f"{amount(before[0], 'm')} → {amount(after[0], 'm')}"
-    said = (
-        f"Error of the platform, root mean square {errors.where}{frames}. After: about what is to "
-        "be expected by the parameters' uncertainties, if the model is right; 95 of 100 such "
-        f"calibrations stay below {platform_size(errors.limit, found.turns, more)}."
-    )
-    if more == 1.0:
+    said = f"Error of the platform, root mean square {errors.where}{frames}. After: "
+    if result.promises:
+        said += (
+            "about what is to be expected by the parameters' uncertainties, if the model is right; "
+            "95 of 100 such calibrations stay below "
+            f"{platform_size(errors.limit, found.turns)}."
+        )
         return _card(_SIZE, verdict, Sizes(rows), said)
     return _card(
         _SIZE,
         f"{verdict} or more",
         Sizes(rows),
-        said,
-        f"Residuals are {more:.2g} times as large as the noise given makes them, and errors after "
-        "are scaled by that: so large they are if the noise is larger than given; if the model "
-        "lacks something, no number says how large.",
+        f"{said}what was seen at the measured poses, or more. No limit is promised: "
+        f"{unpromised(result)}.",
     )
 
 
@@ -174,7 +174,7 @@ def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Card:
     count = len(warnings(result))
     verdict = "Nothing speaks against it"
     if count:
-        start = "Not as it is" if contradicted(result) else "With care"
+        start = "With care" if result.promises else "Not as it is"
         verdict = f"{start}: {'one warning' if count == 1 else f'{count} warnings'} above"
     elif result.validation is None:
         verdict = "Not tested on rows left out"
