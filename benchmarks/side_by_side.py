@@ -124,7 +124,7 @@ def _mechanism(pincal: Any, machine: str) -> Any:
     name, tip, base = ARM
     every = files("example-robot-data") or []
     path = next(Path(str(one.locate())) for one in every if one.name == name)
-    return pincal.load_arm(path, tip, base)
+    return pincal.Mechanism.from_urdf(path, tip, base)
 
 
 @cache

@@ -18,13 +18,21 @@ from pathlib import Path
 
 import pincal
 from pincal import errors, formats
+from pincal.calibration.result_files import read_result
+from pincal.calibration.runs import compare_runs
 from pincal.cli.app import app
+from pincal.files.measurement_writing import write_measurements, write_poses
+from pincal.files.measurements import read_measurements, read_poses
+from pincal.files.setups import read_setup
+from pincal.formats.arm import load_arm
+from pincal.show.report.report import report
 from pincal.words.faults import FAULTS
 from pincal.words.freedoms import FREEDOMS
 from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
 from pincal.words.wording import Wording
+from pincal.workspace.criteria import in_workspace
 
 PAGE = Path(__file__).with_suffix(".md")
 _HEAD = """\
@@ -81,6 +89,15 @@ part: show the result, which holds the estimated ones, beside the table. `pincal
 
 """
 _ENTRY = re.compile(r"^    (\w+Error): (.*?)(?=^    \S|\Z)", re.MULTILINE | re.DOTALL)
+#: Methods, and the functions that commands call in their place.
+_BEHIND = {
+    "CalibrationResult.report": [report],
+    "Measurements.from_csv": [read_measurements],
+    "Mechanism.from_urdf": [load_arm],
+    "Plan.from_csv": [read_poses],
+    "Plan.to_csv": [write_poses, write_measurements],
+    "Setup.from_yaml": [read_setup],
+}
 _MOST = 6  # commands that are named one by one
 
 
@@ -105,6 +122,8 @@ def used(module: str, seen: set[str]) -> list[object]:
 def public() -> dict[str, object]:
     """Return what people call from Python, and of the readers of formats what commands call."""
     found = {name: getattr(pincal, name) for name in pincal.__all__}
+    for one in (compare_runs, in_workspace, read_result):
+        found[f"{one.__module__.removeprefix('pincal.')}.{one.__name__}"] = one
     reached = [one for own in commands().values() for one in own]
     for module in pkgutil.walk_packages(formats.__path__, "pincal.formats."):
         imported = importlib.import_module(module.name)
@@ -113,6 +132,7 @@ def public() -> dict[str, object]:
             for name, what in vars(imported).items()
             if getattr(what, "__module__", "") == module.name
             and inspect.isfunction(what)
+            and what is not load_arm
             and any(what is one for one in reached)
         }
     return found
@@ -126,16 +146,17 @@ def raised() -> dict[str, list[tuple[str, str, str]]]:
     found: dict[str, list[tuple[tuple[int, str], tuple[str, str, str]]]] = defaultdict(list)
     reach = commands()
     for name, what in public().items():
-        by = [
-            command
-            for command, own in reach.items()
-            if name == command or any(what is one for one in own)
-        ]
-        place = list(reach).index(by[0]) if by else len(reach)
-        said = ", ".join(f"`pincal {command}`" for command in by)
-        if len(by) > _MOST:
-            place, said = -1, "most commands"
         for called, function in members(name, what):
+            behind = _BEHIND.get(called, [what])
+            by = [
+                command
+                for command, own in reach.items()
+                if name == command or any(one is any_of for one in own for any_of in behind)
+            ]
+            place = list(reach).index(by[0]) if by else len(reach)
+            said = ", ".join(f"`pincal {command}`" for command in by)
+            if len(by) > _MOST:
+                place, said = -1, "most commands"
             section = (inspect.getdoc(function) or "").partition("Raises:\n")[2]
             for error, when in _ENTRY.findall(section.partition("\n\n")[0]):
                 row = (said, called, " ".join(when.split()))

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import pincal
+from pincal.files.mechanism_folders import bundled
+from pincal.workspace.criteria import in_workspace
 
 PAGE = Path(__file__).with_suffix(".md")
 IMAGES = PAGE.parent / "images"
@@ -24,7 +26,7 @@ def counted(mechanism: pincal.Mechanism) -> np.ndarray:
     spread = [max(size, 0.05) if unit == "m" else 0.25 for unit in platform.units]
     twists = rng.uniform(-1, 1, (_POSES, platform.dof)) * spread
     poses = platform.moved(np.tile(platform.home, (_POSES, 1)), twists)
-    return poses[pincal.in_workspace(mechanism, poses)]
+    return poses[in_workspace(mechanism, poses)]
 
 
 def n_identified(mechanism: pincal.Mechanism, poses: np.ndarray, lengths_only: bool) -> str:
@@ -62,7 +64,7 @@ def table() -> str:
         "| | platform, freedoms | legs | symmetry | parameters of a leg | in all | identified by "
         "full poses | by positions only |\n|---|---|---|---|---|---|---|---|\n"
     )
-    return head + "".join(f"{row(name)}\n" for name in sorted(pincal.bundled(), key=str.lower))
+    return head + "".join(f"{row(name)}\n" for name in sorted(bundled(), key=str.lower))
 
 
 def written(page: str) -> str:
@@ -72,5 +74,5 @@ def written(page: str) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    for one in pincal.bundled():
+    for one in bundled():
         pincal.picture(pincal.load_mechanism(one)).save(IMAGES / f"{one}.svg", force=True)

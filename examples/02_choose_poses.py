@@ -17,7 +17,7 @@ for protocol, count in (("symmetric", 24), ("orbits", 24), ("orbits", 8)):
     )
 
 selection = pincal.select_poses(mechanism, candidates, 24, "symmetric")
-pincal.write_poses("02_plan.csv", mechanism, selection.plan, force=True)
+selection.plan.to_csv("02_plan.csv", mechanism, force=True)
 
 figure = Figure(figsize=(15, 4.6), layout="constrained")
 left, middle, right = figure.subplots(1, 3)

@@ -10,7 +10,7 @@ candidates = pincal.sample_workspace(mechanism, 20_000, seed=0)
 plan = pincal.select_poses(mechanism, candidates, 18, noise=noise).plan
 
 # A machine with errors that pincal does not know; with a real one, read the measurements:
-# data = pincal.read_measurements("measurements.csv", mechanism)
+# data = pincal.Measurements.from_csv("measurements.csv", mechanism)
 truth = pincal.disturb(mechanism, 2e-3, seed=1)
 data = pincal.simulate(mechanism, truth, plan, noise, seed=1).measurements
 

@@ -5,7 +5,7 @@ from math import atan2, hypot, pi
 from matplotlib.figure import Figure
 
 import pincal
-from pincal import Joint, Placement, placed, polar
+from pincal import Joint, Placement
 
 # Nominal parameters of leg 1: lengths in m, angles in rad.
 parameters = {
@@ -16,10 +16,11 @@ parameters = {
     "gamma": 0.5,  # length of the slide at reading zero
 }
 x, y = 0.3 * 3**0.5 / 2, 1.0 - 0.3 / 2  # from base point to platform point at home
+foot = Placement.of(parameters, polar=("OA", "beta"))
 leg = pincal.Leg(
     name="leg_1",
     joints=(  # base first; a placement says by which parameters a joint sits on its link
-        Joint("swing", "revolute", placed(parameters, polar("OA", "beta")), home=atan2(y, x)),
+        Joint("swing", "revolute", foot, home=atan2(y, x)),
         Joint(
             "slide",
             "prismatic",
@@ -31,12 +32,12 @@ leg = pincal.Leg(
         ),
         Joint("tip", "fixed"),
     ),
-    point=Joint("b_1", "fixed", placed(parameters, polar("ob", "beta_b"))),
+    point=Joint("b_1", "fixed", Placement.of(parameters, polar=("ob", "beta_b"))),
     sensors=(pincal.Sensor("slide", form="joint", gain=1.0, offset="gamma"),),  # gain not sought
     parameters=tuple(parameters.items()),
 )
 platform = pincal.Platform("planar", home=(0.0, 0.0, 0.0))
-mechanism = pincal.generate("3RPR", leg, pincal.rotations(3), platform, "An example.")
+mechanism = pincal.generate("3RPR", leg, pincal.Element.rotations(3), platform, "An example.")
 print(pincal.symmetry_group(mechanism))
 
 mechanism.save("04_3RPR", force=True)  # 'pincal demo 04_3RPR' calibrates it

@@ -10,7 +10,7 @@ import pincal
 
 # Any URDF will do; this one comes with the package example-robot-data.
 urdf = next(str(f.locate()) for f in files("example-robot-data") if f.name == "ur10_robot.urdf")
-arm = pincal.load_arm(urdf, tip="ee_link", base="base_link")
+arm = pincal.Mechanism.from_urdf(urdf, tip="ee_link", base="base_link")
 
 # A reflector on the flange, seen by a tracker that stands somewhere: positions only.
 offset, noise = (0.05, 0.1, 0.02), pincal.Noise(position=5e-5)  # [m]

@@ -13,22 +13,23 @@ platform = pincal.Platform(kind, home=(0.0, 0.0, -0.47, 0.0))
 # One leg: a driven crank, and a rod that turns both ways at the elbow. It stands askew, else
 # no leg would feel phi.
 values = {"R": 0.25, "beta": pi / 4, "l": 0.3, "L": 0.6, "r": 0.1, "beta_b": pi / 4, "gamma": 0.0}
-foot = pincal.placed(values, pincal.polar("R", "beta"), pincal.along("rz", pi / 4 + 0.35))
-elbow = pincal.placed(values, pincal.along("x", "l"))
+foot = pincal.Placement.of(values, polar=("R", "beta"), rz=pi / 4 + 0.35)
+elbow = pincal.Placement.of(values, x="l")
 leg = pincal.Leg(
     name="leg_1",
     joints=(
         pincal.Joint("drive", "revolute", foot, (0.0, 1.0, 0.0), -1.5, 1.5, home=0.2),
         pincal.Joint("elbow_y", "revolute", elbow, (0.0, 1.0, 0.0), home=2.2),
         pincal.Joint("elbow_z", "revolute", lower=-1.5, upper=1.5, home=0.1),
-        pincal.Joint("tip", "fixed", pincal.placed(values, pincal.along("x", "L"))),
+        pincal.Joint("tip", "fixed", pincal.Placement.of(values, x="L")),
     ),
-    point=pincal.Joint("b_1", "fixed", pincal.placed(values, pincal.polar("r", "beta_b"))),
+    point=pincal.Joint("b_1", "fixed", pincal.Placement.of(values, polar=("r", "beta_b"))),
     sensors=(pincal.Sensor("drive", offset="gamma"),),
     parameters=tuple(values.items()),
 )
-turns = (pincal.rotations(2)[0], pincal.mirror(0.0), pincal.rotations(2)[1], pincal.mirror(pi / 2))
-robot = pincal.generate("four_cranks", leg, turns, platform, "Four cranks, 3T1R.")
+turn, mirror = pincal.Element.rotations(2), pincal.Element.mirror
+elements = (turn[0], mirror(0.0), turn[1], mirror(pi / 2))
+robot = pincal.generate("four_cranks", leg, elements, platform, "Four cranks, 3T1R.")
 print(robot)
 
 # Inverse kinematics: readings of poses.

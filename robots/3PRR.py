@@ -12,13 +12,10 @@ from pincal import (
     Joint,
     Leg,
     Mechanism,
+    Placement,
     Platform,
     Sensor,
-    along,
     generate,
-    placed,
-    polar,
-    rotations,
 )
 
 PARAMETERS = {
@@ -30,7 +27,7 @@ PARAMETERS = {
     "beta_b": -pi / 2,
     "k": 1.0,  # sensor gain; an offset would move the zero along the rail
 }
-GROUP: tuple[Element, ...] = rotations(3)
+GROUP: tuple[Element, ...] = Element.rotations(3)
 
 
 def mechanism() -> Mechanism:
@@ -38,20 +35,20 @@ def mechanism() -> Mechanism:
     leg = Leg(
         name="leg_1",
         joints=(
-            Joint("rail", "fixed", placed(PARAMETERS, polar("OA", "beta"))),
+            Joint("rail", "fixed", Placement.of(PARAMETERS, polar=("OA", "beta"))),
             Joint(
                 "carriage",
                 "prismatic",
-                placed(PARAMETERS, along("rz", "delta")),
+                Placement.of(PARAMETERS, rz="delta"),
                 axis=(1.0, 0.0, 0.0),
                 lower=-1.6,
                 upper=1.6,
                 home=-0.9,
             ),
             Joint("rod", "revolute", home=0.6),
-            Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
+            Joint("tip", "fixed", Placement.of(PARAMETERS, x="L")),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, polar("ob", "beta_b"))),
+        point=Joint("b_1", "fixed", Placement.of(PARAMETERS, polar=("ob", "beta_b"))),
         sensors=(Sensor("carriage", form="joint", gain="k"),),
         parameters=tuple(PARAMETERS.items()),
     )

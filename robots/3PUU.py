@@ -16,12 +16,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
-    along,
     generate,
-    mirror,
-    placed,
-    rotations,
-    spherical,
 )
 
 DIAGONAL = acos(1 / sqrt(3))  # angle between z and each drive [rad]
@@ -34,15 +29,15 @@ PARAMETERS = {
     "L": 0.31,  # rods of the parallelogram [m]
     "k": 1.0,  # sensor gain; an offset would move the zero along the drive
 }
-LEGS = rotations(3)
-GROUP: tuple[Element, ...] = (*LEGS, *(mirror(k * pi / 3) for k in range(3)))
+LEGS = Element.rotations(3)
+GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(k * pi / 3) for k in range(3)))
 
 
 def mechanism() -> Mechanism:
     """Return the mechanism: leg 1, which a mirror maps onto itself, carried by three rotations."""
-    inward = along("ry", pi / 2 + DIAGONAL).steps[0].matrix({})  # turns x towards the centre
-    base = Placement((spherical("OA", "alpha", "beta"),)).at(PARAMETERS, inward)
-    rail = placed(PARAMETERS, along("rz", "yaw"), along("ry", "pitch"))
+    inward = Placement.of({}, ry=pi / 2 + DIAGONAL).displacement({})  # turns x towards the centre
+    base = Placement.of(PARAMETERS, spherical=("OA", "alpha", "beta")).at(PARAMETERS, inward)
+    rail = Placement.of(PARAMETERS, rz="yaw", ry="pitch")
     leg = Leg(
         name="leg_1",
         joints=(
@@ -50,9 +45,9 @@ def mechanism() -> Mechanism:
             Joint("drive", "prismatic", rail, (1.0, 0.0, 0.0), lower=0.04, upper=0.24, home=0.14),
             Joint("rod_y", "revolute", Placement(), (0.0, 1.0, 0.0), lower=-0.5, upper=0.5),
             Joint("rod_z", "revolute", Placement(), (0.0, 0.0, 1.0), lower=-0.5, upper=0.5),
-            Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
+            Joint("tip", "fixed", Placement.of(PARAMETERS, x="L")),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, spherical(0.05, DIAGONAL, 0.0))),
+        point=Joint("b_1", "fixed", Placement.of(PARAMETERS, spherical=(0.05, DIAGONAL, 0.0))),
         sensors=(Sensor("drive", form="joint", gain="k"),),
         parameters=tuple(PARAMETERS.items()),
     )

@@ -16,9 +16,6 @@ from pincal import (
     Platform,
     Sensor,
     generate,
-    placed,
-    polar,
-    rotations,
 )
 
 PARAMETERS = {
@@ -29,7 +26,7 @@ PARAMETERS = {
     "k": 1.0,  # sensor gain, and length of the strut [m] where it reads zero
     "gamma": 0.5,
 }
-GROUP: tuple[Element, ...] = rotations(3)
+GROUP: tuple[Element, ...] = Element.rotations(3)
 
 
 def mechanism() -> Mechanism:
@@ -37,11 +34,11 @@ def mechanism() -> Mechanism:
     leg = Leg(
         name="leg_1",
         joints=(
-            Joint("swing", "revolute", placed(PARAMETERS, polar("OA", "beta")), home=1.2),
+            Joint("swing", "revolute", Placement.of(PARAMETERS, polar=("OA", "beta")), home=1.2),
             Joint("slide", "prismatic", Placement(), (1.0, 0.0, 0.0), 0.5, 1.4, home=0.9),
             Joint("tip", "fixed"),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, polar("ob", "beta_b"))),
+        point=Joint("b_1", "fixed", Placement.of(PARAMETERS, polar=("ob", "beta_b"))),
         sensors=(Sensor("slide", form="joint", gain="k", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )

@@ -8,17 +8,14 @@ from math import pi
 from pathlib import Path
 
 from pincal import (
+    Element,
     Joint,
     Leg,
     Mechanism,
     Placement,
     Platform,
     Sensor,
-    along,
     generate,
-    placed,
-    rotations,
-    spherical,
 )
 
 PARAMETERS = {
@@ -36,7 +33,7 @@ PARAMETERS = {
 
 def mechanism() -> Mechanism:
     """Return the mechanism: leg 1 carried by the rotations of D_6."""
-    hinge = placed(PARAMETERS, spherical("OA", "alpha", "beta"), along("rz", "psi"))
+    hinge = Placement.of(PARAMETERS, spherical=("OA", "alpha", "beta"), rz="psi")
     leg = Leg(
         name="leg_1",
         joints=(
@@ -44,14 +41,16 @@ def mechanism() -> Mechanism:
             Joint("slide", "prismatic", Placement(), lower=0.68, upper=0.92, home=0.8),
             Joint("tip", "fixed", Placement()),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, spherical("ob", "alpha_b", "beta_b"))),
+        point=Joint(
+            "b_1", "fixed", Placement.of(PARAMETERS, spherical=("ob", "alpha_b", "beta_b"))
+        ),
         sensors=(Sensor("slide", form="joint", gain="k", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )
     return generate(
         "3RPS",
         leg,
-        rotations(3),
+        Element.rotations(3),
         Platform("spatial", home=(0.0, 0.0, 0.786, 0.0, 0.0, 0.0)),
         "3-RPS parallel manipulator (Hunt 1983): one translation and two tilts.",
     )

@@ -4,16 +4,14 @@ from math import pi, radians, sqrt
 from pathlib import Path
 
 from pincal import (
+    Element,
     Joint,
     Leg,
     Mechanism,
+    Placement,
     Platform,
     Sensor,
-    along,
     generate,
-    placed,
-    polar,
-    rotations,
 )
 
 PARAMETERS = {
@@ -33,18 +31,18 @@ def mechanism() -> Mechanism:
     leg = Leg(
         name="leg_1",
         joints=(
-            Joint("shoulder", "revolute", placed(PARAMETERS, polar("OA", "beta")), home=1.0),
-            Joint("elbow", "revolute", placed(PARAMETERS, along("x", "l")), home=-1.0),
-            Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
+            Joint("shoulder", "revolute", Placement.of(PARAMETERS, polar=("OA", "beta")), home=1.0),
+            Joint("elbow", "revolute", Placement.of(PARAMETERS, x="l"), home=-1.0),
+            Joint("tip", "fixed", Placement.of(PARAMETERS, x="L")),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, polar("ob", "beta_b"))),
+        point=Joint("b_1", "fixed", Placement.of(PARAMETERS, polar=("ob", "beta_b"))),
         sensors=(Sensor("shoulder", form="joint", gain="k", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )
     return generate(
         "3RRR",
         leg,
-        rotations(3),
+        Element.rotations(3),
         Platform("planar", home=(0.0, 0.0, 0.0)),
         "Planar 3-RRR, dyads [-1 -1 -1] (Durango et al., symmetrical observability, Fig. 5).",
     )

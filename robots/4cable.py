@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor, cartesian
+from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor
 
 RADIUS, HEIGHT = 1.6, -0.12  # of the low anchors [m]
 HIGH = 2.35  # [m]
@@ -24,7 +24,7 @@ def line(name: str, anchor: tuple[float, float, float], azimuth: float) -> Leg:
     frame[:3, 2] = -np.array(anchor) / length  # z along the line, y level
     frame[:3, 1] = -sin(azimuth), cos(azimuth), 0.0
     frame[:3, 0] = np.cross(frame[:3, 1], frame[:3, 2])
-    placement = Placement(cartesian("A_x", "A_y", "A_z")).at(parameters, frame)
+    placement = Placement.of(parameters, x="A_x", y="A_y", z="A_z").at(parameters, frame)
     return Leg(
         name=name,
         joints=(

@@ -8,13 +8,10 @@ from pincal import (
     Joint,
     Leg,
     Mechanism,
+    Placement,
     Platform,
     Sensor,
-    along,
-    cartesian,
     generate,
-    mirror,
-    placed,
 )
 
 PARAMETERS = {
@@ -35,13 +32,13 @@ def mechanism() -> Mechanism:
             Joint(
                 "shoulder",
                 "revolute",
-                placed(PARAMETERS, *cartesian("A_x", "A_y")),
+                Placement.of(PARAMETERS, x="A_x", y="A_y"),
                 lower=pi / 4,
                 upper=5 * pi / 4,
                 home=2.2,
             ),
-            Joint("elbow", "revolute", placed(PARAMETERS, along("x", "l")), home=-1.6),
-            Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
+            Joint("elbow", "revolute", Placement.of(PARAMETERS, x="l"), home=-1.6),
+            Joint("tip", "fixed", Placement.of(PARAMETERS, x="L")),
         ),
         point=Joint("end_effector", "fixed"),
         sensors=(Sensor("shoulder", form="reading", gain="k", offset="gamma"),),
@@ -50,7 +47,7 @@ def mechanism() -> Mechanism:
     return generate(
         "5R",
         leg,
-        (Element(0.0), mirror(pi / 2)),
+        (Element(0.0), Element.mirror(pi / 2)),
         Platform("point", home=(0.0, 1.1)),
         "Planar symmetrical five-bar, elbows outward (divide-and-conquer paper, Fig. 2).",
     )

@@ -8,7 +8,7 @@ from math import pi, radians
 from pathlib import Path
 
 import pincal
-from pincal import Joint, Placement, along, placed, spherical
+from pincal import Joint, Placement
 
 PARAMETERS = {
     "OA": 0.7,  # where the carriage reads zero: radius [m], angle from z and azimuth [rad]
@@ -24,24 +24,26 @@ PARAMETERS = {
 }
 GROUP = tuple(
     element
-    for k, turn in enumerate(pincal.rotations(3))
-    for element in (turn, pincal.mirror((k + 1) * pi / 3))
+    for k, turn in enumerate(pincal.Element.rotations(3))
+    for element in (turn, pincal.Element.mirror((k + 1) * pi / 3))
 )
 
 
 def mechanism() -> pincal.Mechanism:
     """Return the mechanism: leg 1 carried by the rotations and mirrors of D_6."""
-    drive = placed(PARAMETERS, along("ry", "pitch"), along("rx", "roll"))
+    drive = Placement.of(PARAMETERS, ry="pitch", rx="roll")
     leg = pincal.Leg(
         name="leg_1",
         joints=(
-            Joint("rail", "fixed", placed(PARAMETERS, spherical("OA", "alpha", "beta"))),
+            Joint("rail", "fixed", Placement.of(PARAMETERS, spherical=("OA", "alpha", "beta"))),
             Joint("drive", "prismatic", drive, lower=0.0, upper=0.6, home=0.3),
             Joint("universal_x", "revolute", Placement(), (1.0, 0.0, 0.0), -0.75, 0.75),
             Joint("universal_y", "revolute", Placement(), (0.0, 1.0, 0.0), -0.75, 0.75),
-            Joint("tip", "fixed", placed(PARAMETERS, along("z", "L"))),
+            Joint("tip", "fixed", Placement.of(PARAMETERS, z="L")),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, spherical("ob", "alpha_b", "beta_b"))),
+        point=Joint(
+            "b_1", "fixed", Placement.of(PARAMETERS, spherical=("ob", "alpha_b", "beta_b"))
+        ),
         sensors=(pincal.Sensor("drive", form="joint", gain="k"),),
         parameters=tuple(PARAMETERS.items()),
     )

@@ -15,12 +15,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
-    along,
     generate,
-    mirror,
-    placed,
-    rotations,
-    spherical,
 )
 
 PARAMETERS = {
@@ -37,26 +32,30 @@ PARAMETERS = {
     "gamma": 0.0,  # crank's angle below the horizontal where the drive reads zero [rad]
 }
 GROUP: tuple[Element, ...] = tuple(
-    element for k, turn in enumerate(rotations(3)) for element in (turn, mirror((k + 1) * pi / 3))
+    element
+    for k, turn in enumerate(Element.rotations(3))
+    for element in (turn, Element.mirror((k + 1) * pi / 3))
 )
 
 
 def mechanism() -> Mechanism:
     """Return the mechanism: leg 1 carried by the rotations and mirrors of D_6."""
-    point = spherical("OA", "alpha", "beta")
-    tangent = along("rz", PARAMETERS["beta"] + pi / 2).steps[0].matrix({})  # towards leg 2
-    axis = placed(PARAMETERS, along("rz", "yaw"), along("rx", "roll"))
-    wrist = placed(PARAMETERS, along("x", "l"))
+    tangent = Placement.of({}, rz=PARAMETERS["beta"] + pi / 2).displacement({})  # towards leg 2
+    foot = Placement.of(PARAMETERS, spherical=("OA", "alpha", "beta")).at(PARAMETERS, tangent)
+    axis = Placement.of(PARAMETERS, rz="yaw", rx="roll")
+    wrist = Placement.of(PARAMETERS, x="l")
     leg = Leg(
         name="leg_1",
         joints=(
-            Joint("base", "fixed", Placement((point,)).at(PARAMETERS, tangent)),
+            Joint("base", "fixed", foot),
             Joint("drive", "revolute", axis, (0.0, 1.0, 0.0), lower=-1.4, upper=1.4),
             Joint("universal_y", "revolute", wrist, (0.0, 1.0, 0.0), home=-2.2),
             Joint("universal_z", "revolute", Placement(), lower=-0.9, upper=0.9),
-            Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
+            Joint("tip", "fixed", Placement.of(PARAMETERS, x="L")),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, spherical("ob", "alpha_b", "beta_b"))),
+        point=Joint(
+            "b_1", "fixed", Placement.of(PARAMETERS, spherical=("ob", "alpha_b", "beta_b"))
+        ),
         sensors=(Sensor("drive", form="joint", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )

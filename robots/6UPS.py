@@ -15,10 +15,6 @@ from pincal import (
     Platform,
     Sensor,
     generate,
-    mirror,
-    placed,
-    rotations,
-    spherical,
 )
 
 PARAMETERS = {
@@ -41,7 +37,7 @@ def mechanism() -> Mechanism:
             Joint(
                 "universal_x",
                 "revolute",
-                placed(PARAMETERS, spherical("OA", "alpha", "beta")),
+                Placement.of(PARAMETERS, spherical=("OA", "alpha", "beta")),
                 axis=(1.0, 0.0, 0.0),
                 lower=-pi / 2,
                 upper=pi / 2,
@@ -57,13 +53,15 @@ def mechanism() -> Mechanism:
             Joint("leg", "prismatic", Placement(), lower=1.6, upper=2.6, home=1.8),
             Joint("tip", "fixed", Placement()),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, spherical("ob", "alpha_b", "beta_b"))),
+        point=Joint(
+            "b_1", "fixed", Placement.of(PARAMETERS, spherical=("ob", "alpha_b", "beta_b"))
+        ),
         sensors=(Sensor("leg", form="joint", gain="k", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )
     elements: list[Element] = []
-    for k, turn in enumerate(rotations(3)):  # legs 1 to 6 around the base, as in Table 1
-        elements += [turn, mirror((k + 1) * pi / 3)]
+    for k, turn in enumerate(Element.rotations(3)):  # legs 1 to 6 around the base, as in Table 1
+        elements += [turn, Element.mirror((k + 1) * pi / 3)]
     return generate(
         "6UPS",
         leg,

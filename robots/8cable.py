@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import pincal
-from pincal import Element, Joint, Mechanism, Placement, cartesian, placed
+from pincal import Element, Joint, Mechanism, Placement
 
 HOME = (0.0, 0.0, 1.5)  # [m]
 PARAMETERS = {
@@ -28,8 +28,8 @@ PARAMETERS = {
 
 def group(posts: int) -> tuple[Element, ...]:
     """Return D_2n: rotations carry post to post, mirrors one cable of a post to the other."""
-    turns = pincal.rotations(posts)
-    return tuple(e for t in turns for e in (t, t.after(pincal.mirror(pi / posts))))
+    turns = pincal.Element.rotations(posts)
+    return tuple(e for t in turns for e in (t, t.after(pincal.Element.mirror(pi / posts))))
 
 
 GROUP = group(4)
@@ -44,7 +44,7 @@ def mechanism(posts: int = 4) -> Mechanism:
     frame[:3, 2] = cable / length
     frame[:3, 1] = np.cross((0.0, 0.0, 1.0), cable) / np.hypot(*cable[:2])
     frame[:3, 0] = np.cross(frame[:3, 1], frame[:3, 2])
-    placement = Placement(cartesian("A_x", "A_y", "A_z")).at(PARAMETERS, frame)
+    placement = Placement.of(PARAMETERS, x="A_x", y="A_y", z="A_z").at(PARAMETERS, frame)
     line = pincal.Leg(
         name="line",
         joints=(
@@ -53,7 +53,7 @@ def mechanism(posts: int = 4) -> Mechanism:
             Joint("line", "prismatic", lower=3.7, upper=5.1, home=length),
             Joint("tip", "fixed"),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, *cartesian("b_x", "b_y", "b_z"))),
+        point=Joint("b_1", "fixed", Placement.of(PARAMETERS, x="b_x", y="b_y", z="b_z")),
         sensors=(pincal.Sensor("line", form="reading", gain="k", zero="home"),),
         parameters=tuple(PARAMETERS.items()),
     )

@@ -16,12 +16,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
-    along,
     generate,
-    mirror,
-    placed,
-    polar,
-    rotations,
 )
 
 PARAMETERS = {
@@ -34,15 +29,15 @@ PARAMETERS = {
     "L": 0.55,  # rods of the parallelogram [m]
     "gamma": 0.0,  # arm's angle below the horizontal where the drive reads zero [rad]
 }
-LEGS = rotations(3)
-GROUP: tuple[Element, ...] = (*LEGS, *(mirror(k * pi / 3) for k in range(3)))
+LEGS = Element.rotations(3)
+GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(k * pi / 3) for k in range(3)))
 
 
 def mechanism() -> Mechanism:
     """Return the mechanism: leg 1, which a mirror maps onto itself, carried by three rotations."""
-    base = placed(PARAMETERS, polar("OA", "beta"), along("z", "h"))
-    axis = placed(PARAMETERS, along("rz", "yaw"), along("rx", "roll"))
-    elbow = placed(PARAMETERS, along("x", "l"))
+    base = Placement.of(PARAMETERS, polar=("OA", "beta"), z="h")
+    axis = Placement.of(PARAMETERS, rz="yaw", rx="roll")
+    elbow = Placement.of(PARAMETERS, x="l")
     leg = Leg(
         name="leg_1",
         joints=(
@@ -50,9 +45,9 @@ def mechanism() -> Mechanism:
             Joint("drive", "revolute", axis, (0.0, 1.0, 0.0), lower=-0.6, upper=1.4, home=0.3),
             Joint("elbow_y", "revolute", elbow, (0.0, 1.0, 0.0), home=1.5),
             Joint("elbow_z", "revolute", Placement(), (0.0, 0.0, 1.0), lower=-0.8, upper=0.8),
-            Joint("tip", "fixed", placed(PARAMETERS, along("x", "L"))),
+            Joint("tip", "fixed", Placement.of(PARAMETERS, x="L")),
         ),
-        point=Joint("b_1", "fixed", placed(PARAMETERS, polar(0.06, 0.0))),
+        point=Joint("b_1", "fixed", Placement.of(PARAMETERS, polar=(0.06, 0.0))),
         sensors=(Sensor("drive", form="joint", offset="gamma"),),
         parameters=tuple(PARAMETERS.items()),
     )

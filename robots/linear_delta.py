@@ -17,12 +17,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
-    along,
     generate,
-    mirror,
-    placed,
-    polar,
-    rotations,
 )
 
 PARAMETERS = {
@@ -31,8 +26,8 @@ PARAMETERS = {
     "arm": 0.333,  # length of the rod [m]
     "endstop": 0.29705,  # height of the nozzle over the bed, carriages at their endstops [m]
 }
-LEGS = rotations(3)
-GROUP: tuple[Element, ...] = (*LEGS, *(mirror(pi / 6 + k * pi / 3) for k in range(3)))
+LEGS = Element.rotations(3)
+GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(pi / 6 + k * pi / 3) for k in range(3)))
 PRINT_RADIUS = 0.12  # that the limits of carriages and rods leave on the bed [m]
 
 
@@ -42,7 +37,7 @@ def mechanism() -> Mechanism:
     home = sqrt(arm**2 - radius**2)  # of the carriage, nozzle on the bed
     reach = radius + PRINT_RADIUS
     tilt = asin(reach / arm)
-    tower = placed(PARAMETERS, polar("radius", "angle"))
+    tower = Placement.of(PARAMETERS, polar=("radius", "angle"))
     tower = Placement(tower.coordinates, tower.xyz, (0.0, 0.0, PARAMETERS["angle"] + pi))
     leg = Leg(
         name="leg_1",
@@ -64,7 +59,7 @@ def mechanism() -> Mechanism:
                 home=acos(radius / arm),
             ),
             Joint("sway", "revolute", lower=-tilt, upper=tilt),
-            Joint("tip", "fixed", placed(PARAMETERS, along("x", "arm"))),
+            Joint("tip", "fixed", Placement.of(PARAMETERS, x="arm")),
         ),
         point=Joint("nozzle", "fixed"),
         sensors=(Sensor("carriage", offset="endstop", direction=-1, zero="home"),),

@@ -104,10 +104,10 @@ def _spaces(study: Study, poses: Array) -> tuple[dict[float, pincal.Workspace], 
             "off at most [m, rad]": [f"{c.off:.0e}" for c in checks],
         },
     )
-    spaces = {"overall": pincal.articular_space(mechanism, poses)}
+    spaces = {"overall": pincal.inverse(mechanism, poses).readings}
     for turn, plane in planes.items():
         at = np.column_stack((plane.positions[:, :2], np.full(plane.count, turn)))
-        spaces[f"φ = {turn:g} rad"] = pincal.articular_space(mechanism, at)
+        spaces[f"φ = {turn:g} rad"] = pincal.inverse(mechanism, at).readings
     study.figure(
         "fig_7_articular_space",
         "Fig. 7: articular-variables space as a cloud, and seen along ψ₁ = ψ₂ = ψ₃",

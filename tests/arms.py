@@ -53,7 +53,7 @@ def urdf(file: str) -> Path:
 def loaded(name: str) -> pincal.Mechanism:
     """Return an arm of the table."""
     file, base, tip = ARMS[name]
-    return pincal.load_arm(urdf(file), tip, base or None)
+    return pincal.Mechanism.from_urdf(urdf(file), tip, base or None)
 
 
 def robot(text: str) -> str:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor, along, cartesian, placed
+from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -45,8 +45,8 @@ def dyad(rng: Generator) -> Inner:
     return Inner(
         (
             Joint("drive", "revolute", home=rng.uniform(-3.0, 3.0)),
-            Joint("elbow", "revolute", placed(p, along("x", "l")), home=_bend(rng)),
-            Joint("tip", "fixed", placed(p, along("x", "L"))),
+            Joint("elbow", "revolute", Placement.of(p, x="l"), home=_bend(rng)),
+            Joint("tip", "fixed", Placement.of(p, x="L")),
         ),
         p,
         "drive",
@@ -60,9 +60,9 @@ def rail(rng: Generator) -> Inner:
     turn = rng.choice((0.0, np.pi)) + rng.uniform(-1.0, 1.0)  # the rod is not across the rail
     return Inner(
         (
-            _slide("drive", placed(p, along("rz", "delta")), X, rng.uniform(-0.5, 0.5)),
+            _slide("drive", Placement.of(p, rz="delta"), X, rng.uniform(-0.5, 0.5)),
             Joint("rod", "revolute", home=float(turn)),
-            Joint("tip", "fixed", placed(p, along("x", "L"))),
+            Joint("tip", "fixed", Placement.of(p, x="L")),
         ),
         p,
         "drive",
@@ -104,13 +104,13 @@ def crank(rng: Generator) -> Inner:
     """RUS in space."""
     p = {"yaw": rng.uniform(-0.3, 0.3), "roll": rng.uniform(-0.3, 0.3)}
     p |= {"l": rng.uniform(0.3, 0.6), "L": rng.uniform(0.8, 1.2)}
-    place = placed(p, along("rz", "yaw"), along("rx", "roll"))
+    place = Placement.of(p, rz="yaw", rx="roll")
     return Inner(
         (
             Joint("drive", "revolute", place, Y, home=rng.uniform(-1.0, 1.0)),
-            Joint("first", "revolute", placed(p, along("x", "l")), Y, home=_bend(rng)),
+            Joint("first", "revolute", Placement.of(p, x="l"), Y, home=_bend(rng)),
             Joint("second", "revolute", axis=Z, home=rng.uniform(-0.6, 0.6)),
-            Joint("tip", "fixed", placed(p, along("x", "L"))),
+            Joint("tip", "fixed", Placement.of(p, x="L")),
         ),
         p,
         "drive",
@@ -122,14 +122,14 @@ def carriage(rng: Generator) -> Inner:
     """PUS in space."""
     p = {"yaw": rng.uniform(-0.3, 0.3), "pitch": rng.uniform(-0.3, 0.3)}
     p |= {"L": rng.uniform(0.8, 1.2)}
-    place = placed(p, along("rz", "yaw"), along("ry", "pitch"))
+    place = Placement.of(p, rz="yaw", ry="pitch")
     a, b = rng.uniform(-0.9, 0.9, 2)
     return Inner(
         (
             _slide("drive", place, X, rng.uniform(-0.3, 0.3)),
             Joint("first", "revolute", axis=Y, home=a),
             Joint("second", "revolute", axis=Z, home=b),
-            Joint("tip", "fixed", placed(p, along("x", "L"))),
+            Joint("tip", "fixed", Placement.of(p, x="L")),
         ),
         p,
         "drive",
@@ -184,12 +184,12 @@ def random_leg(name: str, draw: Draw, platform: Platform, rng: Generator) -> Leg
         point = Placement(xyz=tuple(b.tolist()))
     else:
         parameters |= dict(zip(b_names, b.tolist(), strict=False))
-        point = placed(parameters, *cartesian(*b_names))
+        point = Placement.of(parameters, **dict(zip("xyz", b_names, strict=False)))
     home = platform.home_pose.as_matrix()[0]
     base = home[:3, 3] + home[:3, :3] @ b - (turn @ reached(inner.joints))[:3, 3]
     A_names = [f"A_{axis}" for axis in axes]
     parameters |= dict(zip(A_names, base.tolist(), strict=False))
-    foot = Placement(cartesian(*A_names)).at(parameters, turn)
+    foot = Placement.of(parameters, **dict(zip("xyz", A_names, strict=False))).at(parameters, turn)
     own = {"k": rng.uniform(0.8, 1.25), "gamma": rng.uniform(-0.5, 0.5)}
     parameters |= {name: own[name] for name in inner.sensor}
     return Leg(

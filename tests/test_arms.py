@@ -41,7 +41,7 @@ def test_axes_may_be_oblique(tmp_path: Path) -> None:
     text = "a|revolute|.6 0 .8|.3 .2 .1\nb|prismatic|0 .6 -.8|.35 0 .1\nc|revolute|0 .8 .6|0 .2 .4"
     file = tmp_path / "three.urdf"
     file.write_text(robot(text).replace("<origin ", '<origin rpy=".3 -.2 .5" '))
-    mechanism = pincal.load_arm(file, "l3")
+    mechanism = pincal.Mechanism.from_urdf(file, "l3")
     readings = np.random.default_rng(0).uniform(-0.5, 0.5, (5, 3))
     found = pincal.forward(mechanism, readings)
     matrices = mechanism.platform.transforms(found.poses).as_matrix()

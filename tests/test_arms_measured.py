@@ -193,7 +193,7 @@ def test_any_joints(chain: str, told: int, tmp_path: Path) -> None:
     file = tmp_path / "made.urdf"
     file.write_text(robot(chain))
     n = len(chain.splitlines())
-    mechanism = pincal.load_arm(file, f"l{n}")
+    mechanism = pincal.Mechanism.from_urdf(file, f"l{n}")
     plan = pincal.sample_configurations(mechanism, 60, 0)
     joints = tuple(sensor.joint for sensor in mechanism.legs[0].sensors)
     alone = Reference(file, f"l{n}", "", joints)
@@ -214,13 +214,11 @@ def test_any_joints(chain: str, told: int, tmp_path: Path) -> None:
 def test_a_planar_arm() -> None:
     """A planar leg that closes a frame: closed form, all five parameters from clean poses."""
     parameters = (("x0", 0.0), ("y0", 0.0), ("l1", 0.4), ("zero2", 0.0), ("l2", 0.3))
-    along, Joint, Placement = pincal.along, pincal.Joint, pincal.Placement
+    Joint, Placement = pincal.Joint, pincal.Placement
     joints = (
-        Joint("q1", "revolute", Placement((along("x", "x0"), along("y", "y0")))),
-        Joint(
-            "q2", "revolute", Placement((along("x", "l1"), along("rz", "zero2")), (0.4, 0.0, 0.0))
-        ),
-        Joint("tip", "fixed", Placement((along("x", "l2"),), (0.3, 0.0, 0.0))),
+        Joint("q1", "revolute", Placement.of(dict(parameters), x="x0", y="y0")),
+        Joint("q2", "revolute", Placement.of(dict(parameters), x="l1", rz="zero2")),
+        Joint("tip", "fixed", Placement.of(dict(parameters), x="l2")),
     )
     sensors = (pincal.Sensor("q1"), pincal.Sensor("q2"))
     leg = pincal.Leg(
@@ -260,7 +258,7 @@ def test_a_planar_arm() -> None:
 def test_links_that_make_no_arm(tip: str, base: str | None, words: str) -> None:
     """Links that do not exist or have no moving joint between them are refused by name."""
     with pytest.raises(pincal.MechanismError, match=words):
-        pincal.load_arm(urdf("ur10_robot.urdf"), tip, base)
+        pincal.Mechanism.from_urdf(urdf("ur10_robot.urdf"), tip, base)
 
 
 def test_files_say_the_same(tmp_path: Path) -> None:
@@ -288,7 +286,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     arm, plan, data = tmp_path / "arm", tmp_path / "plan.csv", tmp_path / "data.csv"
     loaded("ur10").save(arm)
     some = pincal.sample_configurations(loaded("ur10"), 150, 0)
-    pincal.write_poses(tmp_path / "some.csv", loaded("ur10"), some)
+    some.to_csv(tmp_path / "some.csv", loaded("ur10"))
     given = ("--candidates", tmp_path / "some.csv", "--collision", urdf("ur10_robot.urdf"))
     said = done("select", arm, "--count", 20, "--starts", 2, *given, "-o", plan).out
     assert "30 of 42" in said

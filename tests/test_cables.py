@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 import pincal
 from pincal.files.measurement_writing import write_readings
+from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
@@ -149,7 +150,7 @@ def test_the_group_of_the_cables_is_that_of_their_anchors(
     assert not group.breaks
     assert group.equivariance(poses) < 1e-12
     for element in group.elements:
-        assert pincal.in_workspace(cables, element.poses(cables.platform, poses)).all()
+        assert in_workspace(cables, element.poses(cables.platform, poses)).all()
     with pytest.raises(pincal.SymmetryError, match=r"onto line_D\. Choose"):
         group.carriers()
 
@@ -266,6 +267,6 @@ def test_the_command_line_tells_symmetry_and_contradiction(
     readings[2, 3] += 0.05
     write_readings(tmp_path / "readings.csv", cables, readings)
     said = done("forward", "4cable", tmp_path / "readings.csv", "-o", tmp_path / "poses.csv").err
-    found = pincal.read_poses(tmp_path / "poses.csv", cables).poses
+    found = pincal.Plan.from_csv(tmp_path / "poses.csv", cables).poses
     assert "(row 3, line_" in said
     np.testing.assert_allclose(np.delete(found, 2, 0), np.delete(poses[:5], 2, 0), atol=1e-9)

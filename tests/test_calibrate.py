@@ -16,7 +16,9 @@ from differences import differentiated
 from scipy.optimize import least_squares
 
 import pincal
+from pincal.calibration.result_files import read_result
 from pincal.model.measurements import EVERY_LEG
+from pincal.workspace.criteria import in_workspace
 from studies import three_rrr_errors
 from studies.trials import Way, machines
 
@@ -413,7 +415,7 @@ def test_result_is_the_same_mechanism_with_other_numbers(
     np.testing.assert_allclose(
         pincal.inverse(calibrated, home).readings, pincal.inverse(truth, home).readings, atol=1e-9
     )
-    written = pincal.read_result(tmp_path / "result")
+    written = read_result(tmp_path / "result")
     assert written == json.loads((tmp_path / "result" / "result.json").read_text())
     assert [leg["name"] for leg in written["legs"]] == list(mechanism.leg_names)
     for leg, own in zip(written["legs"], result.legs, strict=True):
@@ -442,7 +444,7 @@ def test_poses_that_differ_by_their_noise_only_are_refused(
     mechanism = pincal.load_mechanism("3RRR")
     poses = candidates["3RRR"][:400].copy()
     poses[:, 2] = 0.1
-    plan = pincal.Plan(poses[pincal.in_workspace(mechanism, poses)][:40])
+    plan = pincal.Plan(poses[in_workspace(mechanism, poses)][:40])
     truth = pincal.disturb(mechanism, 1e-3, seed=2)
     data = pincal.simulate(truth, truth, plan, pincal.Noise(shake, shake), 3).measurements
     noise = pincal.Noise(shake, shake) if known else None
@@ -458,7 +460,7 @@ def test_unobservable_parameters_are_named(candidates: dict[str, np.ndarray]) ->
     mechanism = pincal.load_mechanism("3RRR")
     poses = candidates["3RRR"][:300].copy()
     poses[:, 2] = 0.1
-    poses = poses[pincal.in_workspace(mechanism, poses)]
+    poses = poses[in_workspace(mechanism, poses)]
     sets = (EVERY_LEG,) * len(poses)
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses, sets), EXACT).measurements
     with pytest.raises(pincal.ObservabilityError, match=r"leg_1\.ob.* move together"):

@@ -21,6 +21,7 @@ from marks import some_slow
 import pincal
 from pincal.cli.app import app
 from pincal.files.measurements import read_readings
+from pincal.files.mechanism_folders import bundled
 
 KINDS = ["3RRR", "5R", "4cable"]
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
@@ -62,7 +63,7 @@ def work(chains: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     folder = tmp_path / "work"
     shutil.copytree(chains["3RRR"], folder)
     shutil.copytree(chains["5R"], folder / "5R-files")
-    shutil.copytree(pincal.bundled()["3RRR"], folder / "robot")
+    shutil.copytree(bundled()["3RRR"], folder / "robot")
     monkeypatch.chdir(folder)
     return folder
 
@@ -75,7 +76,7 @@ def test_result_says_everything(kind: str, chains: dict[str, Path]) -> None:
     """result.json holds, for every leg and parameter, what was found and how sure that is."""
     result = json.loads((chains[kind] / "result" / "result.json").read_text(encoding="utf-8"))
     mechanism = pincal.load_mechanism(kind)
-    data = pincal.read_measurements(chains[kind] / "measured.csv", mechanism)
+    data = pincal.Measurements.from_csv(chains[kind] / "measured.csv", mechanism)
     assert result["converged"] is True
     assert result["method"] == "all-legs"
     assert [leg["name"] for leg in result["legs"]] == list(mechanism.leg_names)
@@ -135,7 +136,7 @@ def test_inverse_then_forward_gives_the_poses(
     done("forward", kind, tmp_path / "readings.csv", "-o", tmp_path / "back.csv")
     mechanism = pincal.load_mechanism(kind)
     poses, back = (
-        pincal.read_poses(path, mechanism).poses
+        pincal.Plan.from_csv(path, mechanism).poses
         for path in (chains[kind] / "candidates.csv", tmp_path / "back.csv")
     )
     assert poses.shape == (400, mechanism.platform.dof)
@@ -177,9 +178,9 @@ def test_existing_truth_is_measured_again(work: Path) -> None:
 def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
     """Measurements in mm and degrees calibrate to the same parameters as in m and rad."""
     three = pincal.load_mechanism("3RRR")
-    data = pincal.read_measurements("measured.csv", three)
+    data = pincal.Measurements.from_csv("measured.csv", three)
     changed = replace(data, poses=data.poses * [1e3, 1e3, 1.0], readings=np.degrees(data.readings))
-    pincal.write_measurements("units.csv", three, changed)
+    changed.to_csv("units.csv", three)
     text = Path("units.csv").read_text().replace("x [m]", "x [mm]").replace("y [m]", "y [mm]")
     for i in (1, 2, 3):
         text = text.replace(f"leg_{i} [rad]", f"leg_{i} [deg]")
@@ -233,7 +234,7 @@ def test_help_lists_the_commands() -> None:
 def test_mechanisms_lists_the_bundled_ones() -> None:
     """'mechanisms' exits 0 and names each bundled mechanism."""
     outcome = done("mechanisms")
-    assert all(name in outcome.out for name in pincal.bundled())
+    assert all(name in outcome.out for name in bundled())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -270,9 +271,7 @@ def measured(change: Change, kind: str = "3RRR") -> Callable[[], object]:
     """Return what writes changed measurements of a mechanism to ``t.csv``."""
     mechanism = pincal.load_mechanism(kind)
     path = "measured.csv" if kind == "3RRR" else "5R-files/measured.csv"
-    return lambda: pincal.write_measurements(
-        "t.csv", mechanism, change(pincal.read_measurements(path, mechanism))
-    )
+    return lambda: change(pincal.Measurements.from_csv(path, mechanism)).to_csv("t.csv", mechanism)
 
 
 def only(rows: list[int]) -> Change:
@@ -308,7 +307,7 @@ def one_orientation(noise: float = 0.0) -> None:
     readings = pincal.inverse(truth, poses).readings
     poses = poses + noise * rng.standard_normal(poses.shape)
     data = pincal.Measurements(poses=poses, readings=readings)
-    pincal.write_measurements("t.csv", truth, data)
+    data.to_csv("t.csv", truth)
 
 
 @dataclass(frozen=True)
@@ -572,16 +571,20 @@ def test_existing_output_is_refused(command: str, readings: Path) -> None:
 
 @pytest.mark.parametrize("command", some_slow(WRITERS, "calibrate"))
 def test_force_writes_what_a_new_name_gets(command: str, readings: Path) -> None:
-    """With --force an earlier output is replaced by what a new name gets, byte for byte."""
+    """With --force an earlier output is replaced by what a new name gets, and kept as .bak."""
     done(*WRITERS[command], "-o", "new")
     first = contents(readings)
-    if Path("new").is_dir():
-        Path("new/stale").write_text("old")
-    else:
-        Path("new").write_text("old")
-    assert contents(readings) != first
+    for one in Path("new").rglob("*") if Path("new").is_dir() else [Path("new")]:
+        if one.is_file() and one.suffix != ".yaml":  # by which the old is known
+            one.write_text("{}" if one.name == "result.json" else "old")
+    changed = contents(Path("new")) or {"": b"old"}
     done(*WRITERS[command], "-o", "new", "--force")
-    assert contents(readings) == first
+    found = contents(readings)
+    assert {name: found[name] for name in first} == first
+    kept = {
+        name.removeprefix("new.bak").lstrip("/"): found[name] for name in set(found) - set(first)
+    }
+    assert {name: kept[name] for name in changed} == changed
 
 
 @pytest.mark.parametrize("command", ["inverse", "calibrate"])  # a table, a folder

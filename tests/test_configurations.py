@@ -62,7 +62,7 @@ def test_small_choices_are_the_best(noise: pincal.Noise, tmp_path: Path) -> None
     """
     file = tmp_path / "two.urdf"
     file.write_text(robot("a|revolute|0 1 0|0 0 0\nb|revolute|.6 0 .8|.35 0 .1"))
-    mechanism = pincal.load_arm(file, "l2")
+    mechanism = pincal.Mechanism.from_urdf(file, "l2")
     plan = pincal.sample_configurations(mechanism, 12, 3)
     found = pincal.select_configurations(mechanism, plan, 5, noise=noise)
     measured, setup = ("x", "y", "z", "rx", "ry", "rz"), pincal.Setup()

@@ -21,6 +21,7 @@ from resized import scaled
 import pincal
 from pincal import Measurements, Mechanism, Noise, Platform
 from pincal.model.home import home_gap
+from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]
 AROUND = (-1e-6, -1e-12, -1e-15, 0.0, 1e-15, 1e-12, 1e-6)
@@ -43,7 +44,7 @@ def everything(mechanism: Mechanism, poses: Array) -> list[str]:
         lambda: [pincal.identification_jacobian(mechanism, n, poses) for n in mechanism.leg_names],
         lambda: pincal.forward(mechanism, readings[told]),
         lambda: pincal.forward(mechanism, readings[told], poses[told]),
-        lambda: pincal.in_workspace(mechanism, poses),
+        lambda: in_workspace(mechanism, poses),
         lambda: sampled(mechanism),
         lambda: pincal.symmetry_group(mechanism),
         lambda: pincal.calibrate(mechanism, Measurements(poses, readings=readings), noise=NOISE),
@@ -97,7 +98,7 @@ def test_around_type1_singularities_a_leg_reaches_or_says_no(folded: bool) -> No
     assert np.isnan(J[~closed]).all()
     for row, closes in enumerate(closed):
         assert closes or "leg_1" in there.reason(row)
-    assert not pincal.in_workspace(mechanism, poses).any()
+    assert not in_workspace(mechanism, poses).any()
     everything(mechanism, np.concatenate((poses, around(mechanism, poses[3], 1e-9))))
 
 
@@ -116,7 +117,7 @@ def test_around_type2_singularities_a_pose_answers_or_says_no(turned: bool) -> N
     slope = (margins.type2[-1] - margins.type2[0]) / (AROUND[-1] - AROUND[0])
     assert 0.1 < abs(slope) < 10.0
     np.testing.assert_allclose(margins.type2, slope * np.array(AROUND), atol=1e-14, rtol=1e-4)
-    assert not pincal.in_workspace(mechanism, poses).any()
+    assert not in_workspace(mechanism, poses).any()
     found = pincal.forward(mechanism, there.readings, poses)
     again = pincal.inverse(mechanism, found.poses[found.converged])
     np.testing.assert_allclose(again.readings, there.readings[found.converged], atol=1e-8)
@@ -139,7 +140,7 @@ def test_singular_hexapods(pose: tuple[float, ...]) -> None:
     """A flat hexapod, and one turned by a right angle (Fichter): margin 0, no workspace."""
     mechanism, poses = pincal.load_mechanism("6UPS"), np.array([pose])
     assert abs(pincal.margins(mechanism, poses).type2[0]) < 1e-12
-    assert not pincal.in_workspace(mechanism, poses).any()
+    assert not in_workspace(mechanism, poses).any()
     everything(mechanism, np.concatenate((poses, around(mechanism, poses[0]))))
 
 
@@ -243,7 +244,7 @@ def test_a_mechanism_of_any_size_is_the_same(name: str, factor: float, tmp_path:
         places.append(
             (
                 pincal.margins(mechanism, there).type2,
-                pincal.in_workspace(mechanism, there),
+                in_workspace(mechanism, there),
                 np.where(found.converged[:, None], found.poses / f, 0.0),
                 pincal.sample_workspace(mechanism, 50, seed=0) / f,
                 len(pincal.symmetry_group(mechanism).elements),
@@ -377,7 +378,7 @@ def test_one_pose_and_none(name: str) -> None:
     assert pincal.inverse(mechanism, none).readings.shape == (0, len(mechanism.reading_names))
     assert pincal.forward(mechanism, readings[:0]).poses.shape == none.shape
     assert pincal.margins(mechanism, none).type2.shape == (0,)
-    assert pincal.in_workspace(mechanism, none).shape == (0,)
+    assert in_workspace(mechanism, none).shape == (0,)
     for method in ("per-leg", "all-legs"):
         with pytest.raises((pincal.ObservabilityError, pincal.MeasurementError)):
             pincal.calibrate(
@@ -423,8 +424,8 @@ def test_a_million_rows(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.poses, poses, atol=1e-9)
     measured = poses + 1e-5 * rng.standard_normal(poses.shape)
     data = Measurements(measured, readings=there.readings)
-    pincal.write_measurements(tmp_path / "many.csv", mechanism, data)
-    again = pincal.read_measurements(tmp_path / "many.csv", mechanism)
+    data.to_csv(tmp_path / "many.csv", mechanism)
+    again = pincal.Measurements.from_csv(tmp_path / "many.csv", mechanism)
     np.testing.assert_array_equal(again.poses, data.poses)
     np.testing.assert_array_equal(again.readings, data.readings)
     result = pincal.calibrate(mechanism, again, noise=Noise(1e-5, 1e-5, 0.0))

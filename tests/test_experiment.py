@@ -13,6 +13,7 @@ from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener
 from pincal.estimation.observability.indices import identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import leg_demand
+from pincal.workspace.criteria import in_workspace
 
 
 def test_indices_equal_their_definitions() -> None:
@@ -57,7 +58,7 @@ def test_what_is_not_identifiable_is_named() -> None:
 def at_one_orientation(poses: np.ndarray) -> np.ndarray:
     """Return 3-RRR poses turned to phi = 0, those that stay in the workspace."""
     poses = np.column_stack((poses[:, :2], np.zeros(len(poses))))
-    return poses[pincal.in_workspace(pincal.load_mechanism("3RRR"), poses)]
+    return poses[in_workspace(pincal.load_mechanism("3RRR"), poses)]
 
 
 def test_constant_orientation_leaves_named_parameters(candidates: dict[str, np.ndarray]) -> None:
@@ -193,7 +194,7 @@ def test_selected_poses_are_reachable_candidates_without_repetition(
         plan = selection.plan
         assert len(plan.poses) == 12 * times
         slack = pincal.Margins(0.23 - 1e-9, 0.2 - 1e-9)
-        assert pincal.in_workspace(mechanism, plan.poses, slack).all()
+        assert in_workspace(mechanism, plan.poses, slack).all()
         for leg in mechanism.leg_names:
             own = plan.poses[plan.serves(leg)]
             assert len(np.unique(own.round(12), axis=0)) == len(own)

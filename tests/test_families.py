@@ -14,11 +14,14 @@ from family_forms import FAMILIES, Family, joints, nominal, poses_around_home, r
 from numpy.typing import NDArray
 
 import pincal
-from pincal import Joint, Leg, along, placed, polar
+from pincal import Joint, Leg, Placement
 from pincal.estimation.observability.indices import identifiability
+from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.reach import reach_of
+from pincal.model.placement import Coordinate
+from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]
 ROBOTS = Path(__file__).parents[1] / "robots"
@@ -45,7 +48,7 @@ def poses_of(name: str, count: int = 60) -> Array:
     mechanism = nominal(name)
     size = 0.6 if name == "8cable" else 0.1
     poses = poses_around_home(mechanism, np.random.default_rng(0), 20 * count, size)
-    return poses[pincal.in_workspace(mechanism, poses)][:count]
+    return poses[in_workspace(mechanism, poses)][:count]
 
 
 @pytest.mark.parametrize(
@@ -125,7 +128,7 @@ def moved(joint: str, kind: str, name: str) -> Callable[[Leg], Leg]:
         values = {**leg.nominal_by_name, name: 0.0}
 
         def placed_so(one: Joint) -> Joint:
-            coordinates = (*one.placement.coordinates, along(kind, name))
+            coordinates = (*one.placement.coordinates, Coordinate(kind, (name,)))
             rest = one.placement.rest(values, leg.name)
             at = replace(one.placement, coordinates=coordinates).at(values, rest)
             return replace(one, placement=at) if one.name == joint else one
@@ -149,7 +152,7 @@ def read_from(name: str) -> Callable[[Leg], Leg]:
 def platform_radius(leg: Leg) -> Leg:
     """Return a delta's leg whose platform point is sought in radius and azimuth."""
     values = leg.nominal_by_name | {"ob": 0.06, "beta_b": leg.nominal_by_name["beta"]}
-    point = replace(leg.point, placement=placed(values, polar("ob", "beta_b")))
+    point = replace(leg.point, placement=Placement.of(values, polar=("ob", "beta_b")))
     return replace(leg, point=point, parameters=tuple(values.items()))
 
 
@@ -239,5 +242,5 @@ def test_the_page_of_mechanisms_says_what_they_are() -> None:
     docs = ROBOTS.parent / "docs"
     page = (docs / "mechanisms.md").read_text()
     assert runpy.run_path(str(docs / "mechanisms.py"))["written"](page) == page
-    for name in pincal.bundled():
+    for name in bundled():
         assert f"\n## {name}\n\n![{name}](images/{name}.svg)\n" in page

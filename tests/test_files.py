@@ -18,9 +18,11 @@ import yourdfpy
 import pincal
 from pincal.errors import FileError, MechanismError, PincalError
 from pincal.files import mechanism_folders as files
+from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import tips_by_reader
 from pincal.model.home import home_gap
+from pincal.workspace.criteria import in_workspace
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
 Edit = tuple[str, str, str]  # file, text in it, replacement (everywhere)
@@ -52,7 +54,7 @@ def edit(folder: Path, *edits: Edit) -> None:
 def mixed() -> pincal.Mechanism:
     """Return a mechanism with prismatic, continuous and turned fixed joints, and a constant."""
     values = {"a": 0.4, "turn": 0.3, "l": 0.7, "r": 0.2, "azimuth": 2.0, "gamma": 0.05}
-    rail = pincal.placed(values, pincal.along("rz", "turn"), *pincal.cartesian("a", -0.25))
+    rail = pincal.Placement.of(values, rz="turn", x="a", y=-0.25)
     joints = (
         pincal.Joint(
             "rail", "prismatic", rail, axis=(0.6, 0.8, 0.0), lower=0.0, upper=0.5, home=0.2
@@ -61,9 +63,9 @@ def mixed() -> pincal.Mechanism:
             "bracket", "fixed", pincal.Placement(xyz=(0.1, 0.0, 0.0), rpy=(0.0, 0.0, -0.4))
         ),
         pincal.Joint("crank", "revolute", lower=-np.inf, upper=np.inf, home=0.5),
-        pincal.Joint("end", "fixed", pincal.placed(values, pincal.along("x", "l"))),
+        pincal.Joint("end", "fixed", pincal.Placement.of(values, x="l")),
     )
-    point = pincal.Joint("p", "fixed", pincal.placed(values, pincal.polar("r", "azimuth")))
+    point = pincal.Joint("p", "fixed", pincal.Placement.of(values, polar=("r", "azimuth")))
     sensor = pincal.Sensor("rail", form="reading", gain=2.0, offset="gamma", direction=-1, zero=0.1)
     leg = pincal.Leg("leg_1", joints, (sensor,), tuple(values.items()), point, tip="end_link")
     tip = LegClosure(leg, pincal.Platform("planar", (0.0, 0.0, 0.0))).tips(leg.home[None])[0]
@@ -94,7 +96,7 @@ def sample(request: pytest.FixtureRequest) -> pincal.Mechanism:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Copy of the bundled 3RRR folder."""
-    return Path(shutil.copytree(pincal.bundled()["3RRR"], tmp_path / "copy"))
+    return Path(shutil.copytree(bundled()["3RRR"], tmp_path / "copy"))
 
 
 def test_saved_mechanism_loads_equal(sample: pincal.Mechanism, tmp_path: Path) -> None:
@@ -113,7 +115,7 @@ def test_saving_twice_gives_the_same_bytes(sample: pincal.Mechanism, tmp_path: P
 def test_bundled_folder_is_what_saving_writes(kind: str, tmp_path: Path) -> None:
     """A bundled folder holds the bytes that saving its mechanism gives."""
     saved = pincal.load_mechanism(kind).save(tmp_path / "m")
-    assert contents(saved) == contents(pincal.bundled()[kind])
+    assert contents(saved) == contents(bundled()[kind])
 
 
 def test_existing_folder_is_refused(folder: Path) -> None:
@@ -125,13 +127,15 @@ def test_existing_folder_is_refused(folder: Path) -> None:
     assert names(folder.parent) == ["copy"]
 
 
-def test_force_replaces_the_whole_folder(folder: Path) -> None:
-    """With force nothing of the old folder is left, and no scratch beside it."""
+def test_force_replaces_the_whole_mechanism(folder: Path) -> None:
+    """With force nothing of the old mechanism is left but its backup, and no scratch beside it."""
+    before = contents(folder)
     five = pincal.load_mechanism("5R")
     five.save(folder, force=True)
     assert pincal.load_mechanism(folder) == five
     assert sorted(contents(folder)) == ["leg_1.urdf", "leg_2.urdf", YAML, PLATFORM]
-    assert names(folder.parent) == ["copy"]
+    assert names(folder.parent) == ["copy", "copy.bak"]
+    assert contents(folder.with_name("copy.bak")) == before
 
 
 def test_force_spares_a_folder_that_is_no_mechanism(tmp_path: Path) -> None:
@@ -237,7 +241,7 @@ def test_platform_loads_elsewhere_with_its_points(sample: pincal.Mechanism, tmp_
 def test_legs_share_no_platform_point_with_parameters() -> None:
     """Legs on one point, each with parameters of it, are refused by name."""
     five, values = pincal.load_mechanism("5R"), {"r": 0.1, "azimuth": 0.5}
-    placement = pincal.placed(values, pincal.polar("r", "azimuth"))
+    placement = pincal.Placement.of(values, polar=("r", "azimuth"))
     point = pincal.Joint("end_effector", "fixed", placement)
     legs = tuple(
         replace(leg, point=point, parameters=(*leg.parameters, *values.items()))
@@ -557,7 +561,7 @@ def test_rough_home_says_only_on_which_side_a_leg_bends(folder: Path) -> None:
     rough = pincal.load_mechanism(folder)
     assert rough != exact
     poses = pincal.sample_workspace(exact, 200)
-    assert pincal.in_workspace(rough, poses).all()
+    assert in_workspace(rough, poses).all()
     readings = pincal.inverse(rough, poses).readings
     np.testing.assert_allclose(readings, pincal.inverse(exact, poses).readings, atol=1e-12)
 
@@ -595,10 +599,10 @@ def test_home_beyond_a_turn_that_closes_is_taken(folder: Path) -> None:
     edit(folder, *turns)
     turned = pincal.load_mechanism(folder)
     poses = pincal.sample_workspace(exact, 50)
-    assert pincal.in_workspace(turned, poses).all()
+    assert in_workspace(turned, poses).all()
 
 
-@pytest.mark.parametrize("name", pincal.bundled())
+@pytest.mark.parametrize("name", bundled())
 def test_gap_at_home_is_that_of_the_closure(name: str) -> None:
     """The gap of the model's own chain is that of Pinocchio's closure, home bent by 0.01."""
     mechanism = pincal.load_mechanism(name)
@@ -677,4 +681,4 @@ def test_orientations_said_in_two_ways_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
         pincal.MeasurementError, match=r"poses\.csv: the orientation is said in 2 ways"
     ):
-        pincal.read_poses(path, mechanism)
+        pincal.Plan.from_csv(path, mechanism)

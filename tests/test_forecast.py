@@ -119,7 +119,7 @@ def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
     mechanism = pincal.load_mechanism("5R")
     poses = workspace("5R", 30)
     plan = pincal.Plan(poses, ("leg_1", "leg_2") * 15)
-    pincal.write_poses(tmp_path / "plan.csv", mechanism, plan)
+    plan.to_csv(tmp_path / "plan.csv", mechanism)
     outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4, "--per-leg")
     said = " ".join(outcome.out.split())
     own = pincal.forecast(mechanism, plan, method="per-leg")
@@ -226,7 +226,7 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     """Standard errors by leg, rank, what moves together, and the poses for an accuracy."""
     mechanism = pincal.load_mechanism("3RRR")
     plan = tmp_path / "plan.csv"
-    pincal.write_poses(plan, mechanism, pincal.Plan(poses["3RRR"]))
+    pincal.Plan(poses["3RRR"]).to_csv(plan, mechanism)
     noise = ["--noise-position", 1e-4, "--noise-orientation", 2e-4, "--noise-reading", 3e-5]
     outcome = done("identifiability", "3RRR", plan, *noise, "--accuracy", 1e-5)
     assert "rank 24 of 24" in outcome.out
@@ -246,7 +246,7 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     assert "not determined" not in said
     assert "frame x" not in said
     few = tmp_path / "few.csv"
-    pincal.write_poses(few, mechanism, pincal.Plan(poses["3RRR"][:7]))
+    pincal.Plan(poses["3RRR"][:7]).to_csv(few, mechanism)
     said = " ".join(done("identifiability", "3RRR", few).out.split())
     assert "not determined (—): leg_" in said
     assert "position not determined, orientation not determined" in said

@@ -448,7 +448,7 @@ def test_points_that_a_firmware_believed_become_readings(tmp_path: Path) -> None
     )
     done("import", path, "-o", tmp_path / "delta", "--probed", points)
     mechanism = pincal.load_mechanism(tmp_path / "delta")
-    data = pincal.read_measurements(tmp_path / "delta" / "probing.csv", mechanism, partial=True)
+    data = pincal.Measurements.from_csv(tmp_path / "delta" / "probing.csv", mechanism, partial=True)
     np.testing.assert_array_equal(data.poses[:, 2], 0.0)
     assert np.isnan(data.poses[:, :2]).all()
     config = {

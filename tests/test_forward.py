@@ -7,6 +7,7 @@ import pytest
 from closed_forms import random_mechanism
 
 import pincal
+from pincal.workspace.criteria import in_workspace
 
 
 def test_forward_undoes_inverse(
@@ -30,7 +31,7 @@ def test_forward_undoes_inverse_on_random_geometries(kind: str, mode: int) -> No
         mechanism = random_mechanism(kind, rng, mode)
         home = np.array(mechanism.platform.home)
         poses = home + rng.uniform(-0.1, 0.1, (10, len(home)))
-        good = pincal.in_workspace(mechanism, poses, pincal.Margins(0.2, 0.2))
+        good = in_workspace(mechanism, poses, pincal.Margins(0.2, 0.2))
         readings = pincal.inverse(mechanism, poses[good]).readings
         solution = pincal.forward(mechanism, readings, poses[good] + 1e-3)
         assert solution.converged.all()

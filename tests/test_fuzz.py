@@ -21,9 +21,11 @@ from mangled import mangled
 from test_formats import CONFIG
 
 import pincal
+from pincal.calibration import result_files
 from pincal.errors import PincalError
 from pincal.files import measurements
 from pincal.files.measurement_writing import write_readings
+from pincal.files.mechanism_folders import bundled
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.delta import DeltaPrinter, Expressed
 from pincal.formats.printers.klipper import read_klipper, write_klipper
@@ -77,14 +79,14 @@ def read_mechanism(path: Path) -> None:
 
 
 def read_arm(path: Path) -> None:
-    check_mechanism(pincal.load_arm(path, "tip"), path.parent)
+    check_mechanism(pincal.Mechanism.from_urdf(path, "tip"), path.parent)
 
 
 def read_plan(path: Path) -> None:
-    plan = pincal.read_poses(path, SPACE)
+    plan = pincal.Plan.from_csv(path, SPACE)
     assert np.isfinite(plan.poses).all()
-    pincal.write_poses(path, SPACE, plan, force=True)
-    assert equal(pincal.read_poses(path, SPACE), plan)
+    plan.to_csv(path, SPACE, force=True)
+    assert equal(pincal.Plan.from_csv(path, SPACE), plan)
 
 
 def read_readings(path: Path) -> None:
@@ -95,28 +97,28 @@ def read_readings(path: Path) -> None:
 
 
 def read_measurements(path: Path) -> None:
-    data = pincal.read_measurements(path, PLANE)
+    data = pincal.Measurements.from_csv(path, PLANE)
     assert np.isfinite(data.poses).all()
     assert np.isfinite(data.readings).all()
-    pincal.write_measurements(path, PLANE, data, force=True)
-    assert equal(pincal.read_measurements(path, PLANE), data)
+    data.to_csv(path, PLANE, force=True)
+    assert equal(pincal.Measurements.from_csv(path, PLANE), data)
 
 
 def read_partial(path: Path) -> None:
-    data = pincal.read_measurements(path, SPACE, partial=True)
-    pincal.write_measurements(path, SPACE, data, force=True)
-    assert equal(pincal.read_measurements(path, SPACE, partial=True), data)
+    data = pincal.Measurements.from_csv(path, SPACE, partial=True)
+    data.to_csv(path, SPACE, force=True)
+    assert equal(pincal.Measurements.from_csv(path, SPACE, partial=True), data)
 
 
 def read_table_of_figaroh(path: Path) -> None:
     data, _ = read_figaroh(path, SPACE)
     assert np.isfinite(data.poses).any()
-    pincal.write_measurements(path, SPACE, data, force=True)
-    assert equal(pincal.read_measurements(path, SPACE, partial=True), data)
+    data.to_csv(path, SPACE, force=True)
+    assert equal(pincal.Measurements.from_csv(path, SPACE, partial=True), data)
 
 
 def read_setup(path: Path) -> None:
-    setup = pincal.read_setup(path)
+    setup = pincal.Setup.from_yaml(path)
     numbers = [target.offset for target in setup.targets.values()]
     numbers += [distance.point for distance in setup.distances.values()]
     assert np.isfinite(numbers).all()
@@ -124,10 +126,10 @@ def read_setup(path: Path) -> None:
 
 
 def read_result(path: Path) -> None:
-    data = pincal.read_result(path.parent)
+    data = result_files.read_result(path.parent)
     assert all(math.isfinite(value) for value in floats(data))
     path.write_text(json.dumps(data), encoding="utf-8")
-    assert pincal.read_result(path.parent) == data
+    assert result_files.read_result(path.parent) == data
 
 
 def floats(data: object) -> Iterator[float]:
@@ -168,7 +170,7 @@ def read_config_g(path: Path) -> None:
 
 def sound(name: str) -> bytes:
     """Return a file of the bundled 3-RRR."""
-    return (pincal.bundled()["3RRR"] / name).read_bytes()
+    return (bundled()["3RRR"] / name).read_bytes()
 
 
 def rows(header: str, count: int) -> bytes:
@@ -248,7 +250,7 @@ LONG = settings(max_examples=3000, deadline=_LONGEST, suppress_health_check=_QUI
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy of the bundled 3-RRR folder, in which each example writes its file anew."""
-    return Path(shutil.copytree(pincal.bundled()["3RRR"], tmp_path_factory.mktemp("f") / "copy"))
+    return Path(shutil.copytree(bundled()["3RRR"], tmp_path_factory.mktemp("f") / "copy"))
 
 
 def answers(reader: str, data: bytes, folder: Path) -> None:

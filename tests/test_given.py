@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal.files.mechanism_folders import bundled
+from pincal.workspace.articular import articular_space
 from pincal.workspace.box import default_grid
+from pincal.workspace.criteria import in_workspace
 
 FIVE = pincal.load_mechanism("5R")
 POSES = pincal.sample_workspace(FIVE, 12)
@@ -18,13 +21,13 @@ PLAN = pincal.Plan(POSES)
 #: What takes a mechanism, called with one.
 TAKE: dict[str, Callable[[Any], object]] = {
     "accuracy": lambda m: pincal.accuracy(m, m, POSES),
-    "articular_space": lambda m: pincal.articular_space(m, POSES),
+    "articular_space": lambda m: articular_space(m, POSES),
     "default_grid": lambda m: default_grid(m).size,
     "disturb": lambda m: pincal.disturb(m, 1e-3),
     "forecast": lambda m: pincal.forecast(m, POSES).std,
     "forward": lambda m: pincal.forward(m, pincal.inverse(m, POSES).readings).poses,
     "identification_jacobian": lambda m: pincal.identification_jacobian(m, "leg_1", POSES),
-    "in_workspace": lambda m: pincal.in_workspace(m, POSES),
+    "in_workspace": lambda m: in_workspace(m, POSES),
     "inverse": lambda m: pincal.inverse(m, POSES).readings,
     "margins": lambda m: pincal.margins(m, POSES).type1,
     "picture": lambda m: pincal.picture(m).scene.mechanism,
@@ -47,7 +50,7 @@ REFUSE: dict[str, Callable[[Any], object]] = {
     "forecast's noise": lambda bad: pincal.forecast(FIVE, POSES, bad),
     "forecast's poses": lambda bad: pincal.forecast(FIVE, bad),
     "forecast's setup": lambda bad: pincal.forecast(FIVE, POSES, setup=bad),
-    "margins": lambda bad: pincal.in_workspace(FIVE, POSES, bad),
+    "margins": lambda bad: in_workspace(FIVE, POSES, bad),
     "picture's poses": lambda bad: pincal.picture(FIVE, bad),
     "picture's workspace": lambda bad: pincal.picture(FIVE, workspace=bad),
     "plan": lambda bad: pincal.simulate(FIVE, FIVE, bad),
@@ -70,7 +73,7 @@ def test_a_mechanism_its_name_or_its_folder(name: str) -> None:
     """All three give the same."""
     call = TAKE[name]
     expected = call(FIVE)
-    for given in ("5R", pincal.bundled()["5R"], str(pincal.bundled()["5R"])):
+    for given in ("5R", bundled()["5R"], str(bundled()["5R"])):
         found = call(given)
         if isinstance(expected, np.ndarray):
             np.testing.assert_array_equal(found, expected)

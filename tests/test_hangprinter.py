@@ -40,7 +40,7 @@ def mechanism() -> pincal.Mechanism:
 @pytest.fixture(scope="module")
 def data(mechanism: pincal.Mechanism) -> pincal.Measurements:
     """44 rows of four lengths, 9 of them with a position."""
-    return pincal.read_measurements(FILE, mechanism, partial=True)
+    return pincal.Measurements.from_csv(FILE, mechanism, partial=True)
 
 
 def rms(result: pincal.CalibrationResult) -> float:
@@ -110,6 +110,6 @@ def test_the_command_finds_the_poses(tmp_path: Path) -> None:
     outcome = done("calibrate", "4cable", FILE, *noise, "--rough", "-o", out)
     assert "held-out rows" in outcome.out
     found = pincal.load_mechanism(str(out))
-    poses = pincal.read_measurements(FILE, found, partial=True)
+    poses = pincal.Measurements.from_csv(FILE, found, partial=True)
     assert len(poses) == 44
-    assert len(pincal.read_poses(out / "poses.csv", found).poses) == 44
+    assert len(pincal.Plan.from_csv(out / "poses.csv", found).poses) == 44

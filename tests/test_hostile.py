@@ -13,9 +13,10 @@ import pytest
 from test_formats import CONFIG, config_file
 
 import pincal
+from pincal.calibration.result_files import read_result
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
 from pincal.files import tables as table
-from pincal.files.mechanism_folders import mechanism_files
+from pincal.files.mechanism_folders import bundled, mechanism_files
 from pincal.files.tables import read_table
 from pincal.formats.printers.klipper import read_klipper
 from pincal.formats.printers.reprap import read_reprap
@@ -27,7 +28,7 @@ THREE = pincal.load_mechanism("3RRR")
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Copy of the bundled 3RRR folder."""
-    return Path(copytree(pincal.bundled()["3RRR"], tmp_path / "copy"))
+    return Path(copytree(bundled()["3RRR"], tmp_path / "copy"))
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -41,10 +42,10 @@ READERS: dict[str, Callable[[Path], object]] = {
     YAML: lambda path: pincal.load_mechanism(path.parent),
     LEG: lambda path: pincal.load_mechanism(path.parent),
     PLATFORM: lambda path: pincal.load_mechanism(path.parent),
-    "arm.urdf": lambda path: pincal.load_arm(path, "tip"),
-    "poses.csv": lambda path: pincal.read_poses(path, THREE),
-    "setup.yaml": pincal.read_setup,
-    "result.json": lambda path: pincal.read_result(path.parent),
+    "arm.urdf": lambda path: pincal.Mechanism.from_urdf(path, "tip"),
+    "poses.csv": lambda path: pincal.Plan.from_csv(path, THREE),
+    "setup.yaml": pincal.Setup.from_yaml,
+    "result.json": lambda path: read_result(path.parent),
     "printer.cfg": read_klipper,
     "config.g": read_reprap,
 }
@@ -80,7 +81,7 @@ def test_tables_may_come_through_a_pipe(tmp_path: Path) -> None:
     os.mkfifo(path)
     writer = Thread(target=path.write_text, args=("x [m],y [m],phi [rad]\n1,2,3\n",))
     writer.start()
-    assert pincal.read_poses(path, THREE).poses.tolist() == [[1.0, 2.0, 3.0]]
+    assert pincal.Plan.from_csv(path, THREE).poses.tolist() == [[1.0, 2.0, 3.0]]
     writer.join()
 
 
@@ -164,7 +165,7 @@ def test_numbers_of_urdf_and_tables_are_plain(number: str, folder: Path) -> None
     path = folder / "poses.csv"
     path.write_text(f'x [m],y [m],phi [rad]\n0,0,0\n0,"{number}",0\n', encoding="utf-8")
     with pytest.raises(MeasurementError, match=r"poses\.csv, line 3: '.*' in column 'y'"):
-        pincal.read_poses(path, THREE)
+        pincal.Plan.from_csv(path, THREE)
 
 
 def test_a_name_for_two_points_is_refused(folder: Path) -> None:
@@ -209,7 +210,7 @@ def test_a_million_columns_are_refused(tmp_path: Path) -> None:
         read_table(path)
     path.write_text("x [m],y [m],phi [rad]\n1,2,3\n" + "1," * (10**6 - 1) + "1\n")
     with pytest.raises(MeasurementError, match="line 3: 1000000 cells under 3 headers"):
-        pincal.read_poses(path, THREE)
+        pincal.Plan.from_csv(path, THREE)
 
 
 @pytest.mark.parametrize(
@@ -237,7 +238,7 @@ def test_names_of_runs_can_be_printed(tmp_path: Path) -> None:
     for name in ('"a\rb"', "\x1b[2J", "a\u2028b"):
         (tmp_path / "t.csv").write_text(f"{header}0,0,0,1,1,1,a\n0,0,0,1,1,1,{name}\n", newline="")
         with pytest.raises(MeasurementError, match=r"line [34]: run .* cannot be printed"):
-            pincal.read_measurements(tmp_path / "t.csv", THREE)
+            pincal.Measurements.from_csv(tmp_path / "t.csv", THREE)
 
 
 def test_rows_that_tell_nothing_are_refused(tmp_path: Path) -> None:
@@ -245,7 +246,7 @@ def test_rows_that_tell_nothing_are_refused(tmp_path: Path) -> None:
     text = "x [m],y [m],phi [rad],leg_1 [rad],leg_2 [rad],leg_3 [rad],note\n0,0,0,1,1,1,\n"
     (tmp_path / "t.csv").write_text(f"{text}, ,,,,,lost\n")
     with pytest.raises(MeasurementError, match="line 3: nothing was measured"):
-        pincal.read_measurements(tmp_path / "t.csv", THREE, partial=True)
+        pincal.Measurements.from_csv(tmp_path / "t.csv", THREE, partial=True)
 
 
 @pytest.mark.parametrize(
@@ -265,7 +266,7 @@ def test_results_are_read_whole(text: str, words: str, tmp_path: Path) -> None:
     """What is not JSON with finite numbers and distinct keys is no result."""
     (tmp_path / "result.json").write_text(text)
     with pytest.raises(MeasurementError, match=words) as caught:
-        pincal.read_result(tmp_path)
+        read_result(tmp_path)
     assert str(tmp_path / "result.json") in str(caught.value)
 
 

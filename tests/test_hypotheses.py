@@ -16,10 +16,11 @@ from measured import put
 from numpy.typing import NDArray
 
 import pincal
-from pincal.calibration import plausibility
+from pincal.calibration.hypotheses import plausibility
 from pincal.calibration.hypotheses.plausibility import check_copies, check_noise, check_plausible
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import close
+from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]
 Fault = Callable[[pincal.Mechanism, pincal.Measurements], pincal.Measurements]
@@ -43,7 +44,7 @@ def nominal(kind: str) -> pincal.Mechanism:
 def workspace(kind: str) -> Array:
     """Return poses of the workspace, in a box around home."""
     poses = np.random.default_rng(0).uniform(*BOXES[kind], (2000, len(BOXES[kind][0])))
-    return poses[pincal.in_workspace(nominal(kind), poses)]
+    return poses[in_workspace(nominal(kind), poses)]
 
 
 def measured(

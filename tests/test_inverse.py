@@ -9,6 +9,7 @@ import pytest
 from closed_forms import angles, bends, jacobian, near, poses_near_home, random_mechanism, reading
 
 import pincal
+from pincal.files.mechanism_folders import bundled
 from pincal.kinematics import starts
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import close, reached
@@ -139,7 +140,7 @@ def test_memory_does_not_grow_with_the_number_of_poses(mechanism: pincal.Mechani
     assert beyond[1] < 1.1 * beyond[0]
 
 
-@pytest.mark.parametrize("name", sorted(pincal.bundled()))
+@pytest.mark.parametrize("name", sorted(bundled()))
 def test_what_is_reached_is_what_inverse_kinematics_reach(name: str) -> None:
     """In and out of reach, whether legs have a closed form or not."""
     mechanism = pincal.load_mechanism(name)

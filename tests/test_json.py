@@ -66,7 +66,7 @@ def test_workspace_poses(tmp_path: Path) -> None:
     """The ranges are those of the poses written."""
     output = tmp_path / "w.csv"
     found = told("workspace", "3RRR", "--count", 40, "-o", output)
-    written = pincal.read_poses(output, pincal.load_mechanism("3RRR")).poses
+    written = pincal.Plan.from_csv(output, pincal.load_mechanism("3RRR")).poses
     assert (found["kind"], found["count"]) == ("poses", 40)
     ranges = list(found["ranges"].values())
     assert [one["unit"] for one in ranges] == ["m", "m", "rad"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,6 +157,40 @@ def test_zeros_of_all_motors_are_found() -> None:
     (one,) = explain_misfit(mechanism, replace(data, readings=data.readings + off))
     assert one.code == "reading-offset"
     np.testing.assert_allclose([value for _, value, _ in one.values["offsets"]], off, atol=0.02)
+
+
+@pytest.mark.parametrize("options", [{}, {"rough": True}, {"method": "per-leg"}], ids=str)
+@pytest.mark.parametrize("kind", KINDS)
+def test_machines_are_the_same_whatever_their_zeros(kind: str, options: dict[str, Any]) -> None:
+    """Identified zeros may be far off: the search starts at those that full poses show."""
+    mechanism, _, data = machine(kind, 36)
+    off = np.array([0.7, 0.2, -1.6, 0.3, 0.0, -0.1])[: len(mechanism.legs)]
+    off = off if mechanism.reading_units[0] == "rad" else 0.1 * off
+    noise = pincal.Noise(5e-5, 5e-5, 5e-5)
+    here = pincal.calibrate(mechanism, data, noise=noise, **options)
+    moved = replace(data, readings=data.readings + off)
+    there = pincal.calibrate(mechanism, moved, noise=noise, **options)
+    assert here.converged
+    assert there.converged
+    assert there.reduced_chi2 == pytest.approx(here.reduced_chi2, rel=1e-6)
+    zeros = [sensor.offset for leg in mechanism.legs for sensor in leg.sensors]
+    for p in here.parameters:
+        other = there[p.id]
+        if p.name not in zeros:
+            assert other.identified == pytest.approx(p.identified, abs=1e-4 * p.std)
+    codes = [one.code for one in there.findings]
+    assert ("zeros-found" in codes) == (not options.get("rough"))
+    assert "zeros-found" not in [one.code for one in here.findings]
+    assert "far-from-nominal" not in codes
+
+
+def test_zeros_that_are_not_identified_are_refused() -> None:
+    """Held fixed, or given with a prior, a zero that is far off remains a fault."""
+    mechanism, _, data = machine("3RRR", 36)
+    moved = replace(data, readings=data.readings + np.array([0.0, 0.3, 0.0]))
+    for options in ({"fixed": ("gamma",)}, {"priors": {"gamma": 1e-3}}):
+        with pytest.raises(pincal.MeasurementError, match="zeros of readings are off: leg_2"):
+            pincal.calibrate(mechanism, moved, **options)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -13,8 +13,9 @@ import pytest
 import pincal
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.given import as_measurements, as_mechanism, as_plan, as_setup
-from pincal.files.measurement_writing import write_readings
+from pincal.files.measurement_writing import write_measurements, write_poses, write_readings
 from pincal.files.measurements import read_readings
+from pincal.files.mechanism_folders import bundled
 
 THREE = pincal.load_mechanism("3RRR")
 POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))
@@ -285,18 +286,18 @@ def test_a_kind_of_ones_own_is_identified_and_kept(tmp_path: Path) -> None:
     [
         lambda: pincal.load_mechanism(3),
         lambda: pincal.load_mechanism(None),
-        lambda: pincal.load_arm(3, "tool"),
-        lambda: pincal.read_measurements(None, THREE),
-        lambda: pincal.read_measurements("m.csv", 3),
-        lambda: pincal.read_measurements("m.csv", THREE, "setup.yaml"),
-        lambda: pincal.read_poses([1.0], THREE),
-        lambda: pincal.read_poses("p.csv", None),
+        lambda: pincal.Mechanism.from_urdf(3, "tool"),
+        lambda: pincal.Measurements.from_csv(None, THREE),
+        lambda: pincal.Measurements.from_csv("m.csv", 3),
+        lambda: pincal.Measurements.from_csv("m.csv", THREE, "setup.yaml"),
+        lambda: pincal.Plan.from_csv([1.0], THREE),
+        lambda: pincal.Plan.from_csv("p.csv", None),
         lambda: read_readings(3, THREE),
-        lambda: pincal.read_setup(None),
-        lambda: pincal.write_measurements("m.csv", THREE, POSES),
-        lambda: pincal.write_measurements("m.csv", None, pincal.Plan(POSES)),
-        lambda: pincal.write_poses("p.csv", THREE, POSES),
-        lambda: pincal.write_poses(None, THREE, pincal.Plan(POSES)),
+        lambda: pincal.Setup.from_yaml(None),
+        lambda: write_measurements("m.csv", THREE, POSES),
+        lambda: write_measurements("m.csv", None, pincal.Plan(POSES)),
+        lambda: write_poses("p.csv", THREE, POSES),
+        lambda: write_poses(None, THREE, pincal.Plan(POSES)),
         lambda: write_readings("r.csv", THREE, None),
         lambda: write_readings("r.csv", 3, READINGS),
         lambda: THREE.save(None),
@@ -315,7 +316,7 @@ def test_wrong_types_at_the_door_are_named(call: Callable[[], object]) -> None:
 
 def test_what_is_handed_over_is_taken_in_every_form(tmp_path: Path) -> None:
     """A mechanism by name or folder, a plan as poses or transforms, measurements as a table."""
-    assert as_mechanism("3RRR") == as_mechanism(pincal.bundled()["3RRR"]) == as_mechanism(THREE)
+    assert as_mechanism("3RRR") == as_mechanism(bundled()["3RRR"]) == as_mechanism(THREE)
     mechanism, data = measured("3RRR")
     data.to_csv(tmp_path / "m.csv", mechanism)
     for given in (data, str(tmp_path / "m.csv"), tmp_path / "m.csv", data.to_dataframe(mechanism)):
@@ -330,7 +331,7 @@ def test_what_is_handed_over_is_taken_in_every_form(tmp_path: Path) -> None:
         as_measurements(data, pincal.load_mechanism("5R"))
 
 
-@pytest.mark.parametrize("kind", [*pincal.bundled()])
+@pytest.mark.parametrize("kind", [*bundled()])
 def test_what_people_hold_shows_itself_on_a_line(kind: str) -> None:
     """Reprs are one line under 120 characters, a mechanism printed is a page."""
     mechanism = pincal.load_mechanism(kind)

@@ -43,6 +43,7 @@ from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.reach import reach_of
 from pincal.model.leg import Leg
 from pincal.model.links import link_placements
+from pincal.model.placement import Coordinate
 
 FAMILIES = ("5R", "3RRR", "6UPS", "3RPS", "linear_delta", "4cable")
 
@@ -408,8 +409,8 @@ def replace_all_displacements(leg: Leg) -> Leg:
     def displaced(one: pincal.Joint, axes: tuple[str, ...]) -> pincal.Joint:
         names = [f"{one.name}_{axis}" for axis in axes]
         parameters.extend((name, 0.0) for name in names)
-        steps = [pincal.along(axis, name) for axis, name in zip(axes, names, strict=True)]
-        steps += [pincal.along(a, v) for a, v in zip("xyz", one.placement.xyz, strict=True) if v]
+        steps = [Coordinate(axis, (name,)) for axis, name in zip(axes, names, strict=True)]
+        steps += [Coordinate(a, (v,)) for a, v in zip("xyz", one.placement.xyz, strict=True) if v]
         placement = pincal.Placement(tuple(steps), one.placement.xyz, one.placement.rpy)
         return replace(one, placement=placement)
 
@@ -447,7 +448,7 @@ def test_a_file_says_where_home_is(tmp_path: Path) -> None:
 def test_an_arm_out_and_in(tmp_path: Path) -> None:
     """An arm from URDF, written as MJCF and URDF and read again, has the same tip."""
     (tmp_path / "arm.urdf").write_text(urdf("arm", ARM, "base_link"))
-    arm = pincal.load_arm(tmp_path / "arm.urdf", "tool0")
+    arm = pincal.Mechanism.from_urdf(tmp_path / "arm.urdf", "tool0")
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6))
     expected = pincal.forward(arm, q).poses
     tree, remarks = tree_of(arm)
@@ -456,7 +457,7 @@ def test_an_arm_out_and_in(tmp_path: Path) -> None:
     (tmp_path / "out.urdf").write_text(loops_urdf(tree))
     for again in (
         serial_arm(read_mjcf(tmp_path / "out.xml"), "platform"),
-        pincal.load_arm(tmp_path / "out.urdf", "platform"),
+        pincal.Mechanism.from_urdf(tmp_path / "out.urdf", "platform"),
     ):
         np.testing.assert_allclose(pincal.forward(again, q).poses, expected, atol=1e-11)
 
@@ -480,11 +481,11 @@ def test_calibrated_origins_go_into_the_users_urdf(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     data = messy(ARM, "base_link").replace(b"<origin\n  xyz=\"0 0 0.128\" rpy = '0 0 0' />", b"", 1)
     file.write_bytes(data)
-    arm = pincal.load_arm(file, "tool0")
+    arm = pincal.Mechanism.from_urdf(file, "tool0")
     true = pincal.disturb(arm, 1e-2, seed=0)
     (tmp_path / "out.urdf").write_bytes(calibrated_urdf(file, true))
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6))
-    again = pincal.load_arm(tmp_path / "out.urdf", "tool0")
+    again = pincal.Mechanism.from_urdf(tmp_path / "out.urdf", "tool0")
     np.testing.assert_allclose(
         pincal.forward(again, q).poses, pincal.forward(true, q).poses, atol=1e-12
     )
@@ -660,7 +661,7 @@ def test_what_a_urdf_has_no_place_for(tmp_path: Path) -> None:
     with pytest.raises(pincal.MechanismError, match="has no joint 'closedloop1_B'"):
         calibrated_urdf(other, mechanism)
     other.write_text(urdf("arm", ARM[:-1], "base_link"))
-    arm = pincal.disturb(pincal.load_arm(other, "wrist_3"), 1e-3, seed=0)
+    arm = pincal.disturb(pincal.Mechanism.from_urdf(other, "wrist_3"), 1e-3, seed=0)
     with pytest.raises(pincal.MechanismError, match="no fixed joint of the URDF is there"):
         calibrated_urdf(other, arm)
 

@@ -18,6 +18,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import pincal
+from pincal.files.mechanism_folders import bundled
 from pincal.show.pictures.painting import paint
 from pincal.show.pictures.picture import Picture
 from pincal.show.style import ACTIVE, PASSIVE
@@ -136,7 +137,7 @@ def test_a_rod_may_vanish(stroke: float) -> None:
         assert 0.0 < bright < dark
 
 
-@pytest.mark.parametrize("name", sorted(pincal.bundled()))
+@pytest.mark.parametrize("name", sorted(bundled()))
 def test_joints_have_the_colours_of_the_urdfs(name: str) -> None:
     """The legend's colours are those of the joints that are read and of the others."""
     mechanism = pincal.load_mechanism(name)
@@ -155,7 +156,7 @@ def numbers(svg: bytes) -> tuple[list[bytes], np.ndarray]:
     return re.split(pattern, text), np.array([float(x) for x in re.findall(pattern, text)])
 
 
-@pytest.mark.parametrize("name", sorted(pincal.bundled()))
+@pytest.mark.parametrize("name", sorted(bundled()))
 def test_pictures_of_the_docs_are_what_the_command_makes(name: str, tmp_path: Path) -> None:
     """``pincal picture NAME -o docs/images/NAME.svg`` gives the file that is there, and small."""
     made = tmp_path / f"{name}.svg"

@@ -116,7 +116,7 @@ def test_every_kind_of_result_plots(case: str, tmp_path: Path) -> None:
     name, noise, options = CASES[case]
     if name == "arm":
         (tmp_path / "arm.urdf").write_text(robot(ARM), encoding="utf-8")
-        mechanism = pincal.load_arm(tmp_path / "arm.urdf", "l4")
+        mechanism = pincal.Mechanism.from_urdf(tmp_path / "arm.urdf", "l4")
         plan = pincal.sample_configurations(mechanism, 40, 0)
     else:
         mechanism = pincal.load_mechanism(name)

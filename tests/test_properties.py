@@ -21,7 +21,7 @@ from random_mechanisms import KINDS, mechanisms, poses_near_home, random_leg, re
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal import Measurements, Mechanism, Noise, Placement, Platform, cartesian
+from pincal import Measurements, Mechanism, Noise, Placement, Platform
 from pincal.design.certificate import continuous_design
 from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener
@@ -87,10 +87,10 @@ def carried_poses_are_read_by_carried_legs(draw: Draw, folder: Path) -> None:
     families = KINDS[platform.kind][1]
     leg = random_leg("leg_1", families[rng.integers(len(families))], platform, rng)
     turns = draw(st.integers(3, 8) if platform.kind != "spatial" else st.integers(6, 8))
-    elements = pincal.rotations(turns)
+    elements = pincal.Element.rotations(turns)
     if draw(st.booleans()):
-        elements = pincal.rotations(half := max(turns // 2, 3))
-        elements += tuple(pincal.mirror(np.pi * k / half) for k in range(half))
+        elements = pincal.Element.rotations(half := max(turns // 2, 3))
+        elements += tuple(pincal.Element.mirror(np.pi * k / half) for k in range(half))
     mechanism = pincal.generate("generated", leg, elements, platform)
     group = pincal.symmetry_group(mechanism)
     for element in elements:
@@ -166,7 +166,7 @@ def units_of_the_table_do_not_count(draw: Draw, folder: Path) -> None:
     """Columns in millimetres and degrees give what columns in metres and radians give."""
     mechanism, seed = draw(mechanisms()), draw(SEEDS)
     data = measured(mechanism, seed)
-    pincal.write_measurements(folder / "si.csv", mechanism, data, force=True)
+    data.to_csv(folder / "si.csv", mechanism, force=True)
     header, *lines = (folder / "si.csv").read_text(encoding="utf-8").splitlines()
     cells = np.array([line.split(",") for line in lines], dtype=float)
     names = header.split(",")
@@ -178,7 +178,7 @@ def units_of_the_table_do_not_count(draw: Draw, folder: Path) -> None:
     text = [",".join(names), *(",".join(map(repr, row)) for row in cells.tolist()), ""]
     (folder / "other.csv").write_text("\n".join(text), encoding="utf-8")
     results = [
-        calibrated(mechanism, pincal.read_measurements(folder / name, mechanism))
+        calibrated(mechanism, pincal.Measurements.from_csv(folder / name, mechanism))
         for name in ("si.csv", "other.csv")
     ]
     assert_same(*results)
@@ -215,7 +215,9 @@ def the_base_frame_does_not_count(draw: Draw, folder: Path) -> None:
         p |= dict(zip(names, base.tolist(), strict=False))
         turn = np.eye(4)
         turn[:3, :3] = T[:3, :3] @ foot.placement.origin()[:3, :3]
-        foot = replace(foot, placement=Placement(cartesian(*names)).at(p, turn))
+        foot = replace(
+            foot, placement=Placement.of(p, **dict(zip("xyz", names, strict=False))).at(p, turn)
+        )
         point = leg.point
         if platform.kind == "translational":
             xyz = T[:3, :3] @ point.placement.xyz
@@ -312,10 +314,10 @@ def the_same_seed_gives_the_same_bytes(draw: Draw, folder: Path) -> None:
         own = folder / str(run)
         own.mkdir(exist_ok=True)
         selection = pincal.select_poses(mechanism, poses, 15, "independent", seed=seed, starts=2)
-        pincal.write_poses(own / "plan.csv", mechanism, selection.plan, force=True)
+        selection.plan.to_csv(own / "plan.csv", mechanism, force=True)
         truth = pincal.disturb(mechanism, 1e-3, seed)
         data = pincal.simulate(mechanism, truth, selection.plan, NOISE, seed).measurements
-        pincal.write_measurements(own / "data.csv", mechanism, data, force=True)
+        data.to_csv(own / "data.csv", mechanism, force=True)
         result = calibrated(mechanism, data)
         result.save(own / "result", force=True)
         assert before == (np.random.get_state()[1].tolist(), random.getstate())  # type: ignore[index]  # noqa: NPY002

@@ -13,10 +13,10 @@ from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.workspace.articular import equal_sums
+from pincal.workspace.articular import articular_space, equal_sums
 from pincal.workspace.axes import Axis
 from pincal.workspace.box import default_grid, default_samples
-from pincal.workspace.criteria import Criteria
+from pincal.workspace.criteria import Criteria, in_workspace
 from pincal.workspace.positions import Samples
 
 NONE = pincal.Margins.none()
@@ -160,7 +160,7 @@ def test_square_grid_follows_quarter_turns() -> None:
     """Four legs a quarter turn apart map a square grid onto itself, x and y changing places."""
     leg = pincal.load_mechanism("3RRR").legs[0]
     platform = pincal.Platform("planar", (0.0, 0.0, 0.0))
-    mechanism = pincal.generate("4RRR", leg, pincal.rotations(4), platform)
+    mechanism = pincal.generate("4RRR", leg, pincal.Element.rotations(4), platform)
     grid = pincal.Grid.of("x=-0.6:0.6:0.05", "y=-0.6:0.6:0.05")
     short = pincal.compute_workspace(mechanism, "constant-orientation", grid)
     long = pincal.compute_workspace(mechanism, "constant-orientation", grid, symmetry=False)
@@ -306,7 +306,7 @@ def test_samples_measure_the_area_too() -> None:
     fine = pincal.Grid.of("x=-0.8:0.8:0.01", "y=-0.8:0.8:0.01")
     area = pincal.compute_workspace(mechanism, "constant-orientation", fine).measure
     for seed in range(5):
-        samples = Samples(6000, 0.9, seed=seed, elements=pincal.rotations(3))
+        samples = Samples(6000, 0.9, seed=seed, elements=pincal.Element.rotations(3))
         found = pincal.compute_workspace(mechanism, "constant-orientation", samples)
         assert found.measure == pytest.approx(area, abs=1.5 * found.uncertainty + 2e-3)
         assert found.uncertainty < 0.1
@@ -350,7 +350,7 @@ def test_articular_space_is_as_symmetric_as_the_workspace(
     for check in checks:
         assert check.solved == check.inside == check.asked == 1000
         assert check.off < 1e-9
-    readings = pincal.articular_space(mechanism, poses)
+    readings = articular_space(mechanism, poses)
     across = equal_sums(readings)
     np.testing.assert_allclose(across[:, 2], readings.sum(axis=1) / np.sqrt(3), atol=1e-12)
     rolled = equal_sums(np.roll(readings, 1, axis=1))  # a third of a turn in the plane
@@ -456,7 +456,7 @@ def mirrored(angle: float = np.pi / 2, **limits: float) -> pincal.Mechanism:
     leg = pincal.load_mechanism("5R").legs[0]
     limits = limits or {"lower": -2 * np.pi, "upper": 2 * np.pi}
     joints = tuple(replace(j, **limits) if j.kind != "fixed" else j for j in leg.joints)
-    elements = (pincal.Element(0.0), pincal.mirror(angle))
+    elements = (pincal.Element(0.0), pincal.Element.mirror(angle))
     platform = pincal.Platform("point", (0.0, 1.1))
     return pincal.generate("5R", replace(leg, joints=joints), elements, platform)
 
@@ -465,7 +465,7 @@ def test_elements_that_turn_the_determinant_over_are_left_out() -> None:
     """Half a turn swaps two legs, and the sides of the type-2 singularity with them."""
     legs = mirrored().legs[:1]
     mechanism = pincal.generate(
-        "2R", legs[0], pincal.rotations(2), pincal.Platform("point", (0.0, 1.1))
+        "2R", legs[0], pincal.Element.rotations(2), pincal.Platform("point", (0.0, 1.1))
     )
     grid = pincal.Grid.of("x=-1.5:1.5:0.1", "y=-2:2:0.1")
     for least, order in ((None, 1), (NONE, 2)):
@@ -506,7 +506,7 @@ def test_grip_of_a_driven_elbow() -> None:
     """The type-1 margin is that of the drive, wherever it sits."""
     leg = mirrored().legs[0]
     leg = replace(leg, sensors=(replace(leg.sensors[0], joint="elbow"),))
-    elements = (pincal.Element(0.0), pincal.mirror(np.pi / 2))
+    elements = (pincal.Element(0.0), pincal.Element.mirror(np.pi / 2))
     mechanism = pincal.generate("e", leg, elements, pincal.Platform("point", (0.0, 1.1)))
     grid = pincal.Grid.of("x=-1.5:1.5:0.1", "y=-2:2:0.1")
     least = pincal.Margins(0.5, -np.inf)
@@ -527,7 +527,7 @@ def test_a_singular_home_says_so() -> None:
 def test_largest_circle_in_a_ring() -> None:
     """Many equally good centres: half the width of the ring, within the bound."""
     leg = mirrored().legs[0].with_parameters({"A_x": 0.0, "l": 0.5, "L": 1.2})
-    elements = (pincal.Element(0.0), pincal.mirror(np.pi / 2))
+    elements = (pincal.Element(0.0), pincal.Element.mirror(np.pi / 2))
     mechanism = pincal.generate("coaxial", leg, elements, pincal.Platform("point", (0.0, 1.1)))
     for axes in (("x=-2:2:0.1", "y=-2:2:0.1"), ("radius=0.05:2:0.1", "bearing [deg]=0:360:6")):
         found = pincal.compute_workspace(mechanism, "reachable", pincal.Grid.of(*axes), None, NONE)
@@ -574,8 +574,8 @@ def test_sets_of_orientations_have_limits() -> None:
 def test_nearly_quarter_turns_do_not_map_square_grids() -> None:
     """A mirror 1e-5 rad aside moves positions by more than rounding errors."""
     grid = pincal.Grid.of("x=-1.5:1.5:0.1", "y=0:2:0.1")
-    assert grid.carrier(pincal.mirror(np.pi / 2)) is not None
-    assert grid.carrier(pincal.mirror(np.pi / 2 + 1.5e-5)) is None
+    assert grid.carrier(pincal.Element.mirror(np.pi / 2)) is not None
+    assert grid.carrier(pincal.Element.mirror(np.pi / 2 + 1.5e-5)) is None
 
 
 def test_planar_platforms_stay_in_their_plane() -> None:
@@ -594,8 +594,8 @@ def test_a_workspace_is_saved_and_shown(tmp_path: Path) -> None:
     assert str(found).startswith("constant-orientation workspace of 3RRR: 0.5")
     found.save(tmp_path / "w.csv")
     assert len((tmp_path / "w.csv").read_text().splitlines()) == found.count + 1
-    assert pincal.in_workspace(mechanism, found.poses()).all()
-    assert pincal.in_workspace(mechanism, found.poses() + np.array([0, 0, 1.5])).sum() == 0
+    assert in_workspace(mechanism, found.poses()).all()
+    assert in_workspace(mechanism, found.poses() + np.array([0, 0, 1.5])).sum() == 0
     several = pincal.compute_workspace(mechanism, "reachable", grid)
     with pytest.raises(pincal.WorkspaceError, match="72 orientations are no poses"):
         several.poses()

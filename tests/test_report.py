@@ -30,6 +30,7 @@ from pincal.show.report.answers import answers
 from pincal.show.report.findings import Findings
 from pincal.show.report.report import Origin, Report
 from pincal.show.result_tables import legs_table, parameters_table
+from pincal.show.results import noisy_series
 from pincal.show.summary import calibration_summary, check_lines
 from pincal.show.workspace_errors import errors_at
 from pincal.words.sentences import finding
@@ -69,7 +70,7 @@ def planar() -> tuple[pincal.CalibrationResult, pincal.Measurements, Report]:
     options: dict[str, Any] = {"noise": NOISE, "loss": "reject"}
     result = pincal.calibrate(mechanism, data, **options)
     result = replace(result, validation=pincal.validate(mechanism, data, **options))
-    return result, data, pincal.report(result, command="pincal", date=DATE)
+    return result, data, result.report(command="pincal", date=DATE)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +91,7 @@ def cables() -> Report:
     poses[::3, 2] = np.nan
     data, setup = replace(data, poses=poses), pincal.Setup(unknown_frame=True)
     result = pincal.calibrate(mechanism, data, noise=noise, setup=setup)
-    return pincal.report(result, date=DATE)
+    return result.report(date=DATE)
 
 
 @pytest.mark.slow
@@ -122,19 +123,33 @@ def verdicts_of(report: Any, result: Any) -> tuple[list[str], str]:
 
 
 def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
-    """Where χ² contradicts the noise, no answer takes the uncertainties at their word."""
+    """Where χ² contradicts the noise, no limit is promised, and no error is below what was seen."""
     result, _, report = planar
     dof = result.degrees_of_freedom
     larger = finding("chi2-too-large", chi2=4.0, dof=dof, source="given")
-    poor = replace(result, reduced_chi2=4.0, findings=(larger,))
+    poor = replace(
+        result,
+        reduced_chi2=4.0,
+        chi2_p_value=0.0,
+        covariance=4.0 * result.covariance,
+        findings=(larger,),
+    )
+    errors = errors_at(poor, poor.poses)
+    report = replace(report, found=replace(report.found, result=poor, errors=errors))
     verdicts, text = verdicts_of(report, poor)
-    after = 1e3 * report.found.errors.mean_after()[0]
+    after = 1e3 * errors.mean_after()[0]
+    assert after >= 2e3 * errors_at(result, poor.poses).mean_after()[0]
+    assert 1e-3 * after >= poor.misses[0] * 0.99
     assert verdicts[0] == "Probably"
-    assert verdicts[1].endswith(f"→ {2 * after:.3g} mm or more")
+    assert verdicts[1].endswith(f"→ {after:.3g} mm or more")
     assert verdicts[2] == "Not as it is: one warning above"
     assert "Residuals are 2 times" in text
-    lines = calibration_summary(poor, report.found.errors)
-    assert any(f"by about {2 * after:.3g} mm" in line and "2 times" in line for line in lines)
+    assert "No limit is promised: residuals larger than the noise" in text
+    assert np.isinf(poor.expected_error().limit).all()
+    assert "no limit is promised" in str(poor.expected_error())
+    lines = calibration_summary(poor, errors)
+    assert any(f"by {after:.3g} mm" in line and "no limit is promised" in line for line in lines)
+    report = planar[2]
     sound = page_of(report).get_element_by_id("answers").find_class("verdict")
     assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
     section = answers(replace(report.found, result=poor), []).__html__()
@@ -148,7 +163,7 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
     """Where rows of the fit miss by hundreds of σ, those held out are not said to be better."""
     result, _, report = planar
     lost = replace(result.validation, fit=316.2, held_out=1361.71, expected=405.02)
-    poor = replace(result, reduced_chi2=1e5, validation=lost)
+    poor = replace(result, reduced_chi2=1e5, chi2_p_value=0.0, validation=lost)
     made = Report(replace(report.found, result=poor), report.origin)
     for text in (made.html(), poor._repr_html_(), " ".join(check_lines(poor))):
         assert "misses even its own rows by 316 σ" in text
@@ -159,7 +174,7 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
 def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
     """Residuals far beyond the noise: no number after; if they hardly fell, it is not better."""
     result, _, report = planar
-    far = replace(result, reduced_chi2=1e4)
+    far = replace(result, reduced_chi2=1e4, chi2_p_value=0.0)
     legs = tuple(replace(leg, residuals=0.9 * leg.residuals_before) for leg in result.legs)
     for poor, verdict in ((far, "Not shown"), (replace(far, legs=legs), "No")):
         verdicts, text = verdicts_of(report, poor)
@@ -174,6 +189,41 @@ def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
         assert "no accuracy can be promised" in said
         assert "by about" not in said
         assert ("hardly fell" in said) == (verdict == "No")
+        page = page_of(Report(replace(report.found, result=poor), report.origin))
+        assert "No maps: no accuracy can be promised" in page.get_element_by_id("platform")[-1].text
+        bars = page.get_element_by_id("figure-rms").text_content()
+        assert "residuals [mm]" in bars
+        assert "platform: position" not in bars
+        with pytest.raises(pincal.MeasurementError, match="no accuracy can be promised"):
+            poor.plot.error_map()
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_on_maps_as_on_cards(planar: Any) -> None:
+    """Where residuals are larger than the noise, maps and bars are scaled as the answer is."""
+    result, _, report = planar
+    poor = replace(report.found, result=replace(result, reduced_chi2=4.0))
+    np.testing.assert_allclose(poor.maps.after, 2 * report.found.maps.after)
+    bars = page_of(Report(poor, report.origin)).get_element_by_id("figure-rms").text_content()
+    assert f"{2e3 * report.found.errors.mean_after()[0]:.2g}" in bars
+
+
+@pytest.mark.parametrize("frame", [False, True])
+def test_residuals_before_of_noisy_readings(frame: bool) -> None:
+    """Readings and platform share what the nominal model misses, however exact the readings are."""
+    noise = pincal.Noise(1e-4, 1e-4, 1e-6)
+    mechanism, data = measured("3RRR", 30, noise)
+    poses = data.poses + np.array([0.4, 0.2, 0.0]) * frame
+    poses[:, 2] = np.nan
+    setup = pincal.Setup(unknown_frame=frame)
+    result = pincal.calibrate(mechanism, replace(data, poses=poses), noise=noise, setup=setup)
+    series = noisy_series(result)
+    assert [one.name for one in series] == [*mechanism.leg_names, "x", "y"]
+    for one in series:
+        before, after, sigma = one.rms
+        assert before > 4 * after
+        assert after < 1.3 * sigma
+    assert str(result).count("rms before") == 2
 
 
 def test_parameters_are_those_of_the_result(planar: Any) -> None:
@@ -200,7 +250,7 @@ def test_names_are_not_capitalised() -> None:
     mechanism, data = measured("3RRR", 20)
     result = pincal.calibrate(mechanism, data, noise=NOISE)
     weak = {one.split(".")[1] for pair in result.weak for one in (pair.first, pair.second)}
-    page = page_of(pincal.report(result, notes=["l of the second run was 1.5 m"]))
+    page = page_of(result.report(notes=["l of the second run was 1.5 m"]))
     lines = [one.text_content() for one in page.xpath("//*[@id='observability']//li")]
     first = {re.match(r"[\w.]+", line)[0].rpartition(".")[2] for line in lines}  # type: ignore[index]
     assert first - {"2"} <= weak  # "2 more such pairs"
@@ -213,7 +263,7 @@ def test_fixed_parameters_look_fixed() -> None:
     mechanism, data = measured("3RRR", 30)
     given: dict[str, Any] = {"fixed": ["k", "leg_2.gamma"], "tied": ["ob"], "priors": {"OA": 1e-3}}
     result = pincal.calibrate(mechanism, data, noise=NOISE, **given)
-    page = page_of(pincal.report(result))
+    page = page_of(result.report())
     text = io.StringIO()
     Console(file=text, width=100).print(parameters_table(result))
     printed = [line.split() for line in text.getvalue().splitlines()]
@@ -307,7 +357,7 @@ def test_names_are_text() -> None:
         gauge=(finding("redundant-parameters", count=1, groups=((EVIL, "k"),)),),
         outliers=(Outlier(3, (names[0],), 9.0, 1.0, EVIL, 9.0),),
     )
-    report = pincal.report(result, command=EVIL, notes=[EVIL + "\0"])
+    report = result.report(command=EVIL, notes=[EVIL + "\0"])
     page = page_of(report)
     assert not list(page.iter("script", "b"))
     assert page.find(".//title").text == f"{EVIL}: calibration"
@@ -330,7 +380,7 @@ def test_the_same_bytes_but_for_the_date(planar: Any) -> None:
     """Made anew, in whatever style the user draws, a report is the same."""
     result, _, report = planar
     with mpl.rc_context({"font.size": 20, "svg.fonttype": "path"}):
-        again = pincal.report(result, command="pincal", date=DATE)
+        again = result.report(command="pincal", date=DATE)
         assert again.html() == report.html()
         assert mpl.rcParams["font.size"] == 20
 
@@ -341,7 +391,7 @@ def test_as_many_unknowns_as_values_prove_nothing() -> None:
     mechanism, data = measured("3RRR", 8)
     result = pincal.calibrate(mechanism, data, noise=NOISE)
     assert result.degrees_of_freedom == 0
-    page = page_of(pincal.report(result))
+    page = page_of(result.report())
     first = page.get_element_by_id("answers").text_content()
     assert "as many unknowns as measured values" in first
     assert "nan" not in page.get_element_by_id("answers").text_content()
@@ -361,7 +411,7 @@ def test_exact_readings_are_no_proof() -> None:
     poses[:, 2] = np.nan
     data = replace(data, poses=poses)
     result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 0.0))
-    page = page_of(pincal.report(result))
+    page = page_of(result.report())
     first = page.get_element_by_id("answers").text_content()
     (x, y) = result.observed
     before, after = (
@@ -421,11 +471,12 @@ def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:
     """A fit that did not converge says so first, and shows and writes no calibrated mechanism."""
     result, _, _ = planar
     failed = replace(result, converged=False, left=123.0)
-    report = pincal.report(failed)
+    report = failed.report()
     page = page_of(report)
     main = page.find(".//main")
     assert [one.get("id") for one in main][1:3] == ["warnings", "answers"]
-    said = f"did not converge: {failed.message}"
+    said = f"The fit {failed.message}"
+    assert said.startswith("The fit did not converge after ")
     assert said in page.get_element_by_id("warnings").text_content()
     assert "the next step would be 1.2e+02 standard errors" in said
     assert "There is no result" in page.get_element_by_id("answers").text_content()
@@ -463,7 +514,7 @@ def test_unknown_frames(cables: Report) -> None:
     moved, setup = data.poses + np.array([0.4, 0.2, 0.0]), pincal.Setup(unknown_frame=True)
     given = replace(data, poses=moved)
     aligned = pincal.calibrate(mechanism, given, noise=NOISE, setup=setup)
-    poses = pincal.report(aligned).found.poses
+    poses = aligned.report().found.poses
     np.testing.assert_allclose(poses, data.poses, atol=0.02)
 
 
@@ -475,7 +526,7 @@ def test_without_a_workspace(planar: Any, monkeypatch: pytest.MonkeyPatch) -> No
         raise pincal.WorkspaceError("none")
 
     monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
-    report = pincal.report(result)
+    report = result.report()
     page = page_of(report)
     assert "over the measured poses" in page.get_element_by_id("answers").text_content()
     assert "no workspace was found" in page.get_element_by_id("platform").text_content()
@@ -496,7 +547,7 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Working folder with a 5R and measurements of it."""
     mechanism, data = measured("5R", 30)
     mechanism.save(tmp_path / "robot")
-    pincal.write_measurements(tmp_path / "measured.csv", mechanism, data)
+    data.to_csv(tmp_path / "measured.csv", mechanism)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -555,8 +606,8 @@ def test_answers_as_json(typed: list[object], key: str) -> None:
 
 def test_json_of_plan_and_simulation(work: Path) -> None:
     """'select' and 'simulate' answer in JSON too, and write their files all the same."""
-    pincal.write_poses("c.csv", pincal.load_mechanism("5R"), pincal.Plan(np.random.default_rng(0)
-        .uniform((-0.3, 0.9), (0.3, 1.3), (200, 2))))  # fmt: skip
+    poses = np.random.default_rng(0).uniform((-0.3, 0.9), (0.3, 1.3), (200, 2))
+    pincal.Plan(poses).to_csv("c.csv", "5R")
     chosen = done("select", "5R", "--candidates", "c.csv", "--count", 8, "-o", "p.csv", "--json")
     assert json.loads(chosen.out)["poses"] == 16
     told = json.loads(done("simulate", "5R", "p.csv", "-o", "m.csv", "--json").out)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +17,13 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import pincal
+from pincal.calibration.result_files import read_result
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.inverse import sensor_law
+from pincal.old_names import OLD
 from pincal.symmetry.elements import mirror, rotations
 
 Array = NDArray[np.float64]
@@ -124,13 +129,26 @@ def test_instruments_without_noise_give_the_truth(name: str, unknown_frame: bool
             np.testing.assert_allclose(leg.nominal, true.nominal, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["3RRR", "5R", "delta"])
+@pytest.mark.parametrize("unknown_frame", [False, True])
+def test_instruments_may_be_far_from_where_they_are_said(name: str, unknown_frame: bool) -> None:
+    """The search starts where the poses that everything else gives place them."""
+    robot, _, data = _measured(name, _frame(pincal.load_mechanism(name)) if unknown_frame else None)
+    far = Station(parameters=_own(("x", "m", -3.0), ("zero", "rad", 2.5)))
+    setup = pincal.Setup(unknown_frame=unknown_frame, instruments=(far,))
+    result = pincal.calibrate(robot, data, setup=setup, noise=pincal.Noise())
+    assert result.converged
+    assert result["station.x"].identified == pytest.approx(-0.48, abs=1e-8)
+    assert result["station.zero"].identified == pytest.approx(0.02, abs=1e-8)
+
+
 def test_an_instrument_is_known_everywhere(tmp_path: Path) -> None:
     """In files, forecasts, validation, tables and reports."""
     robot, _, data = _measured("3RRR")
     setup = pincal.Setup(instruments=(Station(),))
     assert {"range [m]", "bearing [rad]"} <= set(data.to_dataframe(robot, setup=setup).columns)
     data.to_csv(tmp_path / "m.csv", robot, setup=setup)
-    read = pincal.read_measurements(tmp_path / "m.csv", robot, setup)
+    read = pincal.Measurements.from_csv(tmp_path / "m.csv", robot, setup)
     np.testing.assert_allclose(read.extra["bearing"], data.extra["bearing"])
     result = pincal.calibrate(robot, read, setup=setup, noise=pincal.Noise(1e-4, 1e-4, 0.0))
     assert [one.id for one in result.external] == ["station.x", "station.zero"]
@@ -185,7 +203,7 @@ def test_a_loss_of_ones_own_is_as_good_as_a_named_one(tmp_path: Path) -> None:
         assert a.std == pytest.approx(b.std, rel=1e-12)
     assert mine.loss == "mine"
     mine.save(tmp_path / "r")
-    assert pincal.read_result(tmp_path / "r")["loss"] == "mine"
+    assert read_result(tmp_path / "r")["loss"] == "mine"
     loaded = pincal.load_result(tmp_path / "r")
     assert loaded.loss == "mine"
     with pytest.raises(pincal.MeasurementError, match="'mine' is code"):
@@ -268,10 +286,27 @@ def test_old_names_say_where_they_are_now() -> None:
     for name in pincal.__all__:
         assert getattr(pincal, name).__name__ == name
         assert name in dir(pincal)
-    for module, names in pincal._MOVED.items():
-        for name in names.split():
-            assert name not in pincal.__all__
-            with pytest.warns(DeprecationWarning, match=f"is now {module}.{name}"):
-                assert getattr(pincal, name).__name__ == name
+    for name, (module, now) in OLD.items():
+        assert name not in pincal.__all__
+        with pytest.warns(DeprecationWarning, match=re.escape(f"is now pincal.{now}; the")):
+            old = getattr(pincal, name)
+        assert old is getattr(import_module(module), name)
+        if f"pincal.{now}" != f"{module}.{name}":
+            attrgetter(now.partition("(")[0])(pincal)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         pincal.nothing  # noqa: B018
+
+
+def test_old_placements_are_those_of_today() -> None:
+    """``placed`` with its coordinates gives what ``Placement.of`` gives."""
+    p = {"a": 0.3, "b": 0.2, "c": 1.1}
+    with pytest.warns(DeprecationWarning, match="is now"):
+        old = pincal.placed(p, *pincal.cartesian("a", "b"), pincal.along("rz", "c"))
+    assert old == pincal.Placement.of(p, x="a", y="b", rz="c")
+    with pytest.warns(DeprecationWarning, match="is now"):
+        old = pincal.placed(p, pincal.spherical("a", 0.7, "c"), pincal.polar("b", 0.0))
+    assert old == pincal.Placement.of(p, spherical=("a", 0.7, "c"), polar=["b", 0.0])
+    with pytest.raises(pincal.MechanismError, match=r"takes 2 value\(s\), got \['a'\]"):
+        pincal.Placement.of(p, polar="a")
+    with pytest.raises(pincal.MechanismError, match="unknown coordinate 'radius'"):
+        pincal.Placement.of(p, radius="a")

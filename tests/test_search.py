@@ -12,7 +12,7 @@ from random_mechanisms import KINDS, poses_near_home, random_mechanism
 from scipy.optimize import least_squares
 
 import pincal
-from pincal import Joint, Leg, Mechanism, Platform, Sensor, cartesian, placed
+from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
@@ -148,7 +148,7 @@ def cables(count: int) -> Mechanism:
     for index, (x, y) in enumerate(ANCHORS[count]):
         p = {"A_x": x, "A_y": y, "k": 1.0}
         swing, length = float(np.arctan2(-y, -x)), float(np.hypot(x, y))
-        foot = placed(p, *cartesian("A_x", "A_y"))
+        foot = Placement.of(p, x="A_x", y="A_y")
         line = Joint("line", "prismatic", axis=(1.0, 0.0, 0.0), lower=0.01, upper=9.0, home=length)
         legs.append(
             Leg(

@@ -117,10 +117,10 @@ def test_orientations_are_read_in_every_way(
 ) -> None:
     """Poses written as tilt and torsion, rotation vector, quaternion or Z-Y-X angles read alike."""
     path = tmp_path / "poses.csv"
-    pincal.write_poses(path, hexapod, pincal.Plan(poses), orientation=way)
+    pincal.Plan(poses).to_csv(path, hexapod, orientation=way)
     header = path.read_text().splitlines()[0]
     assert all(name in header for name in WAYS[way][0])
-    read = pincal.read_poses(path, hexapod).poses
+    read = pincal.Plan.from_csv(path, hexapod).poses
     assert np.abs(hexapod.platform.twists_between(poses, read)).max() < 1e-12
     rotation = hexapod.platform.transforms(poses).rotation
     again = rotation_of(way, columns_of(way, rotation))
@@ -146,7 +146,7 @@ def test_quaternion_of_wrong_length_is_refused(hexapod: pincal.Mechanism, tmp_pa
     path = tmp_path / "poses.csv"
     path.write_text("x [m],y [m],z [m],qw [1],qx [1],qy [1],qz [1]\n0,0,1.8,1,1,0,0\n")
     with pytest.raises(pincal.MeasurementError, match=r"poses\.csv: row 1: the quaternion"):
-        pincal.read_poses(path, hexapod)
+        pincal.Plan.from_csv(path, hexapod)
 
 
 def random_hexapod(hexapod: pincal.Mechanism, rng: np.random.Generator) -> pincal.Mechanism:

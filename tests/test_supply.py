@@ -127,7 +127,7 @@ def test_wheel_installs_and_runs_elsewhere(built: Path, version: str, tmp_path: 
     (wheel,) = built.glob("*.whl")
     subprocess.run([own, "-m", "pip", "install", "-q", wheel], check=True)
     for arguments in (
-        ["-c", "import pincal; assert len(pincal.bundled()) > 9"],
+        ["-c", "from pincal.files.mechanism_folders import bundled; assert len(bundled()) > 9"],
         ["-m", "pincal", "check", "3RRR"],
         [tmp_path / "venv" / "bin" / "pincal", "demo", "5R", "-o", tmp_path / "demo"],
     ):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal.files.mechanism_folders import bundled
 from pincal.model.sensor import sensor_laws
 from pincal.symmetry.carry import canonical, carry
 
@@ -20,7 +21,7 @@ ROBOTS = Path(__file__).parents[1] / "robots"
 
 def dihedral(n: int) -> list[pincal.Element]:
     """Return the 2n elements of D_2n."""
-    return [*pincal.rotations(n), *(pincal.mirror(np.pi * k / n) for k in range(n))]
+    return [*pincal.Element.rotations(n), *(pincal.Element.mirror(np.pi * k / n) for k in range(n))]
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
@@ -103,7 +104,7 @@ def test_generated_mechanisms_are_detected_as_generated(n: int) -> None:
     """A leg carried by n rotations gives a mechanism whose group is those rotations."""
     leg = pincal.load_mechanism("3RRR").legs[0]
     platform = pincal.Platform("planar", (0.0, 0.0, 0.0))
-    mechanism = pincal.generate(f"{n}RRR", leg, pincal.rotations(n), platform)
+    mechanism = pincal.generate(f"{n}RRR", leg, pincal.Element.rotations(n), platform)
     group = pincal.symmetry_group(mechanism)
     assert len(group.elements) == n
     assert not any(e.reflection for e in group.elements)
@@ -116,7 +117,7 @@ def rounded(text: str) -> str:
     return re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda m: f"{float(m[0]):.9g}", text)
 
 
-@pytest.mark.parametrize("name", sorted(pincal.bundled()))
+@pytest.mark.parametrize("name", sorted(bundled()))
 def test_bundled_robots_are_generated_not_typed(name: str, tmp_path: Path) -> None:
     """Running a robot's definition writes the files that are bundled."""
     made = runpy.run_path(str(ROBOTS / f"{name}.py"))["mechanism"]()
@@ -180,7 +181,9 @@ def test_a_leg_that_misses_home_is_refused() -> None:
     """Generating from a leg that does not reach the home pose raises."""
     leg = pincal.load_mechanism("3RRR").legs[0]
     with pytest.raises(pincal.MechanismError, match="does not reach the home pose"):
-        pincal.generate("far", leg, pincal.rotations(3), pincal.Platform("planar", (9.0, 0.0, 0.0)))
+        pincal.generate(
+            "far", leg, pincal.Element.rotations(3), pincal.Platform("planar", (9.0, 0.0, 0.0))
+        )
 
 
 def on_its_mirror_plane(n: int) -> pincal.Mechanism:
@@ -188,7 +191,7 @@ def on_its_mirror_plane(n: int) -> pincal.Mechanism:
     leg = pincal.load_mechanism("6UPS").legs[0]
     leg = leg.with_parameters({"beta": 0.0, "beta_b": 0.0})
     platform = pincal.Platform("spatial", (0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
-    return pincal.generate(f"{n}UPS", leg, pincal.rotations(n), platform)
+    return pincal.generate(f"{n}UPS", leg, pincal.Element.rotations(n), platform)
 
 
 @pytest.mark.parametrize("n", range(2, 9))
@@ -247,7 +250,9 @@ def test_constants_of_the_sensor_break_a_symmetry(part: str, change: float) -> N
         parameters=tuple(p for p in five_bar().parameters if p[0] not in ("k", "gamma")),
     )
     platform = pincal.Platform("point", (0.0, 1.1))
-    exact = pincal.generate("c", leg, (pincal.Element(0.0), pincal.mirror(np.pi / 2)), platform)
+    exact = pincal.generate(
+        "c", leg, (pincal.Element(0.0), pincal.Element.mirror(np.pi / 2)), platform
+    )
     assert pincal.symmetry_group(exact).name == "D2"
     second = exact.legs[1]
     value = getattr(second.sensors[0], part) + change
@@ -262,7 +267,7 @@ def test_a_coaxial_five_bar_has_its_mirror() -> None:
     """Legs that start in the same place are told apart by the side on which they bend."""
     leg = five_bar().with_parameters({"A_x": 0.0, "l": 0.5, "L": 1.2})
     platform = pincal.Platform("point", (0.0, 1.1))
-    elements = (pincal.Element(0.0), pincal.mirror(np.pi / 2))
+    elements = (pincal.Element(0.0), pincal.Element.mirror(np.pi / 2))
     group = pincal.symmetry_group(pincal.generate("coaxial", leg, elements, platform))
     assert [str(e) for e in group.elements] == ["identity", "mirror at azimuth 90°"]
     assert group.permutations == ((0, 1), (1, 0))

@@ -77,8 +77,8 @@ def test_measurements_read_back_bit_for_bit(
 ) -> None:
     """Poses, readings, sets and standard deviations are the same bits after a file."""
     mechanism, data = drawn
-    pincal.write_measurements(spare, mechanism, data, force=True)
-    back = pincal.read_measurements(spare, mechanism)
+    data.to_csv(spare, mechanism, force=True)
+    back = pincal.Measurements.from_csv(spare, mechanism)
     assert bits(back.poses) == bits(data.poses)
     assert bits(back.readings) == bits(data.readings)
     assert bits(back.sigma_poses) == bits(data.sigma_poses)
@@ -93,8 +93,8 @@ def test_poses_and_readings_read_back_bit_for_bit(
 ) -> None:
     """Plans and tables of readings alone are the same bits after a file."""
     mechanism, data = drawn
-    pincal.write_poses(spare, mechanism, data, force=True)
-    plan = pincal.read_poses(spare, mechanism)
+    pincal.Plan(data.poses, data.sets, data.readings).to_csv(spare, mechanism, force=True)
+    plan = pincal.Plan.from_csv(spare, mechanism)
     assert bits(plan.poses) == bits(data.poses)
     assert plan.sets == data.sets
     write_readings(spare, mechanism, data.readings, force=True)
@@ -104,7 +104,7 @@ def test_poses_and_readings_read_back_bit_for_bit(
 def poses_of(path: Path, text: str, encoding: str = "utf-8") -> Array:
     """Return the 3-RRR poses of a file with the given text."""
     path.write_bytes(text.encode(encoding))
-    return pincal.read_poses(path, THREE).poses
+    return pincal.Plan.from_csv(path, THREE).poses
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_units_of_sigmas_convert(tmp_path: Path) -> None:
     )
     path = tmp_path / "t.csv"
     path.write_text(f"{HEADER},{sigmas}\n0,0,0,0,0,0,2,3,180,5,6,7\n")
-    data = pincal.read_measurements(path, THREE)
+    data = pincal.Measurements.from_csv(path, THREE)
     np.testing.assert_allclose(data.sigma_poses, [[2e-3, 3e-6, np.pi]], rtol=1e-15)
     np.testing.assert_allclose(data.sigma_readings, [[5e-3, 6e-3, 7e-3]], rtol=1e-15)
 
@@ -174,7 +174,7 @@ def test_ways_of_writing_one_table(text: str, tmp_path: Path) -> None:
 def test_written_table_is_plain_text(tmp_path: Path) -> None:
     """A table has units in its header, shortest numbers that read back, and newlines."""
     plan = pincal.Plan(np.array([[0.1, -0.0, 1e-300], [2.0, 1 / 3, 1e22]]), ("leg_1", "all"))
-    pincal.write_poses(tmp_path / "t.csv", THREE, plan)
+    plan.to_csv(tmp_path / "t.csv", THREE)
     assert (tmp_path / "t.csv").read_bytes() == (
         b"set,x [m],y [m],phi [rad]\nleg_1,0.1,-0.0,1e-300\nall,2.0,0.3333333333333333,1e+22\n"
     )
@@ -279,7 +279,7 @@ def test_bad_table_is_refused_by_name(case: str, tmp_path: Path) -> None:
     path = tmp_path / "measured.csv"
     path.write_bytes(data)
     with pytest.raises(MeasurementError) as caught:
-        pincal.read_measurements(path, THREE)
+        pincal.Measurements.from_csv(path, THREE)
     message = str(caught.value)
     assert isinstance(caught.value, PincalError)
     assert message.startswith(str(path))
@@ -289,13 +289,13 @@ def test_bad_table_is_refused_by_name(case: str, tmp_path: Path) -> None:
 def test_missing_file_is_named(tmp_path: Path) -> None:
     """A file that is not there raises FileError with its path."""
     with pytest.raises(FileError, match=r"absent\.csv: No such file"):
-        pincal.read_measurements(tmp_path / "absent.csv", THREE)
+        pincal.Measurements.from_csv(tmp_path / "absent.csv", THREE)
 
 
 def test_directory_is_named(tmp_path: Path) -> None:
     """A folder in place of a file raises FileError with its path."""
     with pytest.raises(FileError, match=f"{tmp_path}: Is a directory"):
-        pincal.read_poses(tmp_path, THREE)
+        pincal.Plan.from_csv(tmp_path, THREE)
 
 
 def test_file_below_a_file_is_named(tmp_path: Path) -> None:
@@ -360,6 +360,6 @@ def test_columns_without_a_meaning_are_logged(
     monitored = logging.getLogger("pincal")
     monitored.propagate = True  # the command line, if it ran before, keeps them to itself
     with caplog.at_level(logging.INFO, logger="pincal"):
-        pincal.read_poses(path, THREE)
+        pincal.Plan.from_csv(path, THREE)
     messages = {record.getMessage() for record in caplog.records}
     assert messages == {f"{path}: columns not used: leg_4, temperature"}

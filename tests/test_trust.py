@@ -12,6 +12,7 @@ from measured import EXACT, NOISE, machine, put, seen_from_elsewhere
 from scipy.stats import chi2, f
 
 import pincal
+from pincal.calibration.runs import compare_runs
 from pincal.words.sentences import sentence
 
 FRAME = pincal.Setup(unknown_frame=True)
@@ -115,7 +116,7 @@ def test_runs_that_agree_and_runs_that_do_not() -> None:
             for run in range(3)
         ]
         data = joined(parts)
-        found = pincal.compare_runs(mechanism, data, noise=NOISE)
+        found = compare_runs(mechanism, data, noise=NOISE)
         assert found.runs == ("run 0", "run 1", "run 2")
         assert found.agree
         assert found.findings == ()
@@ -123,12 +124,12 @@ def test_runs_that_agree_and_runs_that_do_not() -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
     bent = truth.with_parameters({"leg_2": {"OA": truth.leg("leg_2").nominal[2] + 1e-3}})
     parts[1] = pincal.simulate(mechanism, bent, plan, NOISE, 99).measurements
-    found = pincal.compare_runs(mechanism, joined(parts), noise=NOISE)
+    found = compare_runs(mechanism, joined(parts), noise=NOISE)
     assert not found.agree
     assert found.ratio > 3
     assert "something changed between runs" in sentence(found.findings[0])
     with pytest.raises(pincal.MeasurementError, match="at least two runs"):
-        pincal.compare_runs(mechanism, parts[0])
+        compare_runs(mechanism, parts[0])
 
 
 @pytest.mark.parametrize("noise", [NOISE, None])
@@ -140,7 +141,7 @@ def test_runs_are_compared_as_independent_estimates(noise: pincal.Noise | None) 
     mechanism, truth, clean = machine("5R", 40, EXACT)
     plan = pincal.Plan(clean.poses)
     parts = [pincal.simulate(mechanism, truth, plan, NOISE, run).measurements for run in range(2)]
-    found = pincal.compare_runs(mechanism, joined(parts), noise=noise, poses="all")
+    found = compare_runs(mechanism, joined(parts), noise=noise, poses="all")
     alone = [pincal.calibrate(mechanism, part, noise=noise, poses="all") for part in parts]
     values = [np.concatenate([leg.identified for leg in one.legs]) for one in alone]
     weights = [np.linalg.inv(one.covariance) for one in alone]

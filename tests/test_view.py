@@ -300,7 +300,7 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
 
     fit = ["--method", "latent", "--noise-position", 1e-5, "--folds", 0]
     done("calibrate", "3RRR", tmp_path / "gone.csv", *fit, "-o", tmp_path / "latent")
-    estimated = pincal.read_poses(
+    estimated = pincal.Plan.from_csv(
         tmp_path / "latent" / "poses.csv", pincal.load_mechanism("3RRR")
     ).poses
     for files in (["gone.csv", "latent"], ["latent"], ["holes.csv", "latent"]):
@@ -317,7 +317,7 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
 def test_readings_are_told_apart(work: Path, tmp_path: Path) -> None:
     """Those of the nominal model and, of measurements, those read; of plans, no others."""
     mechanism, page = pincal.load_mechanism("3RRR"), tmp_path / "view.html"
-    data = pincal.read_measurements(work / "measured.csv", mechanism)
+    data = pincal.Measurements.from_csv(work / "measured.csv", mechanism)
     done("view", "3RRR", work / "measured.csv", "--html", page)
     assert np.allclose(shown_poses(page, "measured"), data.readings, atol=2e-6)
     nominal = pincal.inverse(mechanism, data.poses).readings

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.readers import skeleton
 from pincal.show.view.view import View
 
@@ -180,7 +181,7 @@ def test_all_is_on_the_screen(name: str, opened: Any, tmp_path: Path) -> None:
         assert box["y"] + box["height"] < 760
 
 
-@pytest.mark.parametrize("name", sorted(set(pincal.bundled()) - set(MECHANISMS)))
+@pytest.mark.parametrize("name", sorted(set(bundled()) - set(MECHANISMS)))
 def test_every_family_is_connected_and_on_the_screen(
     name: str, opened: Any, tmp_path: Path
 ) -> None:

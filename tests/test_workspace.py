@@ -9,6 +9,7 @@ from marks import some_slow
 
 import pincal
 from pincal.workspace.component import HomeComponent
+from pincal.workspace.criteria import in_workspace
 
 BENDS = {"3RRR": [-1, -1, -1], "5R": [-1, 1]}
 
@@ -71,7 +72,7 @@ def test_the_symmetric_workspace(candidates: dict[str, np.ndarray]) -> None:
         for element in pincal.symmetry_group(mechanism).elements:
             carried = element.poses(mechanism.platform, poses)
             slack = pincal.Margins(0.23 - 1e-9, 0.2 - 1e-9)
-            assert pincal.in_workspace(mechanism, carried, slack).all()
+            assert in_workspace(mechanism, carried, slack).all()
 
 
 @pytest.mark.parametrize("kind", some_slow(BENDS, "3RRR"))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pincal.calibration.assemble import assemble
 from pincal.calibration.calibration import Calibration
@@ -14,18 +16,21 @@ from pincal.calibration.hypotheses.misaligned import misaligned
 from pincal.calibration.hypotheses.plausibility import (
     check_copies,
     check_noise,
-    check_plausible,
     explain_misfit,
+    implausible,
     said,
 )
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.zeros import zeros_found, zeros_measured
 from pincal.errors import MeasurementError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
 
 
 def calibrate(
@@ -72,8 +77,8 @@ def identify(calibration: Calibration) -> CalibrationResult:
     if options.noise is not None:
         check_noise(mechanism, options.noise)
     check_copies(data, every_pose=options.every_pose)
-    if options.setup.plain and not options.rough:
-        check_plausible(mechanism, data)
+    if options.setup.plain:
+        calibration = replace(calibration, start=_start(calibration))
     try:
         found = fitted(calibration)
     except PincalError as error:
@@ -87,13 +92,29 @@ def identify(calibration: Calibration) -> CalibrationResult:
     return _explained(result, found)
 
 
+def _start(calibration: Calibration) -> Array | None:
+    """Return where the search starts if motors' zeros are far from the drawing's.
+
+    Raises:
+        MeasurementError: something else explains that the nominal mechanism does not fit.
+    """
+    if calibration.options.rough:
+        return zeros_measured(calibration)
+    found = implausible(calibration.mechanism, calibration.measurements)
+    start = zeros_found(calibration, found)
+    if found and start is None:
+        raise MeasurementError(said(found))
+    return start
+
+
 def _explained(result: CalibrationResult, found: Fits) -> CalibrationResult:
     """Return the result with what would explain residuals or changes that are too large, first."""
     first: tuple[Finding, ...] = ()
-    if not (result.explained and result.corrects):
+    if not result.explained:
         first = _causes(result.calibration, found.external)
     elif result.converged and result.options.setup.plain and not result.options.tied:
         changes = np.array([p.change for leg in result.legs for p in leg.parameters])
+        changes -= result.calibration.shift
         data = result.measurements
         first = misaligned(result.nominal, changes, result.poses, data.readings)
     rest = (one for one in result.findings if one not in first)
@@ -103,4 +124,7 @@ def _explained(result: CalibrationResult, found: Fits) -> CalibrationResult:
 def _causes(calibration: Calibration, frame: External | None) -> tuple[Finding, ...]:
     """Return what would explain that measurements do not fit."""
     options = calibration.options
-    return explain_misfit(calibration.mechanism, calibration.measurements, options.setup, frame)
+    found = explain_misfit(calibration.mechanism, calibration.measurements, options.setup, frame)
+    if calibration.start is None:
+        return found
+    return tuple(one for one in found if one.code != "reading-offset")  # the search started there

@@ -36,6 +36,8 @@ class Calibration:
     """The nominal mechanism."""
     measurements: Measurements
     options: Options = field(default_factory=Options)
+    start: Array | None = field(default=None, compare=False, repr=False)
+    """Parameters of all legs from which the search starts, shape (n_params,); nominal if None."""
 
     def __post_init__(self) -> None:
         _check_shapes(self.mechanism, self.measurements)
@@ -44,6 +46,12 @@ class Calibration:
                 f"readings of {self.mechanism.name!r} do not follow from its poses, so there is no "
                 "joint residual; take the closure residual (--residual closure)"
             )
+
+    @property
+    def shift(self) -> Array:
+        """Where the search starts less the nominal parameters, shape (n_params,)."""
+        nominal = np.concatenate([leg.nominal for leg in self.mechanism.legs])
+        return np.zeros_like(nominal) if self.start is None else self.start - nominal
 
     @cached_property
     def noise(self) -> NoiseModel:
@@ -94,13 +102,18 @@ class Calibration:
         Raises:
             MeasurementError: a parameter that does not exist, or is held twice.
         """
-        return unknowns(
+        found = unknowns(
             self.mechanism.legs,
             self.observation.external.names,
             fixed=self.options.fixed,
             tied=self.options.tied if tied else (),
             priors=self.options.priors,
         )
+        if self.start is None:
+            return found
+        start = found.start.copy()
+        start[: len(self.start)] = self.start
+        return replace(found, start=start)
 
     @cached_property
     def observation(self) -> Observation:

@@ -9,10 +9,11 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.result import UNEXPLAINED, CalibrationResult
 from pincal.estimation.components import Moments
 from pincal.estimation.noise import assumed_noise
-from pincal.estimation.observability.drawings import plausible_changes
+from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 from pincal.estimation.observability.unobservable import Held
 from pincal.estimation.score import scores
 from pincal.finding import Finding
+from pincal.kinematics.closure import largest_size
 from pincal.model.setup import ORIGIN, Setup
 from pincal.words.sentences import finding
 
@@ -34,11 +35,38 @@ def findings_of(
     found = []
     if held is not None and (held.groups or held.weak):
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
+    found += _zeros(result)
     noise = _noise(result)
     if fits is not None and result.converged:
         noise += _proportion(fits) if not noise else []
         noise += _lacking(fits)
-    return (*found, *noise, *_far(result), *_rows(result), *_legs(result))
+    return (*found, *noise, *_far(result), *_signs(result), *_rows(result), *_legs(result))
+
+
+def _zeros(result: CalibrationResult) -> list[Finding]:
+    """Return that motors' zeros were found far from the drawing's."""
+    every = [p for leg in result.legs for p in leg.parameters]
+    ids = [one.id for one, off in zip(every, result.calibration.shift, strict=True) if off]
+    if not ids or result.options.rough:
+        return []
+    changes = tuple((id_, result[id_].change, result[id_].unit) for id_ in ids)
+    return [finding("zeros-found", parameters=ids, changes=changes)]
+
+
+def _signs(result: CalibrationResult) -> list[Finding]:
+    """Return that lengths changed their sign: a mirror image fits, or the drawing does not."""
+    least = DIFFER * largest_size(result.nominal.legs, result.nominal.platform)
+    found = [
+        p
+        for leg in result.legs
+        for p in leg.parameters
+        if p.unit == "m" and p.nominal * p.identified < 0.0
+        if min(abs(p.nominal), abs(p.change) - 2.0 * p.std) > least
+    ]
+    if not found:
+        return []
+    values = tuple((p.id, p.nominal, p.identified) for p in found)
+    return [finding("sign-changed", parameters=[p.id for p in found], lengths=values)]
 
 
 def _noise(result: CalibrationResult) -> list[Finding]:
@@ -52,6 +80,7 @@ def _noise(result: CalibrationResult) -> list[Finding]:
                 position=noise.position if noise and "m" in units else None,
                 orientation=noise.orientation if noise and "rad" in units else None,
                 reading=noise.reading if noise else 0.0,
+                units=sorted(set(result.nominal.reading_units)),
             )
         ]
     if not dof or UNEXPLAINED <= result.chi2_p_value <= 1.0 - UNEXPLAINED:
@@ -134,7 +163,8 @@ def _far(result: CalibrationResult) -> list[Finding]:
                 held=options.hold_undetermined,
             )
         ]
-    surely = (np.abs([p.change for p in found]) - half) / plausible  # beyond its uncertainty
+    moved = np.array([p.change for p in found]) - result.calibration.shift
+    surely = (np.abs(moved) - half) / plausible  # more than its uncertainty
     far = found[int(np.argmax(surely))]
     if surely.max() <= 1.0 or options.rough:
         return []

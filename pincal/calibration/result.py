@@ -185,7 +185,7 @@ class CalibrationResult:
         if self.converged:
             return f"converged after {self.evaluations} evaluations"
         return (
-            f"not converged after {self.evaluations} evaluations: the next step would be "
+            f"did not converge after {self.evaluations} evaluations: the next step would be "
             f"{self.left:.2g} standard errors"
         )
 
@@ -206,8 +206,8 @@ class CalibrationResult:
 
     @property
     def explained(self) -> bool:
-        """Whether residuals are near enough to the noise that uncertainties mean anything."""
-        return self.excess <= _PROMISED
+        """Whether residuals fell, and so near to the noise that uncertainties mean anything."""
+        return self.excess <= _PROMISED and self.corrects
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
@@ -333,7 +333,10 @@ class CalibrationResult:
         """Return the report as a page: ``html()``, ``save(path)``, or shown by a notebook.
 
         Args:
-            **origin: Of ``pincal.report``: command, files, notes, date.
+            **origin: ``command``, ``files``, ``notes`` and ``date``, which the page names.
+
+        Raises:
+            FileError: a file that cannot be read.
         """
         from pincal.show.report.report import report
 

@@ -20,12 +20,13 @@ from pincal.calibration.runs import RunComparison
 from pincal.errors import MeasurementError
 from pincal.files.input import read_text
 from pincal.files.measurement_writing import write_poses
-from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.mechanism_folders import load_mechanism, own_files
 from pincal.files.tables import write_table
 from pincal.model.measurements import Plan
 from pincal.words.sentences import sentence
 
 FORMAT = 2
+RESULT = "result.json"
 MECHANISM, NOMINAL = "mechanism", "nominal"
 _LARGEST = 256 * 1024 * 1024  # bytes
 
@@ -45,9 +46,11 @@ def save_result(
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
     """
-    with output.writing(folder, force=force, folder=True) as scratch:
+    own = [RESULT, "residuals.csv", "poses.csv", "report.html"]
+    own += [*own_files(folder, MECHANISM), *own_files(folder, NOMINAL)]
+    with output.writing(folder, force=force, folder=RESULT, own=own) as scratch:
         text = json.dumps(as_json(result), indent=2, ensure_ascii=False, allow_nan=False)
-        (scratch / "result.json").write_text(text + "\n", encoding="utf-8")
+        (scratch / RESULT).write_text(text + "\n", encoding="utf-8")
         result.nominal.save(scratch / NOMINAL)
         if result.converged:
             result.identified.save(scratch / MECHANISM)
@@ -205,7 +208,7 @@ def read_result(folder: str | Path) -> dict[str, Any]:
         FileError: the file is missing or cannot be read.
         MeasurementError: not a result of pincal, or of an unknown version.
     """
-    path = Path(folder) / "result.json"
+    path = Path(folder) / RESULT
     text = read_text(path, _LARGEST, MeasurementError)
     try:
         data = json.loads(
@@ -230,6 +233,6 @@ def load_result(folder: str | Path) -> CalibrationResult:
     if "data" not in found:
         raise MeasurementError(
             f"{folder}: a result of version 0.1, which does not hold all that it was made from; "
-            "calibrate again, or read it with pincal.read_result"
+            "calibrate again, or read it with pincal.calibration.result_files.read_result"
         )
     return restored(found["data"], load_mechanism(Path(folder) / NOMINAL))

@@ -24,10 +24,13 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from pincal.errors import FileError
+
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
 stdout = Console(highlight=False, width=_WIDTH)
 stderr = Console(stderr=True, highlight=False, soft_wrap=True)  # warnings and errors
 _remarks = Console(stderr=True, highlight=False, soft_wrap=True)  # all else that is no answer
+_WRITTEN = ("output", "html", "page", "picture", "truth")  # names of what commands write
 _asked = {"json": False}
 _typed: list[str] = []
 
@@ -91,6 +94,7 @@ def command(
 
         @wraps(function)
         def run(*, quiet: bool = False, as_json: bool = False, **given: Any) -> None:
+            _spare_inputs(given)
             with _turned_down(quiet, as_json):
                 single(**given)
 
@@ -99,6 +103,35 @@ def command(
         return function
 
     return register
+
+
+def _spare_inputs(given: Mapping[str, Any]) -> None:
+    """Raise if what a command writes would replace what it reads.
+
+    Raises:
+        FileError: it would.
+    """
+    read = [Path(given["mech"])] if given.get("mech") else []
+    for name, value in given.items():
+        values = value if isinstance(value, list | tuple) else [value]
+        read += [one for one in values if isinstance(one, Path) and name not in _WRITTEN]
+    for name in _WRITTEN:
+        out = given.get(name)
+        if isinstance(out, Path) and _there(out):
+            for one in filter(_there, read):
+                inside = one.is_dir() and one.resolve().is_relative_to(out.resolve())
+                if inside or one.samefile(out):
+                    raise FileError(
+                        f"{out} would replace {one}, which this command reads; choose another name"
+                    )
+
+
+def _there(path: Path) -> bool:
+    """Return whether something is there; no of names that no file can have."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
 
 
 def _ungrouped(function: Callable[..., None]) -> Callable[..., None]:

@@ -15,7 +15,7 @@ from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_files import as_json
+from pincal.calibration.result_files import RESULT, as_json
 from pincal.calibration.runs import runs_compared
 from pincal.calibration.validation import FOLDS, held_out
 from pincal.cli.app import (
@@ -224,7 +224,7 @@ def calibrate(
     if how.folds == 1:
         raise MeasurementError("--folds 1: expected 2 or more, or 0 for no held-out validation")
     mechanism = load_mechanism(mech)
-    refuse_existing(output, force=force, folder=True)
+    refuse_existing(output, force=force, folder=RESULT)
     calibration = how.calibration(mechanism, measurements)
     with working("identifying parameters") as progress:
         options = replace(calibration.options, progress=progress)

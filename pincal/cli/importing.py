@@ -15,7 +15,13 @@ from pincal.cli.app import Force, command, output_option, remark, stdout, warn, 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.measurement_writing import write_measurements
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import load_mechanism, save_mechanism, write_mechanism
+from pincal.files.mechanism_folders import (
+    YAML,
+    load_mechanism,
+    own_files,
+    save_mechanism,
+    write_mechanism,
+)
 from pincal.files.output import refuse_existing, writing
 from pincal.files.urdf import more_than_a_turn
 from pincal.formats.arm import load_arm
@@ -152,7 +158,7 @@ def _import_printer(
     file: Path, output: Path, whose: str, probed: Path | None, *, force: bool
 ) -> None:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
-    refuse_existing(output, force=force, folder=True)
+    refuse_existing(output, force=force, folder=YAML)
     if whose is Neighbour.klipper:
         config = read_klipper(file)
         printer, remarks = config.printer, config.remarks
@@ -164,7 +170,8 @@ def _import_printer(
     mechanism = printer.mechanism(name, f"Linear delta of {file.name}.")
     if probed is not None:
         heights, readings = _as_probed(mechanism, probed)
-    with writing(output, force=force, folder=True) as scratch:
+    own = [*own_files(output), PROBING]
+    with writing(output, force=force, folder=YAML, own=own) as scratch:
         write_mechanism(mechanism, scratch)
         if len(heights):
             write_measurements(scratch / PROBING, mechanism, _on_bed(heights, readings))
@@ -226,7 +233,7 @@ def _import_tree(file: Path, output: Path, whose: str, how: ImportOptions, *, fo
         MechanismError: the file does not say what it should.
     """
     loops, platform, tip, base = how.loops, how.platform, how.tip, how.base
-    refuse_existing(output, force=force, folder=True)
+    refuse_existing(output, force=force, folder=YAML)
     if tip is None and base is not None:
         raise MechanismError("--base goes with --tip; loops are closed from the root link on")
     if tip is not None and (platform or loops):

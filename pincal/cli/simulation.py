@@ -27,7 +27,12 @@ from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
 from pincal.files.measurement_writing import write_measurements
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import load_mechanism, write_mechanism
+from pincal.files.mechanism_folders import (
+    YAML,
+    load_mechanism,
+    own_files,
+    write_mechanism,
+)
 from pincal.files.output import refuse_existing, writing
 from pincal.model.mechanism import Mechanism
 
@@ -76,7 +81,7 @@ def simulate(
         true_mechanism = _same_kind(load_mechanism(truth), mechanism, truth)
     else:
         if truth is not None:
-            refuse_existing(truth, force=force, folder=True)
+            refuse_existing(truth, force=force, folder=YAML)
             if truth.absolute() == output.absolute():
                 raise FileError(
                     f"{truth} is named for both the true mechanism and the measurements"
@@ -91,7 +96,8 @@ def simulate(
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
     with ExitStack() as both:  # written together, or neither
         if truth is not None and not given:
-            folder = both.enter_context(writing(truth, force=force, folder=True))
+            whole = writing(truth, force=force, folder=YAML, own=own_files(truth))
+            folder = both.enter_context(whole)
             write_mechanism(true_mechanism, folder)
         write_measurements(output, mechanism, simulation.measurements, force=force)
     if truth is not None and not given:

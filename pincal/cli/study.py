@@ -13,6 +13,7 @@ from pincal.cli.app import Force, Seed, answer, command, output_option, remark, 
 from pincal.errors import FileError
 from pincal.files.output import refuse_existing, writing
 
+STUDY = "study.md"
 _BESIDE = Path(__file__).resolve().parents[2]
 
 
@@ -43,14 +44,14 @@ def study(
     if name == "all" and not output.is_dir():
         refuse_existing(output, force=False).mkdir()
     for folder in folders:
-        refuse_existing(folder, force=force, folder=True)
+        refuse_existing(folder, force=force, folder=STUDY)
     if page is not None:
         refuse_existing(page, force=force)
     pages, found = [], []
     for one, folder in zip(names, folders, strict=True):
         with working(f"study of the {one}") as progress:
             done = studies.run_study(one, seed, quick, progress)
-        with writing(folder, force=force, folder=True) as scratch:
+        with writing(folder, force=force, folder=STUDY) as scratch:
             done.write(scratch)
         wrote(folder)
         kept = {key: getattr(done, key) for key in ("name", "title", "paper", "tables")}

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from pincal.errors import MeasurementError
 from pincal.estimation.alignment import aligned
@@ -76,9 +77,40 @@ def align_start(
     known = np.isfinite(data.poses[:, : platform.lengths]).all(axis=1)
     arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
     matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
-    return poses_at_rest(
-        problem, replace(state, matrices=matrices, joints=(None,) * len(problem.legs))
+    state = replace(state, matrices=matrices, joints=(None,) * len(problem.legs))
+    return poses_at_rest(problem, instruments_started(problem, state))
+
+
+def instruments_started(problem: Problem, state: State) -> State:
+    """Return the state with the instruments' own parameters at least squares.
+
+    At the poses that everything else gives; as it is where that does not fix them.
+
+    Args:
+        problem: The problem.
+        state: Poses near those at rest.
+    """
+    seen = problem.observation
+    columns = [name for one in seen.setup.instruments for name in one.columns]
+    others = replace(problem, observation=seen.only([n for n in seen.names if n not in columns]))
+    if not len(state.external.own) or (others.equations < 0).any():
+        return state
+    matrices = poses_at_rest(others, state).matrices
+    own = seen.only(columns)
+    sigma = np.where(own.measured & (problem.sigma_observed > 0.0), problem.sigma_observed, 1.0)
+
+    def rows(values: Array) -> tuple[Array, Array]:
+        found = own.evaluate(matrices, replace(state.external, own=values))
+        by_own = found.external[:, :, seen.external.own_columns] / sigma[:, :, None]
+        return (found.value / sigma).ravel(), by_own.reshape(-1, len(values))
+
+    found = least_squares(
+        lambda values: rows(values)[0],
+        state.external.own,
+        jac=lambda values: rows(values)[1],
+        x_scale="jac",
     )
+    return replace(state, external=replace(state.external, own=found.x))
 
 
 def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:

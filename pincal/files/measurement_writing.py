@@ -29,18 +29,7 @@ def write_poses(
     orientation: str = "tilt-torsion",
     force: bool = False,
 ) -> None:
-    """Write poses, and their sets if they have them, to a CSV file.
-
-    Args:
-        path: The file.
-        mechanism: The mechanism.
-        plan: The poses.
-        orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
-        force: Whether to replace the file if it exists.
-
-    Raises:
-        FileError: the file exists and ``force`` is not set, or cannot be written.
-    """
+    """Write poses, and their sets if they have them, to a CSV file: see ``Plan.to_csv``."""
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses to write", MeasurementError)
     planned = Plan(plan.poses, plan.sets, plan.readings)
@@ -68,25 +57,14 @@ def write_measurements(
     setup: Setup | None = None,
     force: bool = False,
 ) -> None:
-    """Write measurements to a CSV file.
-
-    Args:
-        path: The file.
-        mechanism: The mechanism.
-        data: The measurements.
-        setup: Says units of further columns that are neither lengths nor single angles.
-        force: Whether to replace the file if it exists.
-
-    Raises:
-        FileError: the file exists and ``force`` is not set, or cannot be written.
-    """
+    """Write measurements to a CSV file: see ``Measurements.to_csv``."""
     mechanism = as_mechanism(mechanism)
     must_be(data, Measurements, "measurements to write", MeasurementError)
     write_table(path, columns_of(mechanism, data, setup=setup), force=force)
 
 
 def columns_of(
-    mechanism: Mechanism,
+    mechanism: GivenMechanism,
     plan: Plan,
     orientation: str = "tilt-torsion",
     setup: Setup | None = None,
@@ -102,6 +80,7 @@ def columns_of(
     Raises:
         MeasurementError: numbers of another mechanism, or no such way.
     """
+    mechanism = as_mechanism(mechanism)
     columns = _pose_columns(mechanism, plan, orientation)
     if not isinstance(plan, Measurements):
         if plan.readings is not None:

@@ -20,19 +20,7 @@ Array = NDArray[np.float64]
 
 
 def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False) -> Plan:
-    """Return the poses of a CSV file, with its ``set`` column if there is one.
-
-    And with the readings, of a mechanism whose poses do not determine them.
-
-    Args:
-        path: The file, or a pandas DataFrame with the same headers.
-        mechanism: The mechanism.
-        partial: Whether columns or cells of the pose may be missing; they are NaN.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: a column or cell that is missing or wrong; the message says where.
-    """
+    """Return the poses of a CSV file or DataFrame: see ``Plan.from_csv``."""
     mechanism = as_mechanism(mechanism)
     table = table_for(path, mechanism)
     readings = None
@@ -56,18 +44,7 @@ def read_readings(path: Source, mechanism: GivenMechanism) -> Array:
 def read_measurements(
     path: Source, mechanism: GivenMechanism, setup: Setup | None = None, *, partial: bool = False
 ) -> Measurements:
-    """Return the measurements of a CSV file: poses, readings, sets and standard deviations.
-
-    Args:
-        path: The file, or a pandas DataFrame with the same headers.
-        mechanism: The mechanism.
-        setup: What else was measured than the platform's pose.
-        partial: Whether columns or cells of the pose may be missing.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: a column or cell that is missing or wrong; the message says where.
-    """
+    """Return the measurements of a CSV file or DataFrame: see ``Measurements.from_csv``."""
     mechanism = as_mechanism(mechanism)
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)

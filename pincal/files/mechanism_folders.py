@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import FileError, MechanismError, PincalError
 from pincal.files.output import writing
 from pincal.files.schema import FORMAT, LegSpec, MechanismSpec, read_spec
 from pincal.files.urdf import read_chain, read_points
@@ -22,7 +22,7 @@ from pincal.model.platform import Platform
 from pincal.model.platform_kind import KINDS, PlatformKind
 from pincal.model.sensor import Sensor
 
-_YAML = "mechanism.yaml"
+YAML = "mechanism.yaml"
 
 GivenMechanism = Mechanism | str | Path
 """A mechanism, its bundled name, or its folder."""
@@ -58,9 +58,9 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         MechanismError: a file that does not say what it should; the message names the place.
     """
     folder = _folder(name_or_path)
-    path = folder / _YAML
+    path = folder / YAML
     try:
-        spec = read_spec(_inside(folder, _YAML))
+        spec = read_spec(_inside(folder, YAML))
         return _mechanism(spec, folder)
     except MechanismError as error:
         raise MechanismError(
@@ -76,9 +76,20 @@ def mechanism_files(name_or_path: str | Path) -> list[Path]:
         MechanismError: it does not say what it should.
     """
     folder = _folder(name_or_path)
-    spec = read_spec(_inside(folder, _YAML))
+    spec = read_spec(_inside(folder, YAML))
     urdfs = dict.fromkeys((spec.platform.urdf, *(leg.urdf for leg in spec.legs)))
-    return [folder / _YAML, *(folder / name for name in urdfs)]
+    return [folder / YAML, *(folder / name for name in urdfs)]
+
+
+def own_files(folder: str | Path, below: str = "") -> list[str]:
+    """Return the files that a mechanism below a folder consists of, relative to the folder."""
+    place = Path(must_be(folder, (str, Path), "where to write", FileError)) / below
+    try:
+        spec = read_spec(place / YAML)
+    except PincalError:  # nothing to be replaced
+        return []
+    names = {YAML, spec.platform.urdf, *(leg.urdf for leg in spec.legs)}
+    return [str(Path(below, name)) for name in sorted(names)]
 
 
 def _folder(name_or_path: str | Path) -> Path:
@@ -102,10 +113,10 @@ def _folder(name_or_path: str | Path) -> Path:
         )
     if (folder / "result.json").is_file() and (folder / "mechanism").is_dir():
         return folder / "mechanism"  # a result of 'pincal calibrate'
-    if not (folder / _YAML).is_symlink() and not (folder / _YAML).exists():
+    if not (folder / YAML).is_symlink() and not (folder / YAML).exists():
         result = (folder / "result.json").is_file()
         why = "a result whose fit did not converge" if result else "no mechanism folder"
-        raise FileError(f"{name!r} is {why}: it has no {'mechanism' if result else _YAML}")
+        raise FileError(f"{name!r} is {why}: it has no {'mechanism' if result else YAML}")
     return folder
 
 
@@ -208,14 +219,14 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
         FileError: the folder exists and ``force`` is not set, or cannot be written.
     """
     must_be(mechanism, Mechanism, "a mechanism to write", MechanismError)
-    with writing(folder, force=force, folder=True) as scratch:
+    with writing(folder, force=force, folder=YAML, own=own_files(folder)) as scratch:
         write_mechanism(mechanism, scratch)
     return Path(folder)
 
 
 def write_mechanism(mechanism: Mechanism, folder: Path) -> None:
     """Write a mechanism's files into a folder that exists."""
-    (folder / _YAML).write_text(_dump(mechanism), encoding="utf-8")
+    (folder / YAML).write_text(_dump(mechanism), encoding="utf-8")
     for leg in mechanism.legs:
         (folder / f"{leg.name}.urdf").write_text(leg_urdf(leg), encoding="utf-8")
     platform = platform_urdf(mechanism.name, mechanism.legs)

@@ -32,12 +32,7 @@ class _SetupSpec(Strict):
 
 
 def read_setup(path: str | Path) -> Setup:
-    """Return the setup that a YAML file says.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: it does not parse, or says something else than it should.
-    """
+    """Return the setup that a YAML file says: see ``Setup.from_yaml``."""
     path = Path(must_be(path, (str, Path), "a setup file", MeasurementError))
     spec = read_yaml(path, _SetupSpec, MeasurementError)
     distances = {name: Distance(one.start, one.target) for name, one in spec.distances.items()}

@@ -19,7 +19,7 @@ from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Placement, along
+from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 
@@ -28,17 +28,7 @@ TOOL = "tool"
 
 
 def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
-    """Return a serial arm from any URDF, as a mechanism to calibrate.
-
-    Args:
-        path: The URDF; links that do not lie between base and tip are left out.
-        tip: Link at the end, whose frame is the platform.
-        base: Link at the foot; the root of the URDF if not given.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: not well-formed, or no chain of joints from base to tip.
-    """
+    """Return a serial arm from any URDF: see ``Mechanism.from_urdf``."""
     path = Path(must_be(path, (str, Path), "a URDF file", MechanismError))
     joints = read_path(path, tip, base)
     try:
@@ -75,10 +65,9 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         if set(own) & set(parameters):
             raise MechanismError(f"{name}: joint names alike: {stem!r} names two of them")
         parameters |= own
-        steps = tuple(along(axis, parameter) for axis, parameter in zip(_AXES, own, strict=True))
-        steps += tuple(
-            along(*one) for one in zip("xyz", joint.placement.xyz, strict=True) if one[1]
-        )
+        steps = tuple(Coordinate(axis, (name,)) for axis, name in zip(_AXES, own, strict=True))
+        xyz = zip("xyz", joint.placement.xyz, strict=True)
+        steps += tuple(Coordinate(axis, (value,)) for axis, value in xyz if value)
         placement = Placement(steps, joint.placement.xyz, joint.placement.rpy)
         placed.append(replace(joint, placement=placement, home=_home(joint)))
     leg = Leg(

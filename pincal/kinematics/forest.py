@@ -112,10 +112,12 @@ class Forest:
         padded[:count, :n] = configurations
         out = np.empty((6, blocks, self.copies * self.width))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
+        columns = data.J  # Pinocchio's own memory: a copy of what each call returns costs as much
         for target, q in zip(
             out.swapaxes(0, 1), padded.reshape(blocks, self.copies * self.width), strict=True
         ):
-            target[:] = evaluate(model, data, q)
+            evaluate(model, data, q)
+            target[:] = columns
         return out.reshape(6, blocks * self.copies, self.width)[:, :count]
 
 

@@ -85,14 +85,30 @@ class Plan:
                 object.__setattr__(self, name, one_a_row)
 
     @classmethod
-    def from_csv(cls, path: str | Path, mechanism: Mechanism, *, partial: bool = False) -> Plan:
-        """Return the poses of a CSV file: see ``pincal.read_poses``."""
+    def from_csv(
+        cls, path: str | Path, mechanism: Mechanism | str | Path, *, partial: bool = False
+    ) -> Plan:
+        """Return the poses of a CSV file, with its ``set`` column if there is one.
+
+        And with the readings, of a mechanism whose poses do not determine them.
+
+        Args:
+            path: The file.
+            mechanism: The mechanism; or its name or folder.
+            partial: Whether columns or cells of the pose may be missing; they are NaN.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        """
         from pincal.files.measurements import read_poses
 
         return read_poses(path, mechanism, partial=partial)
 
     @classmethod
-    def from_dataframe(cls, frame: Any, mechanism: Mechanism, *, partial: bool = False) -> Plan:
+    def from_dataframe(
+        cls, frame: Any, mechanism: Mechanism | str | Path, *, partial: bool = False
+    ) -> Plan:
         """Return the poses of a pandas DataFrame, whose columns are named as in a CSV file.
 
         Raises:
@@ -103,13 +119,24 @@ class Plan:
     def to_csv(
         self,
         path: str | Path,
-        mechanism: Mechanism,
+        mechanism: Mechanism | str | Path,
         *,
         orientation: str = "tilt-torsion",
         setup: Setup | None = None,
         force: bool = False,
     ) -> None:
-        """Write a CSV file: see ``pincal.write_poses`` and ``pincal.write_measurements``."""
+        """Write a CSV file.
+
+        Args:
+            path: The file.
+            mechanism: The mechanism; or its name or folder.
+            orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+            setup: Says units of further columns that are neither lengths nor single angles.
+            force: Whether to replace the file if it exists.
+
+        Raises:
+            FileError: the file exists and ``force`` is not set, or cannot be written.
+        """
         from pincal.files.measurement_writing import columns_of
         from pincal.files.tables import write_table
 
@@ -117,7 +144,7 @@ class Plan:
 
     def to_dataframe(
         self,
-        mechanism: Mechanism,
+        mechanism: Mechanism | str | Path,
         *,
         orientation: str = "tilt-torsion",
         setup: Setup | None = None,
@@ -197,12 +224,23 @@ class Measurements(Plan):
     def from_csv(
         cls,
         path: str | Path,
-        mechanism: Mechanism,
+        mechanism: Mechanism | str | Path,
         setup: Setup | None = None,
         *,
         partial: bool = False,
     ) -> Measurements:
-        """Return the measurements of a CSV file: see ``pincal.read_measurements``."""
+        """Return the measurements of a CSV file: poses, readings, sets and standard deviations.
+
+        Args:
+            path: The file.
+            mechanism: The mechanism; or its name or folder.
+            setup: What else was measured than the platform's pose.
+            partial: Whether columns or cells of the pose may be missing.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        """
         from pincal.files.measurements import read_measurements
 
         return read_measurements(path, mechanism, setup, partial=partial)
@@ -211,7 +249,7 @@ class Measurements(Plan):
     def from_dataframe(
         cls,
         frame: Any,
-        mechanism: Mechanism,
+        mechanism: Mechanism | str | Path,
         setup: Setup | None = None,
         *,
         partial: bool = False,

@@ -200,6 +200,23 @@ class Mechanism:
 
         return mechanism_html(self)
 
+    @staticmethod
+    def from_urdf(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
+        """Return a serial arm from any URDF, as a mechanism to calibrate.
+
+        Args:
+            path: The URDF; links that do not lie between base and tip are left out.
+            tip: Link at the end, whose frame is the platform.
+            base: Link at the foot; the root of the URDF if not given.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MechanismError: not well-formed, or no chain of joints from base to tip.
+        """
+        from pincal.formats.arm import load_arm
+
+        return load_arm(path, tip, base)
+
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write ``mechanism.yaml`` and the URDFs to a new folder, whole or not at all.
 

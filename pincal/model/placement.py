@@ -22,6 +22,7 @@ from pincal.model.overview import one_line, triple
 
 Array = NDArray[np.float64]
 Value = str | float  # a parameter's name, or a constant
+Values = tuple[Value, ...] | list[Value]
 
 #: Coordinate kinds and, for each of their values, its unit.
 KINDS: dict[str, tuple[str, ...]] = {
@@ -109,27 +110,6 @@ class Coordinate:
         return self.kind in ("rx", "ry", "rz")
 
 
-def polar(radius: Value, azimuth: Value) -> Coordinate:
-    """Return the coordinate of a point at a radius and an azimuth about z."""
-    return Coordinate("polar", (radius, azimuth))
-
-
-def spherical(radius: Value, polar_angle: Value, azimuth: Value) -> Coordinate:
-    """Return the coordinate of a point at a radius, an angle from z and an azimuth."""
-    return Coordinate("spherical", (radius, polar_angle, azimuth))
-
-
-def cartesian(x: Value, y: Value, z: Value | None = None) -> tuple[Coordinate, ...]:
-    """Return the coordinates of a point given by x, y and, in space, z."""
-    first = (Coordinate("x", (x,)), Coordinate("y", (y,)))
-    return first if z is None else (*first, Coordinate("z", (z,)))
-
-
-def along(axis: str, value: Value) -> Coordinate:
-    """Return a displacement along an axis (``"x"``) or about it (``"rx"``)."""
-    return Coordinate(axis, (value,))
-
-
 @dataclass(frozen=True)
 class Placement:
     """Where a joint sits on its parent link: URDF origin, and the coordinates in it."""
@@ -139,6 +119,25 @@ class Placement:
     """URDF origin, [m]."""
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """URDF origin, roll-pitch-yaw about fixed axes, [rad]."""
+
+    @classmethod
+    def of(cls, parameters: Mapping[str, float], /, **coordinates: Value | Values) -> Placement:
+        """Return the placement that coordinates give at nominal values, in the order given.
+
+        ``Placement.of(values, polar=("OA", "beta"), rz=0.3)`` puts a joint at a radius and an
+        azimuth, and turns it by 0.3 rad.
+
+        Args:
+            parameters: Nominal values by name.
+            **coordinates: By kind (a key of ``KINDS``) its value, or its values: names of
+                parameters, or numbers.
+
+        Raises:
+            MechanismError: an unknown kind, or another number of values than it takes.
+        """
+        own = {k: v if isinstance(v, tuple | list) else (v,) for k, v in coordinates.items()}
+        steps = tuple(Coordinate(kind, tuple(values)) for kind, values in own.items())
+        return cls(steps).at(parameters, np.eye(4))
 
     def __repr__(self) -> str:
         parts = [f"{c.kind}({', '.join(map(str, c.values))})" for c in self.coordinates]
@@ -231,11 +230,6 @@ class Placement:
         if self.turns or not np.array_equal(rest[:3, :3], self.origin()[:3, :3]):
             rpy = _roll_pitch_yaw(origin[:3, :3])
         return replace(self, xyz=_floats(origin[:3, 3]), rpy=rpy)
-
-
-def placed(parameters: Mapping[str, float], *coordinates: Coordinate) -> Placement:
-    """Return the placement that coordinates give at nominal parameter values."""
-    return Placement(coordinates).at(parameters, np.eye(4))
 
 
 def _without_rounding(rotation: Array) -> Array:

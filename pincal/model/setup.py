@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot
+from pathlib import Path
 from typing import Any
 
 from pincal.errors import MeasurementError
@@ -87,6 +88,18 @@ class Setup:
                 )
         object.__setattr__(self, "instruments", tuple(self.instruments))
         self._check_instruments()
+
+    @staticmethod
+    def from_yaml(path: str | Path) -> Setup:
+        """Return the setup that a YAML file says.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MeasurementError: it does not parse, or says something else than it should.
+        """
+        from pincal.files.setups import read_setup
+
+        return read_setup(path)
 
     def _check_instruments(self) -> None:
         """Raise if an instrument is none, or its names are another's.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
 from pincal.design.select import Selection
-from pincal.errors import WorkspaceError
+from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
@@ -109,8 +109,14 @@ def error_map(result: CalibrationResult, ax: Axes | None = None) -> Axes:
     The other coordinates are as at home; in space, z is in the middle of the workspace.
 
     Raises:
+        MeasurementError: residuals are so large that no accuracy can be promised.
         WorkspaceError: no workspace was found with the default margins.
     """
+    if not result.explained:
+        raise MeasurementError(
+            f"{result.nominal.name}: residuals are {result.excess:.3g} times as large as the noise "
+            "given makes them, so no accuracy can be promised and none is drawn"
+        )
     maps = error_maps(result)
     if maps is None:
         raise WorkspaceError(f"{result.nominal.name}: no workspace was found to draw errors over")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
 from pincal.show.results import (
@@ -103,24 +101,16 @@ def legs_table(result: CalibrationResult) -> Table:
 
 def observed_table(result: CalibrationResult) -> Table:
     """Return how the measured quantities of the platform fit, where poses are unknowns."""
-    exact = readings_exact(result)  # only then readings give poses before
-    heads = ("rms before", "rms after", "σ") if exact else ("rms misfit", "σ")
     return Table(
         "The platform as measured, at the estimated poses",
-        tuple(map(Column, ("measured", "rows", *heads, "unit"))),
-        [
-            (one.name, len(one.rows), *_sizes(one)[0 if exact else 1 :])
-            for one in observed_series(result)
-        ],
+        tuple(map(Column, ("measured", "rows", "rms before", "rms after", "σ", "unit"))),
+        [(one.name, len(one.rows), *_sizes(one)) for one in observed_series(result)],
     )
 
 
 def _sizes(one: Series) -> tuple[Cell, ...]:
     """Return root mean squares before and after, σ, and the unit."""
-    cells = [
-        Cell(value, "" if np.isnan(value) else f"{shown_in(value, one.unit):.4f}")
-        for value in one.rms
-    ]
+    cells = [Cell(value, f"{shown_in(value, one.unit):.4f}") for value in one.rms]
     return (*cells, Cell(one.unit, SMALL[one.unit]))
 
 

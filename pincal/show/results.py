@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult
 from pincal.calibration.result import CalibrationResult
 from pincal.finding import Finding
+from pincal.model.measurements import Noise
+from pincal.words.results import noise
 from pincal.words.sentences import WORDINGS, sentence
 
 Array = NDArray[np.float64]
-_MISSED = 0.01  # standard deviations, below which a reading is not missed at all
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Series:
     unit: str
     rows: NDArray[np.intp]
     before: Array
-    """NaN of readings from which poses were made where the search started: these miss nothing."""
+    """With nominal parameters, at the poses that suit these best where poses are unknowns."""
     after: Array
     sigma: Array
     of_leg: bool
@@ -47,18 +48,13 @@ def legs_series(result: CalibrationResult) -> list[Series]:
             leg.name,
             leg.unit,
             leg.rows,
-            np.full(len(leg.rows), np.nan) if _made_poses(leg) else leg.residuals_before,
+            leg.residuals_before,
             leg.residuals,
             leg.sigma * scale,
             of_leg=True,
         )
         for leg in result.legs
     ]
-
-
-def _made_poses(leg: LegResult) -> bool:
-    largest = np.abs(leg.residuals_before).max(initial=0.0)
-    return leg.quantity == "reading" and bool(largest < _MISSED * leg.sigma.max(initial=0.0))
 
 
 def observed_series(result: CalibrationResult) -> list[Series]:
@@ -78,13 +74,40 @@ def observed_series(result: CalibrationResult) -> list[Series]:
 
 
 def noisy_series(result: CalibrationResult) -> list[Series]:
-    """Return residuals that carry noise: of the legs, or of the platform if readings are exact."""
-    return observed_series(result) if readings_exact(result) else legs_series(result)
+    """Return residuals that carry noise: of legs, of the platform if legs cannot miss, or both.
+
+    Both where readings have noise: they share with the platform what is missed.
+    """
+    if readings_exact(result):
+        return observed_series(result)
+    both = any(leg.quantity == "reading" for leg in result.legs)
+    return legs_series(result) + (observed_series(result) if both else [])
+
+
+def whose(series: Sequence[Series]) -> str:
+    """Return what residuals are of: leg, measured quantity, or both."""
+    names = {True: "leg", False: "measured quantity"}
+    return " and ".join(dict.fromkeys(names[one.of_leg] for one in series))
 
 
 def readings_exact(result: CalibrationResult) -> bool:
     """Return whether legs close by construction, so that only the platform can miss something."""
     return bool(result.observed) and not any((leg.sigma > 0.0).any() for leg in result.legs)
+
+
+def noise_said(result: CalibrationResult, sizes: Noise) -> str:
+    """Return standard deviations of what was measured, each in its unit."""
+    observed = result.calibration.observation
+    columns = zip(observed.units, observed.measured.T, strict=True)
+    seen = {unit for unit, own in columns if own.any()}
+    return noise(
+        {
+            "position": sizes.position if "m" in seen else None,
+            "orientation": sizes.orientation if "rad" in seen else None,
+            "reading": sizes.reading,
+            "units": sorted(set(result.nominal.reading_units)),
+        }
+    )
 
 
 def turns(result: CalibrationResult) -> bool:

@@ -12,10 +12,9 @@ from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
-from pincal.show.results import gauge, turns, unpromised
+from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import amount, listed, size
-from pincal.words.results import noise
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED
 
@@ -79,10 +78,7 @@ def noise_line(result: CalibrationResult) -> str:
     dof, chi2 = result.degrees_of_freedom, result.reduced_chi2
     if result.noise_source in ("estimated", "repeats") and result.noise:
         where = "the residuals" if result.noise_source == "estimated" else "repeated rows"
-        sizes = dict(vars(result.noise))
-        if not turns(result):
-            sizes["orientation"] = None
-        text = f"noise estimated from {where}: {noise(sizes)}"
+        text = f"noise estimated from {where}: {noise_said(result, result.noise)}"
         if result.noise_source == "estimated":
             return text
         return f"{text}; {f'reduced χ² {chi2:.3g}' if dof else _NO_FREEDOM}"
@@ -105,14 +101,14 @@ def tie_lines(result: CalibrationResult) -> list[str]:
 
 def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     """Return by how much the platform was off, and by about how much it should be now."""
-    turning, more = turns(result), result.excess
+    turning = turns(result)
     before = platform_size(errors.mean_before(), turning)
     text = f"platform, root mean square {errors.where}: "
-    if not (result.explained and result.corrects):
+    if not result.explained:
         return (
             f"{text}the calibrated model differs from the nominal one by {before}, but no accuracy "
-            f"can be promised of it: residuals are {more:.3g} times as large as the noise given "
-            f"makes them{'' if result.corrects else ', and hardly fell'}"
+            f"can be promised of it: residuals are {result.excess:.3g} times as large as the noise "
+            f"given makes them{'' if result.corrects else ', and hardly fell'}"
         )
     frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
     after = platform_size(errors.mean_after(), turning)

@@ -95,13 +95,15 @@ class ErrorMaps:
 def error_maps(
     result: CalibrationResult, errors: WorkspaceErrors | None = None
 ) -> ErrorMaps | None:
-    """Return errors over the workspace, None where none was found.
+    """Return errors over the workspace, None where none was found or none can be promised.
 
     Args:
         result: The calibration.
         errors: Those at samples of the workspace, computed if not given.
     """
     nominal, platform = result.nominal, result.nominal.platform
+    if not result.explained:
+        return None
     if errors is None:
         errors = workspace_errors(result, Plan(np.array([platform.home])))
     if not errors.sampled or nominal.by_readings:

@@ -26,6 +26,16 @@ class Element:
     """[rad]."""
     reflection: bool = False
 
+    @staticmethod
+    def rotations(n: int) -> tuple[Element, ...]:
+        """Return the n rotations of D_2n, the identity first."""
+        return tuple(Element(wrapped(2 * np.pi * k / n)) for k in range(n))
+
+    @staticmethod
+    def mirror(azimuth: float) -> Element:
+        """Return the reflection through the plane that holds z at an azimuth, [rad]."""
+        return Element(wrapped(2 * azimuth), reflection=True)
+
     @property
     def matrix(self) -> Array:
         """Orthogonal matrix Q, shape (3, 3)."""
@@ -73,11 +83,5 @@ def wrapped(angle: float) -> float:
     return float(np.pi - (np.pi - angle) % (2 * np.pi))
 
 
-def rotations(n: int) -> tuple[Element, ...]:
-    """Return the n rotations of D_2n, the identity first."""
-    return tuple(Element(wrapped(2 * np.pi * k / n)) for k in range(n))
-
-
-def mirror(azimuth: float) -> Element:
-    """Return the reflection through the plane that holds z at an azimuth, [rad]."""
-    return Element(wrapped(2 * azimuth), reflection=True)
+#: What the package calls them by.
+rotations, mirror = Element.rotations, Element.mirror

@@ -69,6 +69,16 @@ def _tie(found: Finding) -> str:
     )
 
 
+def _zeros(found: Finding) -> str:
+    off = [f"{id_} by {change:.3g} {_si(unit)}" for id_, change, unit in found.values["changes"]]
+    return f"zeros of readings are far from the drawing's: {listed(off)}"
+
+
+def _signs(found: Finding) -> str:
+    parts = [f"{id_} from {a:.4g} to {b:.4g} m" for id_, a, b in found.values["lengths"]]
+    return f"lengths changed their sign: {listed(parts)}"
+
+
 def _held(found: Finding) -> str:
     v = found.values
     parts = [groups_in_words(v["groups"])] if v["groups"] else []
@@ -142,6 +152,22 @@ PARAMETERS: dict[str, Wording] = {
         _far_remedy,
         general="Check units, the order of the readings, and the frame and target of the "
         "measurements (--unknown-frame, --unknown-target)",
+    ),
+    "zeros-found": Wording(
+        "Zeros of motors are far off",
+        {"changes": "parameter's id, identified less nominal, and unit, of each zero"},
+        _zeros,
+        "Nothing but other zeros explains the measurements, and full poses give these in closed "
+        "form: the search started there. The other parameters stay near the drawing.",
+        "Nothing to do if the motors were zeroed anew; else look at the columns of these readings",
+    ),
+    "sign-changed": Wording(
+        "A length changed its sign",
+        {"lengths": "parameter's id, nominal and identified value [m], of each"},
+        _signs,
+        "The mirror image of a leg fits, or the search went astray: a length of the drawing cannot "
+        "be negative.",
+        "Correct the nominal values (zeros of motors first), or fix these lengths (--fix)",
     ),
     "tie-contradicted": Wording(
         "A tie does not hold",

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.finding import Finding
-from pincal.words.numbers import amount
+from pincal.words.numbers import SMALL, amount, listed, shown_in
 from pincal.words.wording import P_VALUE, Wording
 
 
@@ -19,7 +19,10 @@ def _noise_estimated(found: Finding) -> str:
 
 
 def noise(values: Mapping[str, Any]) -> str:
-    """Return standard deviations of ``position``, ``orientation`` and ``reading``; 0 is exact."""
+    """Return standard deviations of ``position``, ``orientation`` and ``reading``; 0 is exact.
+
+    ``units`` are those of the readings, or what they may be where legs differ.
+    """
     parts = []
     if values["position"] is not None:
         parts.append(f"{amount(values['position'], 'm')} in position")
@@ -27,7 +30,8 @@ def noise(values: Mapping[str, Any]) -> str:
         parts.append(f"{amount(values['orientation'], 'rad')} in orientation")
     reading = values["reading"]
     if reading:
-        parts.append(f"{1e3 * reading:.3g} mm or mrad in readings")
+        units = listed((SMALL[unit] for unit in values["units"]), "or")
+        parts.append(f"{shown_in(reading, values['units'][0]):.3g} {units} in readings")
     return ", ".join(parts if reading else [*parts, "readings exact"])
 
 
@@ -166,7 +170,8 @@ RESULTS: dict[str, Wording] = {
         {
             "position": "standard deviation [m]; None if no position was measured",
             "orientation": "standard deviation [rad]; None if no orientation was measured",
-            "reading": "standard deviation [rad or m]; 0 if readings were taken as exact",
+            "reading": "standard deviation [units]; 0 if readings were taken as exact",
+            "units": "units of the readings",
         },
         _noise_estimated,
         "Variance components of positions, orientations and readings were estimated with the "

@@ -20,6 +20,7 @@ from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_ROUNDS = 6  # the nearest neighbours first: poses that hang together already are not joined again
 
 
 class HomeComponent:
@@ -43,13 +44,15 @@ class HomeComponent:
         neighbours = min(len(poses), 4 * poses.shape[1] + 1)
         near = np.asarray(self._tree.query(points / self._scale, neighbours)[1])
         near = near.reshape(len(poses), -1)
-        pairs = np.stack((np.repeat(np.arange(len(poses)), near.shape[1]), near.ravel()))
-        first, second = pairs[:, pairs[0] < pairs[1]]
-        halfway = platform.twists_between(poses[first], poses[second]) / 2
-        joined = counts(platform.moved(poses[first], halfway))
-        first, second = first[joined], second[joined]
-        graph = coo_array((np.ones(len(first)), (first, second)), [len(poses)] * 2)
-        _, labels = connected_components(graph, directed=False)
+        labels, joined = np.arange(len(poses)), np.empty((2, 0), dtype=near.dtype)
+        for some in np.array_split(near, _ROUNDS, axis=1):
+            pairs = np.stack((np.repeat(np.arange(len(poses)), some.shape[1]), some.ravel()))
+            pairs = pairs[:, (pairs[0] < pairs[1]) & (labels[pairs[0]] != labels[pairs[1]])]
+            first, second = pairs
+            halfway = platform.twists_between(poses[first], poses[second]) / 2
+            joined = np.hstack((joined, pairs[:, counts(platform.moved(poses[first], halfway))]))
+            graph = coo_array((np.ones(joined.shape[1]), tuple(joined)), [len(poses)] * 2)
+            _, labels = connected_components(graph, directed=False)
         self._connected = labels == labels[0]
 
     def __call__(self, poses: Array) -> Mask:

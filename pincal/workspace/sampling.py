@@ -8,6 +8,8 @@ if it can be driven to from home so.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +30,7 @@ from pincal.workspace.criteria import Margins, in_workspace
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_BATCH = 16_384
+_BATCH, _PART = 16_384, 2048  # poses that are drawn, and looked at, together
 _PILOT = 1_500  # accepted poses from which the box is tightened and connected
 _WIDEN = 0.1  # of the box around the accepted poses, on each side
 _MOST = 400  # batches without enough poses before giving up
@@ -117,15 +119,21 @@ def sample_workspace(
         return sample_configurations(mechanism, count, seed, least).poses
     _check_count(count)
     rng = generator_of(seed, WorkspaceError)
-    low, high, connected = _explore(mechanism, rng, least)
+    if isinstance(seed, int | np.integer):
+        (low, high, connected), rng.bit_generator.state = _explored(mechanism, int(seed), least)
+    else:
+        low, high, connected = _explore(mechanism, rng, least)
     found = [np.empty((0, mechanism.platform.dof))]
     total = 0
     for _ in range(_MOST * (1 + count // _BATCH)):
-        poses = rng.uniform(low, high, (_BATCH, mechanism.platform.dof))
-        kept = poses[in_workspace(mechanism, poses, least)]
-        kept = kept[connected(kept)]
-        found.append(kept)
-        total += len(kept)
+        drawn = rng.uniform(low, high, (_BATCH, mechanism.platform.dof))
+        for poses in np.split(drawn, _BATCH // _PART):
+            kept = poses[in_workspace(mechanism, poses, least)]
+            kept = kept[connected(kept)]
+            found.append(kept)
+            total += len(kept)
+            if total >= count:
+                break
         if progress:
             progress(min(total, count))
         if total >= count:
@@ -145,6 +153,15 @@ def _check_count(count: int) -> None:
         raise WorkspaceError(
             f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
         )
+
+
+@lru_cache(maxsize=16)
+def _explored(
+    mechanism: Mechanism, seed: int, least: Margins | None
+) -> tuple[tuple[Array, Array, HomeComponent], Any]:
+    """Return what is explored from a seed, and the state of its generator then."""
+    rng = np.random.default_rng(seed)
+    return _explore(mechanism, rng, least), rng.bit_generator.state
 
 
 def _explore(

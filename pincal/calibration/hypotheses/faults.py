@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.leg_fit import QUESTIONED, LegFit, leg_fit
+from pincal.calibration.hypotheses.leg_fit import QUESTIONED, LegFit, leg_fits
 from pincal.calibration.hypotheses.sample import Sample
 from pincal.kinematics.inverse import inverse
 from pincal.model.mechanism import Mechanism
@@ -241,7 +241,7 @@ def _best_order(sample: Sample) -> list[int]:
     def cost(fit: LegFit) -> float:
         return float(np.clip(fit.near, QUESTIONED * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
 
-    columns = [sample.readings[:, [j]] for j in every]
-    table = [[cost(leg_fit(sample.mechanism, i, matrices, c)) for c in columns] for i in every]
+    columns = [(matrices, sample.readings[:, [j]]) for j in every]
+    table = [[cost(one) for one in leg_fits(sample.mechanism, i, columns)] for i in every]
     stays = 1e-9 * np.eye(len(every))
     return [int(j) for j in linear_sum_assignment(np.nan_to_num(table, nan=1.0) - stays)[1]]

@@ -7,6 +7,7 @@ other by, however short the motion that was measured.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pincal.estimation.observability.drawings import DIFFER, changes_of
 from pincal.estimation.observability.frames import frame_motions
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import Demand, demand
+from pincal.kinematics.derivatives import demand
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.mechanism import Mechanism
@@ -69,39 +70,53 @@ class LegFit:
         return self.rows > 1 and not self.near <= most
 
 
-def leg_fit(
-    mechanism: Mechanism, index: int, matrices: Array, readings: Array, *, free: bool = False
-) -> LegFit:
-    """Return how measurements fit a leg.
+def leg_fits(
+    mechanism: Mechanism, index: int, parts: Sequence[tuple[Array, Array]], *, free: bool = False
+) -> list[LegFit]:
+    """Return how each of several sets of measurements fits a leg.
 
     Args:
         mechanism: The mechanism.
         index: The leg.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        readings: Of the leg, shape (N, n_active), [rad] or [m]; NaN where not measured.
+        parts: Of each set, poses ``T_base_platform``, shape (N, 4, 4), and the leg's readings,
+            shape (N, n_active), [rad] or [m]; NaN where not measured.
         free: Whether the base was placed by alignment only, and may lie nearby.
     """
-    known = np.asarray(np.isfinite(readings).all(axis=1))
-    left = np.full(len(known), np.nan)
-    if known.sum() < 2:
-        return LegFit(np.nan, left, np.nan, 0)
+    known = [np.asarray(np.isfinite(readings).all(axis=1)) for _, readings in parts]
+    known = [own & (own.sum() > 1) for own in known]
+    left = [np.full(len(own), np.nan) for own in known]
+    none = [LegFit(np.nan, one, np.nan, 0) for one in left]
+    if not any(own.any() for own in known):
+        return none
     leg, platform = mechanism.legs[index], mechanism.platform
     closure = LegClosure(leg, platform)
+    matrices = np.concatenate([one[own] for (one, _), own in zip(parts, known, strict=True)])
+    readings = np.concatenate([one[own] for (_, one), own in zip(parts, known, strict=True)])
     with np.errstate(all="ignore"):  # units may be far off
-        closed, _ = nearest_closure(closure, matrices[known], readings[known], steps=_STEPS)
+        closed, _ = nearest_closure(closure, matrices, readings, steps=_STEPS)
         missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
-        rows = demand(closure, closed, readings[known])
+        rows = demand(closure, closed, readings)
         J = rows.parameter * changes_of(leg, closure.size)
         if free:
-            base = frame_motions(platform, matrices[known])[:, :, : -platform.dof]
+            base = frame_motions(platform, matrices)[:, :, : -platform.dof]
             lengths = np.arange(base.shape[2]) < platform.space
             by_base = rows.pose @ (base * DIFFER * np.where(lengths, closure.size, 1.0))
             J = np.concatenate((J, by_base), axis=2)
-        left[known] = _left(closure.size, J, rows.value)
-        stroke = _stroke(rows, readings[known])
-    bent = mode_sign(closed) * home_mode(leg, platform) < 0.0
-    sides = int(bent.sum()) if leg.passive else 0  # joints that are all read bend as they do
-    return LegFit(float(np.median(missed)) / closure.size, left, stroke / closure.size, sides)
+    # joints that are all read bend as they do
+    bent = (mode_sign(closed) * home_mode(leg, platform) < 0.0) & bool(leg.passive)
+    ends = np.cumsum([own.sum() for own in known])
+    fits = []
+    for own, left_of, end, other in zip(known, left, ends, none, strict=True):
+        if not own.any():
+            fits.append(other)
+            continue
+        part = slice(end - own.sum(), end)
+        with np.errstate(all="ignore"):
+            left_of[own] = _left(closure.size, J[part], rows.value[part])
+            stroke = _stroke(rows.reading[part], readings[part]) / closure.size
+            gap = float(np.median(missed[part])) / closure.size
+        fits.append(LegFit(gap, left_of, stroke, int(bent[part].sum())))
+    return fits
 
 
 def _left(size: float, J: Array, value: Array) -> Array:
@@ -131,7 +146,7 @@ def _left(size: float, J: Array, value: Array) -> Array:
     return _PRECISE * left
 
 
-def _stroke(rows: Demand, readings: Array) -> float:
+def _stroke(by_reading: Array, readings: Array) -> float:
     """Return the median distance over which readings move the leg's end from the usual, [m]."""
     moved = readings - np.median(readings, axis=0)
-    return float(np.median(np.linalg.norm(rows.reading * moved[:, None], axis=(1, 2))))
+    return float(np.median(np.linalg.norm(by_reading * moved[:, None], axis=(1, 2))))

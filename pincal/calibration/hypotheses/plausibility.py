@@ -43,21 +43,27 @@ _FAR = 10.0  # times the median that a row misses by: a slip, if fewer than one 
 def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | None = None) -> None:
     """Raise if measurements cannot come from a mechanism like the nominal one.
 
-    Only rows with complete poses are looked at, and of a leg those with its reading.
-
     Raises:
         MeasurementError: they do not fit; the message says what would explain it.
     """
-    setup = setup or Setup()
-    sample = sample_of(mechanism, data, setup)
-    if sample is None or not sample.oriented:
-        return
-    found = _still(sample)
-    if not found:
-        found, given = _explained(sample)
-        found = found or _strange(sample, given)
-    if found:
+    if found := implausible(mechanism, data, setup):
         raise MeasurementError(said(found))
+
+
+def implausible(
+    mechanism: Mechanism, data: Measurements, setup: Setup | None = None
+) -> tuple[Finding, ...]:
+    """Return why measurements cannot come from a mechanism like the nominal one; empty if they can.
+
+    Only rows with complete poses are looked at, and of a leg those with its reading.
+    """
+    sample = sample_of(mechanism, data, setup or Setup())
+    if sample is None or not sample.oriented:
+        return ()
+    if found := _still(sample):
+        return found
+    found, given = _explained(sample)
+    return found or _strange(sample, given)
 
 
 def explain_misfit(
@@ -94,12 +100,12 @@ def said(findings: tuple[Finding, ...]) -> str:
 
 def _explained(sample: Sample) -> tuple[tuple[Finding, ...], Judged]:
     """Return hypotheses that explain measurements that do not fit, and how these fit as given."""
-    mechanism, given = sample.mechanism, judge(sample)
+    mechanism, given = sample.mechanism, judge(sample)[0]
     given = replace(given, elsewhere=other_side(mechanism, given.matrices))
     if given.fits and not given.questioned and given.elsewhere <= 0.5:
         return (), given
     if slips := _slips(sample, given):  # few rows may be all that is wrong
-        others = judge(sample.part(np.flatnonzero(~np.isin(sample.rows, slips[0].rows))))
+        (others,) = judge(sample.part(np.flatnonzero(~np.isin(sample.rows, slips[0].rows))))
         if others.fits and not others.questioned:
             return (), given
     return as_findings(mechanism, given, explanations(sample, given)), given
@@ -137,7 +143,7 @@ def _still(sample: Sample) -> tuple[Finding, ...]:
     """Return which readings are the same in all rows though the poses move their sensors."""
     mechanism, readings = sample.mechanism, sample.readings
     still = np.ptp(readings, axis=0) == 0.0
-    found = placed(sample)
+    (found,) = placed([sample])
     if mechanism.by_readings or sample.free or found is None or not still.any():
         return ()
     nominal = inverse(mechanism, mechanism.platform.from_matrices(found[0])).readings
@@ -153,7 +159,7 @@ def _still(sample: Sample) -> tuple[Finding, ...]:
 
 def _turns(sample: Sample) -> tuple[Finding, ...]:
     """Return readings that are whole turns off the nominal ones, of the first such leg."""
-    mechanism, found = sample.mechanism, placed(sample)
+    mechanism, (found,) = sample.mechanism, placed([sample])
     if mechanism.by_readings or found is None:
         return ()
     matrices, rows = found

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from pincal.calibration.hypotheses.faults import (
     Hypothesis,
@@ -21,7 +20,7 @@ from pincal.calibration.hypotheses.faults import (
     single_faults,
     zeros,
 )
-from pincal.calibration.hypotheses.leg_fit import LegFit, leg_fit
+from pincal.calibration.hypotheses.leg_fit import LegFit, leg_fits
 from pincal.calibration.hypotheses.sample import Sample, placed
 from pincal.estimation.observability.drawings import DIFFER
 from pincal.finding import Finding
@@ -33,6 +32,7 @@ Array = NDArray[np.float64]
 _EACH = 3.0  # by which each fault that is put right divides the misfit
 _EQUAL = 2.0  # times the misfit that the best leaves: cannot be told from it
 _FEW, _GRID = 12, 12  # rows, and zeros of a motor that are tried, where the frame is unknown
+_ROUNDS = 3  # of grids, each over a cell of the last
 _FRAMED = 40  # rows, where another frame is tried
 AS_MEASURED = Hypothesis("nothing", lambda sample: (sample.poses, sample.readings))
 
@@ -68,6 +68,11 @@ class Judged:
         return max(mean, 1.0) if self.elsewhere > 0.5 else mean
 
     @property
+    def near(self) -> bool:
+        """Whether a few rows fit so that all may be plausible."""
+        return bool(self.fits) and bool((self.misfits <= _EQUAL * DIFFER).all())
+
+    @property
     def questioned(self) -> list[int]:
         """Legs of which machines near nominal leave much of what was measured; all without fits."""
         return [i for i, one in enumerate(self.fits) if one.questioned]
@@ -78,20 +83,31 @@ class Judged:
         return bool(self.fits) and bool((self.misfits <= DIFFER).all())
 
 
-def judge(sample: Sample, hypothesis: Hypothesis = AS_MEASURED) -> Judged:
-    """Return how measurements fit if a hypothesis is true, of all legs."""
-    poses, readings = hypothesis.put_right(sample)
-    right = replace(sample, poses=poses, readings=readings)
-    found = placed(right)
-    if found is None:
-        return Judged(hypothesis, (), free=sample.free)
-    matrices, rows = found
-    mechanism = sample.mechanism
-    fits = tuple(
-        leg_fit(mechanism, i, matrices, readings[rows][:, own], free=sample.free)
+def judge(sample: Sample, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list[Judged]:
+    """Return how measurements fit all legs if a hypothesis is true, of each hypothesis."""
+    if not hypotheses:
+        return []
+    mechanism, right = sample.mechanism, []
+    for one in hypotheses:
+        poses, readings = one.put_right(sample)
+        right.append(replace(sample, poses=poses, readings=readings))
+    places = placed(right)
+    parts = [
+        (found[0], one.readings[found[1]])
+        for one, found in zip(right, places, strict=True)
+        if found is not None
+    ]
+    by_leg = [
+        leg_fits(mechanism, i, [(T, psi[:, own]) for T, psi in parts], free=sample.free)
         for i, own in enumerate(mechanism.reading_columns)
-    )
-    return Judged(hypothesis, fits, (), matrices, rows, sample.free)
+    ]
+    fits = zip(*by_leg, strict=True)
+    return [
+        Judged(one, (), free=sample.free)
+        if found is None
+        else Judged(one, next(fits), (), *found, sample.free)
+        for one, found in zip(hypotheses, places, strict=True)
+    ]
 
 
 def explanations(sample: Sample, given: Judged) -> list[Judged]:
@@ -144,28 +160,38 @@ def explains(one: Judged, given: Judged) -> bool:
 
 def _judged(sample: Sample, given: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
     """Return hypotheses with their fits; those of single legs for the legs that they help."""
-    return [
-        one
-        for hypothesis in hypotheses
-        for one in (
-            _by_leg(sample, given, hypothesis) if hypothesis.by_leg else [judge(sample, hypothesis)]
-        )
-    ]
+    every, hypotheses = range(len(sample.mechanism.legs)), list(hypotheses)
+    if sample.oriented and not sample.free:
+        found = judge(sample, hypotheses)
+        return [_helped(one, given) if one.hypothesis.by_leg else one for one in found]
+    tried: list[tuple[Hypothesis, tuple[int, ...]]] = []
+    for one in hypotheses:  # the frame depends on all legs
+        single = every if one.by_leg and len(every) > 1 else ()
+        tried += [(one, ()), *((_of_leg(sample.mechanism, one, i), (i,)) for i in single)]
+    return _likely(sample, tried)
 
 
-def _by_leg(sample: Sample, given: Judged, hypothesis: Hypothesis) -> list[Judged]:
-    """Return a hypothesis for the legs' readings that it puts right."""
-    every = range(len(sample.mechanism.legs))
-    if sample.free or not sample.oriented:  # the frame depends on all
-        return [judge(sample, hypothesis)] + [
-            replace(judge(sample, _of_leg(sample.mechanism, hypothesis, i)), legs=(i,))
-            for i in (every if len(every) > 1 else ())
-        ]
-    found = judge(sample, hypothesis)
+def _likely(sample: Sample, tried: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> list[Judged]:
+    """Return hypotheses, each with the legs that it concerns, of which a few rows fit the legs."""
+    few = judge(_few(sample), [one for one, _ in tried])
+    likely = [pair for pair, one in zip(tried, few, strict=True) if one.near]
+    found = judge(sample, [one for one, _ in likely])
+    return [replace(one, legs=legs) for one, (_, legs) in zip(found, likely, strict=True)]
+
+
+def _few(sample: Sample) -> Sample:
+    """Return a few of the rows, where the frame is unknown."""
+    count = len(sample.rows)
+    return sample.part(np.linspace(0, count - 1, min(_FEW, count)).astype(int))
+
+
+def _helped(found: Judged, given: Judged) -> Judged:
+    """Return a hypothesis for those legs only whose readings it puts right."""
+    every = range(len(found.fits))
     rows = [i for i in every if found.fits[i].rows > 1]
     helped = [i for i in rows if found.fits[i].misfit * _EACH <= given.fits[i].misfit]
     fits = tuple(found.fits[i] if i in helped else given.fits[i] for i in every)
-    return [replace(found, fits=fits, legs=() if helped == list(every) else tuple(helped))]
+    return replace(found, fits=fits, legs=() if helped == list(every) else tuple(helped))
 
 
 def _of_leg(mechanism: Mechanism, hypothesis: Hypothesis, leg: int) -> Hypothesis:
@@ -188,22 +214,18 @@ def _zeros(sample: Sample, given: Judged) -> list[Judged]:
         return []
     if given.matrices is not None and not sample.free and sample.oriented:
         return _judged(sample, given, [zeros(offsets_of(sample, given.matrices))])
-    few = sample.part(np.linspace(0, len(sample.rows) - 1, _FEW).astype(int))
-    found = []
-    for index, leg in enumerate(mechanism.legs):
-        far = np.pi if leg.reading_units[0] == "rad" else leg.size / 2
-        unit = np.eye(len(mechanism.legs))[index]
-
-        def cost(off: float, unit: Array = unit) -> float:
-            return judge(few, zeros(off * unit)).misfit
-
-        grid = np.linspace(-far, far, _GRID + 1)[1:]
-        best = grid[int(np.argmin([cost(off) for off in grid]))]
-        cell = 2 * far / _GRID
-        near = minimize_scalar(cost, bounds=(best - cell, best + cell), options={"maxiter": 8})
-        one = judge(sample, replace(zeros(near.x * unit), by_leg=False))
-        found.append(replace(one, legs=(index,)))
-    return found
+    few, units = _few(sample), np.eye(len(mechanism.legs))
+    far = [np.pi if leg.reading_units[0] == "rad" else leg.size / 2 for leg in mechanism.legs]
+    best, reach, equal = np.zeros(len(units)), np.array(far), 1.0
+    for _ in range(_ROUNDS):
+        grid = best + np.linspace(-1, 1, _GRID + 1)[1:, None] * reach
+        tried = [zeros(off * unit) for offs in grid for off, unit in zip(offs, units, strict=True)]
+        costs = np.reshape([one.misfit for one in judge(few, tried)], grid.shape)
+        among = costs <= equal * costs.min(axis=0)
+        best = (grid * among).sum(axis=0) / among.sum(axis=0)
+        reach, equal = 2 * reach / _GRID, _EQUAL  # where no measurement says more, the middle
+    offsets = [replace(zeros(off), by_leg=False) for off in best[:, None] * units]
+    return _likely(sample, [(one, (index,)) for index, one in enumerate(offsets)])
 
 
 def other_side(mechanism: Mechanism, matrices: Array | None) -> float:

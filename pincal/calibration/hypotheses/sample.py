@@ -7,6 +7,7 @@ that were not measured are those of forward kinematics.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -82,36 +83,50 @@ def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample 
     return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free)
 
 
-def placed(sample: Sample) -> tuple[Array, Rows] | None:
+def placed(samples: Sequence[Sample]) -> list[tuple[Array, Rows] | None]:
     """Return poses ``T_base_platform``, shape (M, 4, 4), and their rows in the sample, (M,).
 
     None if readings and measurements cannot be brought together.
+
+    Args:
+        samples: The same rows of the same measurements, put right in several ways.
     """
-    measured, every = sample.matrices(), np.arange(len(sample.poses))
-    if not sample.free and sample.oriented:
-        measured[:, :3, 3] -= measured[:, :3, :3] @ sample.offset
-        return measured, every
-    readings = sample.readings
-    known = np.flatnonzero(np.isfinite(readings).all(axis=1))
-    if len(known) < 2:
-        return None
+    if not samples[0].free and samples[0].oriented:
+        return [(_on_platform(one, one.matrices()), np.arange(len(one.poses))) for one in samples]
+    known = [np.flatnonzero(np.isfinite(one.readings).all(axis=1)) for one in samples]
+    readings = np.concatenate([one.readings[own] for one, own in zip(samples, known, strict=True)])
+    distinct, index = np.unique(readings, axis=0, return_inverse=True)
     with np.errstate(all="ignore"):
-        found = forward(sample.mechanism, readings[known])
-    good = known[found.converged]
+        found = forward(samples[0].mechanism, distinct)
+    apart = np.split(index.ravel(), np.cumsum([len(own) for own in known])[:-1])
+    return [
+        _placed(sample, own, found.poses[rows], found.converged[rows])
+        for sample, own, rows in zip(samples, known, apart, strict=True)
+    ]
+
+
+def _placed(
+    sample: Sample, known: Rows, poses: Array, converged: NDArray[np.bool_]
+) -> tuple[Array, Rows] | None:
+    """Return poses and rows of a sample, given those that its known rows' readings lead to."""
+    good = known[converged]
     if 2 * len(good) < len(known) or len(good) < 3:
         return None
-    platform = sample.mechanism.platform
-    here = platform.transforms(found.poses[found.converged]).as_matrix()
+    measured = sample.matrices()
+    here = sample.mechanism.platform.transforms(poses[converged]).as_matrix()
     F = _motion(sample, here, measured[good]) if sample.free else np.eye(4)
     back = np.linalg.inv(F)
     if sample.oriented:
-        measured = back @ measured
-    else:
-        positions = measured[good, :3, 3] @ back[:3, :3].T + back[:3, 3]
-        measured, every = here.copy(), good
-        measured[:, :3, 3] = positions
-    measured[:, :3, 3] -= measured[:, :3, :3] @ sample.offset
-    return measured, every
+        return _on_platform(sample, back @ measured), np.arange(len(measured))
+    positions = measured[good, :3, 3] @ back[:3, :3].T + back[:3, 3]
+    here[:, :3, 3] = positions
+    return _on_platform(sample, here), good
+
+
+def _on_platform(sample: Sample, targets: Array) -> Array:
+    """Return the platform's poses where those of its target are, shapes (N, 4, 4)."""
+    targets[:, :3, 3] -= targets[:, :3, :3] @ sample.offset
+    return targets
 
 
 def _motion(sample: Sample, here: Array, there: Array) -> Array:

@@ -24,7 +24,7 @@ from pincal.kinematics.assembly import assembled, independent
 from pincal.model.checks import EXACT
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Placement, along, placement_of
+from pincal.model.placement import Coordinate, Placement, placement_of
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 
@@ -263,8 +263,8 @@ def _displaced(
     """Return a placement with small displacements, and enter their names."""
     own = {axis: f"{stem}_{axis}" for axis in axes}
     parameters |= dict.fromkeys(own.values(), 0.0)
-    steps = tuple(along(axis, name) for axis, name in own.items())
-    steps += tuple(along(*one) for one in zip("xyz", placement.xyz, strict=True) if one[1])
+    steps = tuple(Coordinate(axis, (name,)) for axis, name in own.items())
+    steps += tuple(Coordinate(a, (v,)) for a, v in zip("xyz", placement.xyz, strict=True) if v)
     return Placement(steps, placement.xyz, placement.rpy)
 
 

@@ -35,7 +35,7 @@ def warning_lines(result: CalibrationResult) -> list[str]:
     """Return what the reader should know first."""
     if result.converged:
         return warnings(result)
-    return [f"The fit did not converge: {result.message}", *warnings(result)]
+    return [f"The fit {result.message}", *warnings(result)]
 
 
 def answers(found: Findings, notes: Sequence[str]) -> Answers:
@@ -110,19 +110,20 @@ def _residuals(result: CalibrationResult) -> str:
     if not result.degrees_of_freedom:
         return "Residuals are zero, since there are as many unknowns as measured values."
     series = noisy_series(result)
-    if any(np.isnan(one.before).any() for one in series):
+    legs = [one.name for one in series if one.of_leg]
+    others = [one.name for one in series if not one.of_leg]
+    whose = ", ".join([*(["all legs"] if legs else []), *others])
+    if len(units := {one.unit for one in series}) > 1:
         before, after = (np.sqrt(np.mean(one**2)) for one in result.whitened)
-        return (
-            f"Residuals of readings and platform went from {before:.3g} to {after:.3g} standard "
-            "deviations (root mean square)."
-        )
-    alike = [one for one in series if one.unit == series[0].unit]
-    unit = alike[0].unit
-    before, after, _ = np.sqrt(np.mean([np.square(one.rms) for one in alike], axis=0))
-    whose = "all legs" if alike[0].of_leg else ", ".join(one.name for one in alike)
+        unit = "standard deviations"
+    else:
+        (si,) = units
+        sizes = np.sqrt(np.mean([np.square(one.rms) for one in series], axis=0))
+        before, after, unit = shown_in(sizes[0], si), shown_in(sizes[1], si), SMALL[si]
+    where = "estimated" if others else "measured"
     return (
-        f"At the measured poses, residuals went from {shown_in(before, unit):.3g} to "
-        f"{shown_in(after, unit):.3g} {SMALL[unit]} (root mean square, {whose})."
+        f"At the {where} poses, residuals went from {before:.3g} to {after:.3g} {unit} (root mean "
+        f"square, {whose})."
     )
 
 
@@ -137,13 +138,13 @@ def _times(ratios: Sequence[float]) -> str:
 
 
 def _how_much(found: Findings, errors: WorkspaceErrors) -> Card:
-    result, more = found.result, found.result.excess
-    if not (result.explained and result.corrects):
+    result = found.result
+    if not result.explained:
         return _card(
             _SIZE,
             WORDINGS["residuals-too-large"].title,
-            f"Residuals are {more:.3g} times as large as the noise given makes them, so that the "
-            "parameters' uncertainties mean nothing. Look at the warnings first.",
+            f"Residuals are {result.excess:.3g} times as large as the noise given makes them, so "
+            "that the parameters' uncertainties mean nothing. Look at the warnings first.",
         )
     before, after = errors.mean_before(), errors.mean_after()
     names = ("position [mm]", "orientation [mrad]")[: 1 + found.turns]
@@ -167,6 +168,9 @@ def _how_much(found: Findings, errors: WorkspaceErrors) -> Card:
         Sizes(rows),
         f"{said}what was seen at the measured poses, or more. No limit is promised: "
         f"{unpromised(result)}.",
+        f"Residuals are {result.excess:.2g} times as large as the noise given makes them."
+        if result.excess > 1.0
+        else None,
     )
 
 

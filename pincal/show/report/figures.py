@@ -23,7 +23,7 @@ from pincal.show.plots import (
     shown_label,
 )
 from pincal.show.report.findings import Findings
-from pincal.show.results import noisy_series, readings_exact
+from pincal.show.results import noisy_series, whose
 from pincal.show.style import WIDTH
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import SMALL, shown_in
@@ -90,9 +90,13 @@ def platform_figure(found: Findings) -> SvgFigure | None:
 
 @on_page("figure-rms")
 def _bars(found: Findings, errors: WorkspaceErrors) -> tuple[Figure, str]:
-    both = 1e3 * np.array([errors.mean_before(), errors.mean_after()])
-    titles = ("platform: position [mm]", "orientation [mrad]")[: 1 + found.turns]
-    parts = [(title, {errors.where: own}) for title, own in zip(titles, both.T, strict=False)]
+    parts: list[tuple[str, dict[str, Array]]] = []
+    caption = "Root mean square errors before and after: "
+    if found.result.explained:
+        both = 1e3 * np.array([errors.mean_before(), errors.mean_after()])
+        titles = ("platform: position [mm]", "orientation [mrad]")[: 1 + found.turns]
+        parts = [(title, {errors.where: own}) for title, own in zip(titles, both.T, strict=False)]
+        caption += f"the platform's {errors.where} (after: as expected), and "
     residuals: dict[str, dict[str, Array]] = {}
     for one in noisy_series(found.result):
         sizes = np.array([shown_in(value, one.unit) for value in one.rms[:2]])
@@ -103,9 +107,7 @@ def _bars(found: Findings, errors: WorkspaceErrors) -> tuple[Figure, str]:
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
     for axes, (title, bars) in zip(panels, parts, strict=True):
         series = {
-            name: {
-                label: float(own[place]) for label, own in bars.items() if own[place] == own[place]
-            }
+            name: {label: float(own[place]) for label, own in bars.items()}
             for place, name in enumerate(("before", "after"))
         }
         draw_bars(axes, series).set_title(title)
@@ -117,11 +119,7 @@ def _bars(found: Findings, errors: WorkspaceErrors) -> tuple[Figure, str]:
             axes.tick_params(axis="x", labelrotation=45)
         axes.margins(y=0.18)
     drawn.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    return drawn, (
-        "Root mean square errors before and after: the platform's "
-        f"{errors.where} (after: as expected), and the residuals of each "
-        f"{'measured quantity' if readings_exact(found.result) else 'leg'}."
-    )
+    return drawn, f"{caption}the residuals of each {whose(noisy_series(found.result))}."
 
 
 @on_page("figure-observability")

@@ -61,7 +61,7 @@ class Findings:
 
     @cached_property
     def maps(self) -> ErrorMaps | None:
-        """Errors over the workspace; None where none was found."""
+        """Errors over the workspace; None where none was found, or none can be promised."""
         return None if self.errors is None else error_maps(self.result, self.errors)
 
 

@@ -1,4 +1,4 @@
-"""``pincal.report``: a calibration as one page to read, print and keep."""
+"""``result.report()``: a calibration as one page to read, print and keep."""
 
 from __future__ import annotations
 

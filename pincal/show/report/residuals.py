@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pincal.show.pictures.svg import SvgFigure, on_page
 from pincal.show.report.findings import Findings
-from pincal.show.results import Series, noisy_series
-from pincal.show.style import COLOURS, MANY, WIDTH, look
+from pincal.show.results import Series, noisy_series, whose
+from pincal.show.style import COLOURS, HEIGHT, MANY, WIDTH, look
 from pincal.words.numbers import FACTORS, SMALL
 
 _NAMED = 6  # outliers with their row written beside them
@@ -21,7 +21,7 @@ _NAMED = 6  # outliers with their row written beside them
 def residuals_figure(found: Findings) -> tuple[Figure, str]:
     """Return residuals before and after against the row, one line of panels for each series."""
     series = noisy_series(found.result)
-    drawn = Figure(figsize=(WIDTH, 0.5 + 1.25 * len(series)), layout="constrained")
+    drawn = Figure(figsize=(WIDTH, min(0.5 + 1.25 * len(series), HEIGHT)), layout="constrained")
     panels = drawn.subplots(len(series), 2, sharex=True, sharey="col", squeeze=False)
     for index, (one, (left, right)) in enumerate(zip(series, panels, strict=True)):
         unit = SMALL[one.unit]
@@ -43,11 +43,10 @@ def residuals_figure(found: Findings) -> tuple[Figure, str]:
     panels[0][1].set_title("identified parameters (after)")
     for axes in panels[-1]:
         axes.set_xlabel("data row")
-    whose = "of each leg" if series[0].of_leg else "of the platform as measured"
     return drawn, (
-        f"Residuals {whose} against the row of the measurements, before and after; the "
-        "scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: rows that "
-        "do not fit the others; crosses at the upper edge: rows that were rejected."
+        f"Residuals of each {whose(series)} against the row of the measurements, before and "
+        "after; the scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: "
+        "rows that do not fit the others; crosses at the upper edge: rows that were rejected."
     )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from pincal.calibration.result import CalibrationResult
 from pincal.model.measurements import EVERY_LEG, Noise
-from pincal.model.mechanism import Mechanism
 from pincal.show.report.figures import (
     changes_figure,
     observability_figure,
@@ -31,9 +30,9 @@ from pincal.show.result_tables import (
     parameters_table,
     runs_table,
 )
-from pincal.show.results import gauge, readings_exact
+from pincal.show.results import gauge, noise_said, readings_exact
 from pincal.show.summary import check_lines, method_line, tie_lines, weak_lines
-from pincal.words.numbers import SMALL, capital
+from pincal.words.numbers import capital
 from pincal.words.table import Column, Table
 
 _LISTED = 50  # outliers in the table; all are in result.json
@@ -121,7 +120,7 @@ def _noise(found: Findings) -> str:
     """Return standard deviations of what was measured."""
     noise, data = found.result.noise, found.data
     if noise is not None:
-        return f"σ {_sigmas(noise, found)}"
+        return f"σ {noise_said(found.result, noise)}"
     sigma = data.sigma_poses
     linear = np.array([unit == "m" for unit in found.result.nominal.platform.units])
     middle = [
@@ -132,20 +131,7 @@ def _noise(found: Findings) -> str:
             data.sigma_readings,
         )
     ]
-    return f"σ, median of the rows: {_sigmas(Noise(*middle), found)}"
-
-
-def _sigmas(noise: Noise, found: Findings) -> str:
-    angles = np.array([unit == "rad" for unit in found.result.nominal.platform.units])
-    given, more = np.isfinite(found.data.poses), bool(found.data.extra)
-    parts = []
-    if given[:, ~angles].any() or more:
-        parts.append(f"{1e3 * noise.position:.3g} mm in position")
-    if given[:, angles].any() or (more and found.turns):
-        parts.append(f"{1e3 * noise.orientation:.3g} mrad in orientation")
-    units = {SMALL[unit] for unit in found.result.nominal.reading_units}
-    reading = f"{1e3 * noise.reading:.3g} {' or '.join(sorted(units))} in readings"
-    return ", ".join([*parts, reading if noise.reading else "readings exact"])
+    return f"σ, median of the rows: {noise_said(found.result, Noise(*middle))}"
 
 
 def parameters(found: Findings) -> Section:
@@ -171,10 +157,9 @@ def residuals(found: Findings) -> Section:
 
 def platform(found: Findings) -> Section:
     """Return the platform's errors over the workspace."""
-    maps = found.maps
-    shown: Part = f"No maps: {_why_no_maps(found.result.nominal)}."
-    if maps is not None:
-        shown = maps_figure(maps, found.turns)
+    shown: Part = f"No maps: {_why_no_maps(found.result)}."
+    if found.maps is not None:
+        shown = maps_figure(found.maps, found.turns)
     return Section("platform", "Error of the platform", (platform_figure(found), shown))
 
 
@@ -225,7 +210,9 @@ def reproduction(
     return Section("reproduction", "How to reproduce it", parts)
 
 
-def _why_no_maps(mechanism: Mechanism) -> str:
-    if mechanism.by_readings:
+def _why_no_maps(result: CalibrationResult) -> str:
+    if not result.explained:
+        return "no accuracy can be promised"
+    if result.nominal.by_readings:
         return "its poses are made from readings, and do not fill a plane"
     return "no workspace was found with the default margins"
