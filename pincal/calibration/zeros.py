@@ -44,11 +44,12 @@ def zeros_measured(calibration: Calibration) -> Array | None:
     """
     mechanism = calibration.mechanism
     sample = sample_of(mechanism, calibration.measurements, calibration.options.setup)
-    there = None if sample is None or mechanism.by_readings else placed(sample)
-    if sample is None or there is None or not sample.oriented:
+    if sample is None or mechanism.by_readings or sample.free or not sample.oriented:
         return None
-    matrices, rows = there
-    offsets = offsets_of(sample.part(rows), matrices)
+    (there,) = placed([sample])
+    if there is None:
+        return None
+    offsets = offsets_of(sample, there[0])
     own = [index for index, _ in _zeros(calibration)]
     return _started(calibration, np.where(np.isin(np.arange(len(offsets)), own), offsets, 0.0))
 
