@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.confidence import Confidence, confidence, exceeded, quantiles
-from pincal.calibration.covariance import covariances
+from pincal.calibration.covariance import chi2_freedoms, covariances
 from pincal.calibration.findings import findings_of
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
@@ -38,7 +38,8 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     sure = confidence(found)
     dof = sum(one.degrees_of_freedom for one in fits)
     chi2 = float(sum(one.chi2 for one in fits) / dof) if dof else np.nan
-    p_value = exceeded(chi2, dof, sure.of_chi2) if calibration.noise.known else 1.0
+    free = float(dof) if found.latent else chi2_freedoms(found.fits)
+    p_value = exceeded(chi2, free, sure.of_chi2) if calibration.noise.known else 1.0
     by = excess_of(chi2, p_value)
     covariance, outer = by**2 * covariance, None if outer is None else by**2 * outer
     sizes = [len(leg.parameters) for leg in mechanism.legs]
@@ -63,6 +64,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         degrees_of_freedom=dof,
         reduced_chi2=chi2,
         chi2_p_value=p_value,
+        chi2_freedoms=free,
         noise_freedoms=sure.least,
         evaluations=sum(one.evaluations for one in fits),
         left=max(one.left for one in fits),

@@ -133,20 +133,21 @@ class Calibration:
         return np.stack([data.serves(name) for name in self.mechanism.leg_names], axis=1)
 
     @cached_property
-    def distinct(self) -> Mask:
-        """Rows that count: of repeats that are equal in all that was measured the first, (N,).
+    def counts(self) -> Mask:
+        """Rows that the fit follows, shape (N,): neither for verification, nor repeats of equals.
 
-        Marked as repeats by ``pose``; at a sensor's resolution they say no more than one of them.
+        Of rows that ``pose`` marks as repeats and that are equal in all that was measured, the
+        first: at a sensor's resolution they say no more than one of them.
         """
         data = self.measurements
+        found = ~data.verifying
         if data.places is None:
-            return np.ones(len(data), dtype=bool)
+            return found
         measured = np.column_stack([data.poses, data.readings, *data.extra.values()])
         runs = data.runs or ("",) * len(data)
         seen: set[tuple[str, str, bytes]] = set()
-        found = np.ones(len(data), dtype=bool)
         for row, key in enumerate(zip(data.places, runs, map(bytes, measured), strict=True)):
-            found[row] = not key[0] or key not in seen
+            found[row] &= not key[0] or key not in seen
             seen.add(key)
         return found
 

@@ -74,7 +74,7 @@ def quantiles(degrees_of_freedom: Array) -> Array:
     return np.where(known, ndtri(half), stdtrit(np.where(known, 1.0, degrees_of_freedom), half))
 
 
-def exceeded(chi2: float, degrees_of_freedom: int, of_noise: float = np.inf) -> float:
+def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -> float:
     """Return the probability of a reduced χ², or a larger one.
 
     Args:

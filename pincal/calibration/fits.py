@@ -184,7 +184,7 @@ def _all_legs(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     held = hold_unobservable(mechanism, problem, free) if options.hold_undetermined else None
     free = free if held is None else held.unknowns
     options.report("identifying all legs and poses")
-    kept = calibration.distinct
+    kept = calibration.counts
     system = System(problem, free, calibration.noise.known, kept=None if kept.all() else kept)
     every = np.arange(len(calibration.measurements))
     start = None if before is None else before.fits[0].fit.last.state
@@ -247,7 +247,7 @@ def _fit_groups(
         names = [mechanism.leg_names[i] for i in group]
         options.report(f"identifying {', '.join(names)}")
         problem, rows = calibration.measured_problem(group, poses, roots)
-        kept = calibration.distinct[rows]
+        kept = calibration.counts[rows]
         known = calibration.noise.known
         system = System(problem, unknowns.part(names), known, kept=None if kept.all() else kept)
         fits.append(

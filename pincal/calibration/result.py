@@ -100,6 +100,8 @@ class CalibrationResult:
     chi2_p_value: float
     """Probability of such a χ², or a larger one, by the noise: χ², or F where repeated rows show
     the noise."""
+    chi2_freedoms: float
+    """Degrees of freedom of that test; fewer than of χ² where legs alone share the poses' noise."""
     noise_freedoms: float | None
     """Fewest degrees of freedom of the noise in a standard error; None if the noise is known."""
     evaluations: int

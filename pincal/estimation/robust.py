@@ -13,7 +13,7 @@ from scipy.stats import chi2, norm
 from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
 from pincal.estimation.linear import State
-from pincal.estimation.losses import LOSSES, Loss, outlying
+from pincal.estimation.losses import LOSSES, Loss, outlying, suspected
 from pincal.estimation.observability.unobservable import check_covariance, check_weakly_determined
 from pincal.estimation.system import System
 from pincal.model.mechanism import Mechanism
@@ -148,7 +148,9 @@ def _outliers(one: Fit, scale: float, rows: NDArray[np.intp]) -> tuple[Outlier, 
         return ()
     equations = np.maximum(linear.equations, 1)
     relative = linear.squares / scale**2
-    listed = np.flatnonzero(outlying(relative, equations) & (linear.equations > 0))
+    left_out = outlying(relative, equations) & (one.weights == 0.0)
+    far = suspected(np.where(linear.equations > 0, relative, 0.0), equations)
+    listed = np.flatnonzero((left_out | far) & (linear.equations > 0))
     legs = tuple(leg.name for leg in one.problem.legs)
     noise = np.abs(linear.noise[:, : len(one.problem.quantities)]) / scale
     worst = noise.argmax(axis=1)

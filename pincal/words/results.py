@@ -240,8 +240,8 @@ RESULTS: dict[str, Wording] = {
             "off": "size of that residual [standard deviations]",
         },
         _outliers,
-        "Rows miss by more than one good row in a thousand does. The finding's rows are those, the "
-        "worst first.",
+        "Rows miss by more than chance explains, however many there are (one sound calibration in "
+        "a hundred has any). The finding's rows are those, the worst first.",
         _outliers_remedy,
         general="Look at them: a slip, a lost beam, a wrong set. --robust reject leaves them out "
         "and lists them",

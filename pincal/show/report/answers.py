@@ -205,6 +205,6 @@ def _chi2(result: CalibrationResult) -> str:
         return f"{capital(noise_line(result))}."
     text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
     if result.loss == "none":
-        low, high = chi2_law.ppf((0.025, 0.975), dof) / dof
+        low, high = chi2_law.ppf((0.025, 0.975), result.chi2_freedoms) / result.chi2_freedoms
         text += f"; {low:.2f} to {high:.2f} is expected by the noise"
     return text + "."
