@@ -135,7 +135,7 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
         findings=(larger,),
     )
     errors = errors_at(poor, poor.poses)
-    report = replace(report, found=replace(report.found, result=poor, errors=errors))
+    report = Report(replace(report.found, result=poor, errors=errors), report.origin)
     verdicts, text = verdicts_of(report, poor)
     after = 1e3 * errors.mean_after()[0]
     assert after >= 2e3 * errors_at(result, poor.poses).mean_after()[0]

@@ -150,6 +150,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "chi2-too-small": ({"chi2": 0.1, "dof": 30, "source": "repeats"}, (), (), "the noise is smaller than repeated rows show; the uncertainties"),
     "noise-in-other-proportion": ({"ratios": {"positions": 1.4, "readings": 0.4}, "p_value": 1e-5}, (), (), "not in the proportion given (p = 1e-05): residuals show 140 % of it in positions, 40 % of it in readings"),
     "model-lacks": ({"quantity": "reading of leg_1", "term": "angle", "p_value": 1e-5}, (), (), "reading of leg_1: residuals follow its own value (p = 1e-05)"),
+    "curved": ({"curvature": 2.1}, (), (), "the curved part of the residuals' change is 2.1 of the straight one"),
     "step": ({"quantity": "reading of leg_2", "size": 1e-3, "unit": "rad", "p_value": 1e-5}, (29,), (), "reading of leg_2 is off by 1 mrad from data row 30 on (p = 1e-05)"),
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit"),

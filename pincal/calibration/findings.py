@@ -8,6 +8,7 @@ from scipy.stats import chi2 as chi2_law
 from pincal.calibration.fits import Fits
 from pincal.calibration.result import UNEXPLAINED, CalibrationResult
 from pincal.estimation.components import Moments
+from pincal.estimation.curvature import curvature
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 from pincal.estimation.observability.unobservable import Held
@@ -19,6 +20,7 @@ from pincal.words.sentences import finding
 
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
 PROBABLE = 0.01  # of a sound calibration: less, of all tests of a kind, contradicts the model
+_CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
 _FEW = 1.5  # residuals a parameter, below which more poses are advised
 
 
@@ -39,7 +41,7 @@ def findings_of(
     noise = _noise(result)
     if fits is not None and result.converged:
         noise += _proportion(fits) if not noise else []
-        noise += _lacking(fits)
+        noise += [*_lacking(fits), *_curved(fits)]
     return (*found, *noise, *_far(result), *_signs(result), *_rows(result), *_legs(result))
 
 
@@ -141,6 +143,12 @@ def _lacking(fits: Fits) -> list[Finding]:
             )
         ]
     return [finding("model-lacks", quantity=worst.quantity, term=worst.term, p_value=p_value)]
+
+
+def _curved(fits: Fits) -> list[Finding]:
+    """Return a finding if intervals of a linearised problem mean little."""
+    most = max((curvature(one.fit) for one in fits.fits if one.fit.problem.weighted), default=0.0)
+    return [finding("curved", curvature=most)] if most > _CURVED else []
 
 
 def _far(result: CalibrationResult) -> list[Finding]:

@@ -43,6 +43,7 @@ _PROMISED = 3.0  # times the noise given, up to which residuals may be noise tha
 CONTRADICT = frozenset(
     {
         "chi2-too-large",
+        "curved",
         "noise-in-other-proportion",
         "model-lacks",
         "many-outliers",

@@ -117,7 +117,7 @@ def _fitted(
         one = _without_outliers(one, search)
     try:
         plain = search(system)
-    except PincalError:
+    except (PincalError, np.linalg.LinAlgError):
         plain = None
     return Robust(
         replace(one, first=coarse.first),

@@ -217,6 +217,17 @@ RESULTS: dict[str, Wording] = {
         "together): intervals and platform errors are too small by nobody knows how much.",
         "Model it or remove its cause; measure in a mixed order",
     ),
+    "curved": Wording(
+        "Intervals of a curved problem",
+        {"curvature": "curved part of the residuals over the straight one, at one standard error"},
+        lambda f: (
+            "within one standard error the problem is curved: the curved part of the "
+            f"residuals' change is {f.values['curvature']:.2g} of the straight one"
+        ),
+        "Standard errors come from a straight line through a curve, and joint intervals are too "
+        "small where it bends by half or more.",
+        "Measure more poses, or with less noise",
+    ),
     "step": Wording(
         "A step",
         {
