@@ -5,7 +5,7 @@ and tip frames unknown, ``calc_updated_fkm`` and the residuals of SE(3) as cost,
 metres and radians, which is right for the noise here; its parameters reduced to base parameters by
 ``initialize``, its search by SciPy's Levenberg-Marquardt with differences. pincal's time is all of
 ``calibrate``: checks, choice of parameters, search, covariance; FIGAROH's the same, ``initialize``
-and ``solve``, and that of ``solve`` alone. Both are given 42 parameters, of which 30 are told.
+and ``solve``, and that of ``solve`` alone. Both are given 42 parameters, 30 of them observable.
 """
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ def test_symmetric_against_independent_selection(
 
 
 @pytest.mark.parametrize("count", [100_000, 1_000_000])
-def test_memory_beyond_the_result(
+def test_memory_besides_the_result(
     benchmark: Any, ratios: Any, mechanism: pincal.Mechanism, poses: Array, count: int
 ) -> None:
     many = np.resize(poses, (count, 3))

@@ -221,7 +221,9 @@ def _calibrated(pincal: Any, one: Scenario, rows: dict[str, Any]) -> dict[str, A
     begin = perf_counter()
     try:
         result = pincal.calibrate(mechanism, data, **options)
-    except Exception as error:  # any: what is not refused in words is to be seen in the table
+    except (
+        Exception
+    ) as error:  # any: what is not refused as a PincalError is to be seen in the table
         return {"refused": f"{type(error).__name__}: {error}"}
     time = perf_counter() - begin
     values, std = parameters_of(result)
@@ -334,7 +336,7 @@ def row_of(one: Scenario, old: dict[str, Any], new: dict[str, Any]) -> tuple[str
         *first,
         f"{np.abs(off).max():.1e}",
         f"{np.sqrt((off**2).mean()):.1e}",
-        f"{_told(change, np.array(old['covariance']), old['gauge']):.1e}",
+        f"{_observable(change, np.array(old['covariance']), old['gauge']):.1e}",
         f"{ratio.min():.4f}–{ratio.max():.4f}",
         f"{old['chi2']:.6g}",
         f"{new['chi2']:.6g}",
@@ -343,7 +345,9 @@ def row_of(one: Scenario, old: dict[str, Any], new: dict[str, Any]) -> tuple[str
     )
 
 
-def _told(change: np.ndarray, covariance: np.ndarray, gauge: list[list[float]] | None) -> float:
+def _observable(
+    change: np.ndarray, covariance: np.ndarray, gauge: list[list[float]] | None
+) -> float:
     """Return the change in standard errors of what is measured, root mean square.
 
     A part along the gauge, which is chosen and not measured, is taken out.

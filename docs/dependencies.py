@@ -95,7 +95,7 @@ def licence(name: str) -> str:
 def brought() -> dict[str, set[str]]:
     """Return what the packages that pincal asks for need in turn, and which need it."""
     needed: dict[str, set[str]] = {}
-    told: set[tuple[str, str]] = set()
+    named: set[tuple[str, str]] = set()
     waiting = [(one.name, extra) for one in asked() for extra in ("", *one.extras)]
     while waiting:
         name, extra = waiting.pop()
@@ -104,8 +104,8 @@ def brought() -> dict[str, set[str]]:
             if one.marker and not one.marker.evaluate({"extra": extra}):
                 continue
             needed.setdefault(_plain(one.name), set()).add(name)
-            new = {(one.name, e) for e in ("", *one.extras)} - told
-            told |= new
+            new = {(one.name, e) for e in ("", *one.extras)} - named
+            named |= new
             waiting += sorted(new)
     own = {_plain(one.name) for one in asked()}
     return {name: by for name, by in sorted(needed.items()) if name not in own}

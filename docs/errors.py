@@ -43,7 +43,8 @@ _HEAD = """\
 pincal raises these on purpose, and says what was wrong, where, what it expected and what to do.
 On the command line they are one message and exit code 2, and nothing is written. In Python each is
 a `PincalError` and the built-in error beside it. A calibration that does not converge raises
-nothing: its result says so, and the exit code is 1. A `numpy.linalg.LinAlgError` comes of numbers
+nothing: its result says so, and the exit code is 1; `pincal inverse` and `forward` end with 1 if
+some rows have no solution, whose reason they write. A `numpy.linalg.LinAlgError` comes of numbers
 far too large or too small. Anything else that is raised is a defect of pincal's, or a wrong type in
 a call.
 
@@ -56,6 +57,8 @@ _FOUND = """\
 
 What a calibration finds beside its numbers has a code, a severity and values. **Of a warning the
 exit code stays 0**, and files are written: the result is an answer, but not to be taken as it is.
+Only a χ² that contradicts the noise given (`chi2-too-large` and what follows from it) makes it 1,
+unless `--accept` is said.
 On the command line it is a line that begins with `warning:` on stderr, also with `--quiet`; in the
 report warnings come first. An error among the findings ends a calibration with exit code 2, or
 is said in the report in place of an accuracy. An info is said in the summary.

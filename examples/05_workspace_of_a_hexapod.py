@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 import pincal
 
 mechanism = pincal.load_mechanism("6UPS")
-# Each value stands for a cell around it: radii begin half a step from the axis.
+# Each value is the middle of a cell around it: radii begin half a step from the axis.
 grid = pincal.Grid.of("radius=0.04:2.6:0.08", "bearing [deg]=0:360:5", "z=0:2.7:0.1")
 tilts = pincal.Orientations.of(mechanism.platform, "tilt [deg]=0:20:5", "torsion [deg]=-10,0,10")
 workspace = pincal.compute_workspace(

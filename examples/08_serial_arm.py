@@ -12,7 +12,7 @@ import pincal
 urdf = next(str(f.locate()) for f in files("example-robot-data") if f.name == "ur10_robot.urdf")
 arm = pincal.Mechanism.from_urdf(urdf, tip="ee_link", base="base_link")
 
-# A reflector on the flange, seen by a tracker that stands somewhere: positions only.
+# A reflector on the flange, seen by a tracker at an unknown place: positions only.
 offset, noise = (0.05, 0.1, 0.02), pincal.Noise(position=5e-5)  # [m]
 setup = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(offset)})
 

@@ -10,7 +10,7 @@ import pincal
 kind = pincal.PlatformKind("3T1R", ("x", "y", "z", "rz"))
 platform = pincal.Platform(kind, home=(0.0, 0.0, -0.47, 0.0))
 
-# One leg: a driven crank, and a rod that turns both ways at the elbow. It stands askew, else
+# One leg: a driven crank, and a rod that turns both ways at the elbow. It is set askew, else
 # no leg would feel phi.
 values = {"R": 0.25, "beta": pi / 4, "l": 0.3, "L": 0.6, "r": 0.1, "beta_b": pi / 4, "gamma": 0.0}
 foot = pincal.Placement.of(values, polar=("R", "beta"), rz=pi / 4 + 0.35)

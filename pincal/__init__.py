@@ -43,7 +43,7 @@ from pincal.model.sensor import Sensor, Term
 from pincal.model.setup import Distance, Setup, Target
 from pincal.old_names import old_name
 from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import Element
+from pincal.symmetry.elements import Element, cyclic, dihedral
 from pincal.symmetry.generate import generate
 from pincal.workspace.articular import articular_symmetry
 from pincal.workspace.criteria import Margins
@@ -97,6 +97,8 @@ __all__ = [
     "articular_symmetry",
     "calibrate",
     "compute_workspace",
+    "cyclic",
+    "dihedral",
     "disturb",
     "forecast",
     "forward",

@@ -7,9 +7,16 @@ from importlib import import_module
 from typing import Any
 from warnings import warn
 
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.runs import RunComparison
+from pincal.design.platform_error import PlatformError
 from pincal.model.placement import Coordinate, Placement, Value
 from pincal.symmetry.elements import Element
 
+Array = NDArray[np.float64]
 #: Module and its names; those that only moved are found there in the next version too.
 _HOMES = {
     "pincal.calibration.calibration": "Calibration",
@@ -30,7 +37,8 @@ _HOMES = {
     "pincal.formats.arm": "load_arm",
     "pincal.kinematics.forward": "ForwardSolution",
     "pincal.kinematics.inverse": "InverseSolution",
-    "pincal.old_names": "along cartesian mirror placed polar rotations spherical",
+    "pincal.old_names": "along cartesian expected_error mirror placed polar rotations spherical "
+    "RunConsistency",
     "pincal.show.pictures.picture": "Picture",
     "pincal.show.report.report": "Report report",
     "pincal.show.view.view": "View",
@@ -47,6 +55,7 @@ _REPLACED = {
     "along": "Placement.of",
     "articular_space": "inverse(mechanism, poses).readings",
     "cartesian": "Placement.of",
+    "expected_error": "CalibrationResult.expected_error",
     "load_arm": "Mechanism.from_urdf",
     "mirror": "Element.mirror",
     "placed": "Placement.of",
@@ -56,6 +65,7 @@ _REPLACED = {
     "read_setup": "Setup.from_yaml",
     "report": "CalibrationResult.report",
     "rotations": "Element.rotations",
+    "RunConsistency": "calibration.runs.RunComparison",
     "spherical": "Placement.of",
     "write_measurements": "Measurements.to_csv",
     "write_poses": "Plan.to_csv",
@@ -83,6 +93,12 @@ def old_name(name: str) -> Any:
 
 
 rotations, mirror = Element.rotations, Element.mirror
+RunConsistency = RunComparison
+
+
+def expected_error(result: CalibrationResult, poses: Array) -> PlatformError:
+    """Return the platform error to expect of the calibrated mechanism over poses, (N, dof)."""
+    return result.expected_error(poses)
 
 
 def placed(parameters: Mapping[str, float], *coordinates: Coordinate) -> Placement:

@@ -102,7 +102,6 @@ def split(side: str, seed: int) -> tuple[Array, Array]:
 
 def aligned(points: Array, goal: Array) -> tuple[Rotation, Array]:
     """Return the turn and the shift that bring points onto a goal best (Kabsch)."""
-    points, goal = np.array(points), np.array(goal)  # SciPy takes writable arrays
     middles = points.mean(axis=0), goal.mean(axis=0)
     turn, _ = Rotation.align_vectors(goal - middles[1], points - middles[0])
     return turn, middles[1] - turn.apply(middles[0])

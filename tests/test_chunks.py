@@ -16,7 +16,7 @@ import pytest
 from marks import some_slow
 
 import pincal
-from pincal.workspace.chunks import run
+from pincal.workspace.chunks import Cluster, run
 
 CHUNKS = [(i, i + 10) for i in range(0, 400, 10)]
 
@@ -144,7 +144,7 @@ def test_a_cluster_without_workers_is_refused_and_one_that_loses_them_given_up(
 ) -> None:
     """No waiting for ever: at the start, and when the last worker has gone."""
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("pincal.workspace.chunks._PATIENCE", 0.5)
+    monkeypatch.setattr("pincal.workspace.chunks._CLUSTER", Cluster(patience=0.5))
     with distributed.LocalCluster(
         n_workers=0, processes=True, threads_per_worker=1, dashboard_address=":0"
     ) as empty:

@@ -127,6 +127,33 @@ def test_calibrated_mechanism_serves_as_mech(
     assert after < 0.1 * before
 
 
+@pytest.mark.parametrize(
+    ("command", "header", "good", "bad", "why"),
+    [
+        ("inverse", "x [m],y [m]", "0,1.1", "50,0", "line 3: out of reach of leg_1"),
+        ("forward", "leg_1 [rad],leg_2 [rad]", "2.2,2.2", "3.14,3.14", "row 2: "),
+    ],
+)
+def test_rows_without_a_solution_are_empty_and_say_why(
+    command: str, header: str, good: str, bad: str, why: str, tmp_path: Path
+) -> None:
+    """The other rows are as without them; the reason is in the file and said; exit code 1."""
+    alone, mixed = tmp_path / "alone.csv", tmp_path / "mixed.csv"
+    alone.write_text(f"{header}\n{good}\n")
+    mixed.write_text(f"{header}\n{good}\n{bad}\n{good}\n")
+    done(command, "5R", alone, "-o", tmp_path / "a.csv")
+    outcome = run(command, "5R", mixed, "-o", tmp_path / "m.csv")
+    assert outcome.code == 1
+    assert f"{mixed}: 1 of 3" in outcome.err
+    assert why in outcome.err
+    head, row = (tmp_path / "a.csv").read_text().splitlines()
+    found = (tmp_path / "m.csv").read_text().splitlines()
+    assert found[0] == f"{head},reason"
+    assert found[1] == found[3] == f"{row},"
+    assert found[2].startswith(",,")
+    assert found[2][2:].strip('"') in outcome.err
+
+
 @pytest.mark.parametrize("kind", some_slow(KINDS, "4cable"))
 def test_inverse_then_forward_gives_the_poses(
     kind: str, chains: dict[str, Path], tmp_path: Path
@@ -446,11 +473,6 @@ BAD = {
     ),
     "margin-nan": Case("workspace 3RRR --count 10 --margin-type2 nan", ["type-2", "nan"]),
     # what cannot be solved
-    "pose-unreachable": Case(
-        "inverse 3RRR t.csv",
-        ["t.csv", "line 4", "leg_1", "reach"],
-        table(POSES, "", "0,0,0", "9,0,0"),
-    ),
     "candidates-unreachable": Case(
         "select 3RRR --candidates t.csv --unknown-frame -o new.csv",
         ["no pose of t.csv", "leg_1"],
@@ -476,9 +498,6 @@ BAD = {
     "pose-beyond-numbers": Case(
         "inverse 3RRR t.csv", ["t.csv", "line 3", "1e200"], table(POSES, "0,0,0", "1e200,0,0")
     ),
-    "reading-without-pose": Case(
-        "forward 5R t.csv", ["t.csv", "row 2"], table(READINGS, "2.2,2.2", "3.14,3.14")
-    ),
     "reading-far-beyond": Case(
         "forward 5R t.csv", ["t.csv", "line 2", "1e200"], table(READINGS, "1e200,0")
     ),
@@ -497,6 +516,7 @@ def test_bad_input_is_named_and_harms_nothing(case: str, work: Path) -> None:
     assert contents(work) == before
 
 
+@pytest.mark.slow  # in every run: test_poses_that_differ_by_their_noise_only_are_refused
 def test_one_orientation_is_seen_through_noise(work: Path) -> None:
     """Poses of one orientation, measured with noise, are refused or warned of by parameter."""
     one_orientation(1e-5)
@@ -736,3 +756,47 @@ def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     outcome = run("mechanisms")
     assert outcome.code == 2
     assert "not enough memory" in outcome.trouble
+
+
+@pytest.mark.parametrize("name", ["\x1b[31mred", "a\x07b", "one\rtwo", "right\u202eleft"])
+def test_control_characters_are_escaped(name: str, work: Path) -> None:
+    """What files and names hold moves no cursor, rings no bell and turns no text around."""
+    Path(f"{name}.csv").write_text(f"x [m],y [m],{name} [m]\n0,oops,1\n".replace("\r", ""))
+    said = run("inverse", "5R", f"{name}.csv", "-o", "new").err
+    said += run("calibrate", name, f"{name}.csv", "-o", "new").err
+    assert not set(said) - {"\n"} & {chr(c) for c in [*range(32), 127, 0x202E]}
+    assert ascii(name)[1:-1] in said
+
+
+def test_messages_are_no_longer_than_can_be_read(work: Path) -> None:
+    """A long name, a long cell: the message keeps its beginning and its end."""
+    Path("long.csv").write_text("x [m],y [m]\n0," + "9x" * 5000 + "\n")
+    for name in ("long.csv", "n" * 9000):
+        outcome = run("inverse", "5R", name, "-o", "new")
+        assert outcome.code == 2
+        assert 20 < len(outcome.err) < 2100
+
+
+@pytest.mark.parametrize(("kind", "writer"), [("urdf", "loops_urdf"), ("xml", "mjcf")])
+def test_no_export_holds_what_is_no_number(
+    kind: str, writer: str, work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file with nan or inf for a number is not written, and its line is said."""
+    import pincal.cli.exporting as exporting  # of the functions that it calls
+
+    monkeypatch.setattr(exporting, writer, lambda _: '<a>\n<b xyz="0 nan 0"/>')
+    outcome = run("export", "5R", "-o", f"new.{kind}")
+    assert outcome.code == 2
+    assert "nan would be written for a number, in line 2" in outcome.trouble
+    assert not Path(f"new.{kind}").exists()
+
+
+def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
+    """Noise given a tenth of what it is: all is written, exit code 1; --accept makes it 0."""
+    small = ["--noise-position", 1e-5, "--noise-orientation", 1e-5, "--folds", 0]
+    line = ["calibrate", "3RRR", "measured.csv", *small]
+    outcome = run(*line, "-o", "doubted")
+    assert outcome.code == 1
+    assert "exit code 1: residuals are" in outcome.err
+    assert Path("doubted/mechanism/mechanism.yaml").is_file()
+    assert run(*line, "-o", "taken", "--accept").code == 0

@@ -63,7 +63,7 @@ def poses_of(name: str, count: int = 60) -> Array:
     ids=lambda value: value.name if isinstance(value, Family) else str(value),
 )
 def test_inverse_kinematics_equals_the_closed_form(family: Family, mode: int) -> None:
-    """On 50 random geometries joints are within 1e-11 of the closed form, in either mode."""
+    """On 20 random geometries joints are within 1e-11 of the closed form, in either mode."""
     rng, group, told = np.random.default_rng(mode + 1), carriers(family.name), 0
     for _ in range(GEOMETRIES):
         mechanism = random_geometry(family, group, rng, mode)
@@ -93,7 +93,7 @@ def test_inverse_kinematics_equals_the_closed_form(family: Family, mode: int) ->
 
 
 def test_cables_read_changes_of_length() -> None:
-    """On 50 random geometries readings are k (‖r + R b − A‖ − that at home) within 1e-11 m."""
+    """On 20 random geometries readings are k (‖r + R b − A‖ − that at home) within 1e-11 m."""
     rng, bundled = np.random.default_rng(0), nominal("8cable")
     for _ in range(GEOMETRIES):
         values = {leg.name: leg.nominal + rng.uniform(-0.2, 0.2, 7) for leg in bundled.legs}

@@ -101,7 +101,7 @@ def test_who_comes_second_does_not_replace(folder: bool, tmp_path: Path) -> None
 
 
 SAVE = """
-import os, sys
+import os, sys, time
 import pincal
 mechanism = pincal.load_mechanism("5R")
 data = pincal.Measurements.from_csv(sys.argv[1], mechanism)
@@ -111,6 +111,9 @@ class Report:
     def html(self):
         return text
 report = Report()
+begun = time.monotonic()
+result.save(sys.argv[2] + ".timed", force=True, report=report)
+print(time.monotonic() - begun, flush=True)
 for number in range(int(sys.argv[3])):
     if not sys.stdin.readline():
         break
@@ -163,9 +166,10 @@ def test_killed_while_writing(times: int, measured: Path, tmp_path: Path) -> Non
             )
             for _ in range(2)
         ]
+        longest = 3 * max(float(_told(saver)) for saver in savers)
         for _ in range(times):
             children = [int(_told(saver, "\n")) for saver in savers]
-            time.sleep(rng.uniform(0.01, 0.1))
+            time.sleep(rng.uniform(0.0, longest))
             for child in children:
                 os.kill(child, signal.SIGKILL)
                 time.sleep(0.002)
@@ -236,6 +240,49 @@ def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
     assert "Exception" not in ended.stderr
     assert ended.returncode == code, ended.stderr
     assert ("No space left" in ended.stderr) == (code == 2)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "check 5R",
+        "mechanisms",
+        pytest.param("check 5R --json", marks=pytest.mark.slow),
+        pytest.param("calibrate 5R {}/data.csv -o result 2>&1", marks=pytest.mark.slow),
+        pytest.param("--help", marks=pytest.mark.slow),
+        pytest.param("check --help", marks=pytest.mark.slow),
+    ],
+)
+def test_a_reader_that_leaves(line: str, measured: Path, tmp_path: Path) -> None:
+    """The reader of ``| head -1`` leaves: the work is done, exit code 0, no noise."""
+    command = " ".join([*PINCAL, line.format(measured)])
+    ended = subprocess.run(
+        ["/bin/bash", "-c", f"set -o pipefail; {command} | (read -r line; echo $line; exec 0<&-)"],
+        cwd=tmp_path,
+        env=os.environ | HERE,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0
+    assert len(ended.stdout.splitlines()) == 1
+    assert "Exception" not in ended.stderr
+    assert "Broken" not in ended.stderr
+    if "calibrate" in line:
+        assert_whole(tmp_path / "result")
+
+
+def test_no_screen_is_asked_for(tmp_path: Path) -> None:
+    """A drawing library's backend that is none, as environments say it: pictures are files."""
+    ended = subprocess.run(
+        [*PINCAL, "picture", "5R", "-o", "new.svg"],
+        cwd=tmp_path,
+        env=os.environ | HERE | {"MPLBACKEND": "nonsense"},
+        capture_output=True,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "new.svg").is_file()
 
 
 @pytest.mark.slow

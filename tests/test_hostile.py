@@ -15,7 +15,7 @@ from test_formats import CONFIG, config_file
 import pincal
 from pincal.calibration.result_files import read_result
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
-from pincal.files import tables as table
+from pincal.files.input import LARGEST_FILE
 from pincal.files.mechanism_folders import bundled, mechanism_files
 from pincal.files.tables import read_table
 from pincal.formats.printers.klipper import read_klipper
@@ -87,7 +87,7 @@ def test_tables_may_come_through_a_pipe(tmp_path: Path) -> None:
 
 def test_endless_devices_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a device that never ends no more is read than a table may hold."""
-    monkeypatch.setattr(table, "_LARGEST", 2**20)
+    monkeypatch.setitem(LARGEST_FILE, "table", 2**20)
     with pytest.raises(MeasurementError, match="/dev/zero: larger than 1 MiB"):
         read_table("/dev/zero")
 

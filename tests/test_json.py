@@ -53,13 +53,15 @@ def test_inverse_and_forward(poses: Path, tmp_path: Path) -> None:
     assert np.abs([one["values"] for one in back["gaps"].values()]).max() < 1e-9
 
 
-def test_unsolved_rows_are_told_as_an_error(tmp_path: Path) -> None:
-    """Out of reach: exit code 2, nothing on stdout, nothing written."""
+def test_unsolved_rows_are_null_with_a_reason(tmp_path: Path) -> None:
+    """Out of reach: exit code 1, null in the row's place, and why."""
     (tmp_path / "far.csv").write_text("x [m],y [m]\n0,1.1\n50,0\n")
     outcome = run("inverse", "5R", tmp_path / "far.csv", "-o", tmp_path / "r.csv", "--json")
-    assert outcome.code == 2
-    assert outcome.out == ""
-    assert not (tmp_path / "r.csv").exists()
+    assert outcome.code == 1
+    found = json.loads(outcome.out)
+    assert [one["values"][1] for one in found["readings"].values()] == [None, None]
+    assert found["reasons"][0] == ""
+    assert "reach" in found["reasons"][1]
 
 
 def test_workspace_poses(tmp_path: Path) -> None:

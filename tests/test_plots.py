@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import pincal
-from pincal.show import plots
+from pincal.show.plots import Plots
 
 NOISE = pincal.Noise(1e-4, 1e-4)
 
@@ -30,7 +30,7 @@ def result() -> pincal.CalibrationResult:
 
 def test_residuals_in_standard_deviations(result: pincal.CalibrationResult) -> None:
     """One series a leg, each residual over its standard deviation at its row."""
-    axes = plots.residuals(result)
+    axes = result.plot.residuals()
     for leg, line in zip(result.legs, axes.lines, strict=False):
         np.testing.assert_array_equal(line.get_xdata(), leg.rows + 1)
         np.testing.assert_allclose(line.get_ydata(), leg.residuals / leg.sigma)
@@ -39,7 +39,7 @@ def test_residuals_in_standard_deviations(result: pincal.CalibrationResult) -> N
 
 def test_changes_over_their_uncertainty(result: pincal.CalibrationResult) -> None:
     """A bar for each parameter that was identified, none for one that was fixed."""
-    axes = plots.parameters(result)
+    axes = result.plot.parameters()
     for leg, bars in zip(result.legs, axes.containers, strict=True):
         free = [p for p in leg.parameters if p.given != "fixed"]
         heights = [2 * (p.identified - p.nominal) / (p.high - p.low) for p in free]
@@ -49,7 +49,7 @@ def test_changes_over_their_uncertainty(result: pincal.CalibrationResult) -> Non
 
 def test_correlations(result: pincal.CalibrationResult) -> None:
     """The image holds the correlations of all that was identified, its axes the ids."""
-    axes = plots.correlation(result)
+    axes = result.plot.correlation()
     (image,) = axes.images
     free = np.diagonal(result.covariance) > 0.0
     own = result.covariance[np.ix_(free, free)]
@@ -65,7 +65,7 @@ def test_expected_errors_over_the_workspace(
     result: pincal.CalibrationResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A pixel's value is the expected error there; without a workspace it is refused."""
-    axes = plots.error_map(result)
+    axes = result.plot.error_map()
     image = axes.images[0]
     values, (left, right, low, high) = image.get_array(), image.get_extent()
     place = tuple(np.argwhere(np.isfinite(values.filled(np.nan)))[40])
@@ -79,17 +79,17 @@ def test_expected_errors_over_the_workspace(
 
     monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
     with pytest.raises(pincal.WorkspaceError, match="no workspace"):
-        plots.error_map(result)
+        result.plot.error_map()
 
 
-@pytest.mark.parametrize("draw", [plots.residuals, plots.parameters, plots.correlation])
+@pytest.mark.parametrize("draw", [Plots.residuals, Plots.parameters, Plots.correlation])
 def test_axes_that_are_given_are_drawn_into(draw: object, result: pincal.CalibrationResult) -> None:
     """And returned; names that matplotlib would hide stay visible."""
     hidden = tuple(replace(leg, name=f"_{leg.name}") for leg in result.legs)
     figure = Figure()
     axes = figure.subplots()
     assert isinstance(axes, Axes)
-    assert draw(replace(result, legs=hidden), axes) is axes  # type: ignore[operator]
+    assert draw(replace(result, legs=hidden).plot, axes) is axes  # type: ignore[operator]
     by_name = getattr(result.plot, draw.__name__)  # type: ignore[attr-defined]
     assert by_name(axes) is axes
 

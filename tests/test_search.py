@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -31,18 +32,20 @@ def cost(mechanism: Mechanism, data: pincal.Measurements, noise: pincal.Noise) -
     best = np.full(len(data), np.inf)
     twists, dof = np.zeros(data.poses.shape), platform.dof
 
-    def readings(twists: Array) -> Array:
-        return pincal.inverse(mechanism, platform.moved(data.poses, twists)).readings
+    def readings(twists: Array, steps: Array) -> Array:
+        every = (twists + steps[:, None]).reshape(-1, dof)
+        poses = platform.moved(np.tile(data.poses, (len(steps), 1)), every)
+        return pincal.inverse(mechanism, poses).readings
 
+    steps = h * np.concatenate((np.zeros((1, dof)), np.eye(dof), -np.eye(dof)))
     for _ in range(6):
-        off = (readings(twists) - data.readings) / noise.reading
+        there, *around = np.split(readings(twists, steps), len(steps))
+        off = (there - data.readings) / noise.reading
         off = np.concatenate((off, twists / spread), axis=1)
         squares = np.where(np.isfinite(off).all(axis=1), (off**2).sum(axis=1), np.inf)
         best = np.fmin(best, squares)
-        slopes = [
-            (readings(twists + step) - readings(twists - step)) / (2 * h * noise.reading)
-            for step in h * np.eye(dof)
-        ]
+        pairs = zip(around[:dof], around[dof:], strict=True)
+        slopes = [(more - less) / (2 * h * noise.reading) for more, less in pairs]
         J = np.concatenate(
             (np.stack(slopes, axis=2), np.tile(np.diag(1 / spread), (len(off), 1, 1))), axis=1
         )
@@ -72,8 +75,9 @@ def _units(leg: Leg) -> list[str]:
     return ["" if name in turns else "m" for name in leg.parameter_names]
 
 
-def searched(kind: str, seed: int, options: dict[str, object]) -> tuple[float, ...] | str:
-    """Return the costs of the result, the start and the truth, or why there is none."""
+@cache
+def posed(kind: str, seed: int) -> tuple[Mechanism, pincal.Measurements, float, float]:
+    """Return a start, measurements, and the costs of start and truth."""
     rng = np.random.default_rng(seed)
     truth = random_mechanism(kind, KINDS[kind][0][seed % len(KINDS[kind][0])], seed)
     n = max(len(leg.parameters) for leg in truth.legs)
@@ -83,13 +87,18 @@ def searched(kind: str, seed: int, options: dict[str, object]) -> tuple[float, .
     shaken = truth.platform.moved(poses, 1e-4 * rng.standard_normal(poses.shape))
     data = pincal.Measurements(poses=shaken, readings=readings)
     start = rough(truth, rng.uniform(0.005, 0.05), rng)
+    return start, data, cost(start, data, NOISE), cost(truth, data, NOISE)
+
+
+def searched(kind: str, seed: int, options: dict[str, object]) -> tuple[float, ...] | str:
+    """Return the costs of the result, the start and the truth, or why there is none."""
+    start, data, *costs = posed(kind, seed)
     try:
         result = pincal.calibrate(start, data, noise=NOISE, rough=True, **options)  # type: ignore[arg-type]
     except pincal.PincalError as error:
         return f"{type(error).__name__}: {error}"
     chi2 = result.reduced_chi2 * result.degrees_of_freedom
-    found = chi2, cost(start, data, NOISE), cost(truth, data, NOISE)
-    return (*found, float(result.converged))
+    return (chi2, *costs, float(result.converged))
 
 
 def check(kind: str, seeds: range, options: dict[str, object]) -> None:

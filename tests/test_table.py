@@ -313,7 +313,8 @@ def test_existing_table_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "t.csv").read_text() == "keep"
     write_table(tmp_path / "t.csv", {"x [m]": [1.0]}, force=True)
     assert (tmp_path / "t.csv").read_text() == "x [m]\n1.0\n"
-    assert names(tmp_path) == ["t.csv"]
+    assert (tmp_path / "t.csv.bak").read_text() == "keep"
+    assert names(tmp_path) == ["t.csv", "t.csv.bak"]
 
 
 @pytest.mark.parametrize("force", [False, True])

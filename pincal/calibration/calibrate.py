@@ -68,7 +68,8 @@ def prepared(
     """Return a calibration to be done; arguments and errors are those of ``calibrate``."""
     chosen = Options.of(options, **more)
     machine = as_mechanism(mechanism)
-    return Calibration(machine, as_measurements(measurements, machine, chosen.setup), chosen)
+    data = as_measurements(measurements, machine, chosen.setup)
+    return Calibration(machine, replace(data), chosen)  # a copy: the user's may be changed
 
 
 def identify(calibration: Calibration) -> CalibrationResult:

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
-from scipy.stats import chi2 as chi2_law
-from scipy.stats import f as f_law
+from scipy.special import chdtrc, fdtrc, ndtri, stdtrit
 
 from pincal.calibration.fits import Fits
 from pincal.estimation.components import Moments, Pools, freedoms
@@ -85,5 +83,5 @@ def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -
     if not degrees_of_freedom:
         return 1.0
     if np.isfinite(of_noise):
-        return float(f_law.sf(chi2, degrees_of_freedom, of_noise))
-    return float(chi2_law.sf(degrees_of_freedom * chi2, degrees_of_freedom))
+        return float(fdtrc(degrees_of_freedom, of_noise, chi2))
+    return float(chdtrc(degrees_of_freedom, degrees_of_freedom * chi2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2 as chi2_law
+from scipy.special import chdtrc
 
 from pincal.calibration.fits import Fits
 from pincal.calibration.result import UNEXPLAINED, CalibrationResult
@@ -108,7 +108,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     variances, spread = np.linalg.pinv(F) @ moments.q[groups], 2.0 * np.linalg.pinv(F)
     spread += np.diag([2.0 / noise.freedoms[group] for group in groups])
     off = variances - 1.0
-    p_value = float(chi2_law.sf(off @ np.linalg.pinv(spread) @ off, len(groups)))
+    p_value = float(chdtrc(len(groups), off @ np.linalg.pinv(spread) @ off))
     if p_value >= PROBABLE or not off.max() > 0.0 or len(groups) < 2:
         return []
     names = ("positions", "orientations", "readings")

@@ -28,12 +28,27 @@ from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_ROUNDS = 20
-_REFITS = 5  # with noise that was estimated
-_AT_REST = 1e-10  # [m] and [rad]: the frame moves no more
-_OFF = 5e-3  # of the scale of the noise that was estimated
-_LEAST = 1e-3  # of the largest standard deviation, each over its unit: that of the others
-_ALIKE = 1e-3  # relative change of a standard deviation, below which noise is estimated
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """How often fits are repeated, and when they need not be."""
+
+    rounds: int = 20
+    """Of noise, or of frames, in turn with the legs."""
+    refits: int = 5
+    """With noise that was estimated."""
+    still: float = 1e-10
+    """[m] and [rad]: the frame moves no more."""
+    off: float = 5e-3
+    """Of the scale of the noise that was estimated."""
+    least: float = 1e-3
+    """Of the largest standard deviation, each over its unit: that of the others."""
+    alike: float = 1e-3
+    """Relative change of a standard deviation, below which noise is estimated."""
+
+
+_BY = Repeats()
 
 
 @dataclass(frozen=True)
@@ -87,7 +102,7 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
     pools: Pools | None = None
-    for _ in range(_REFITS):
+    for _ in range(_BY.refits):
         fits = [robust.fit for robust in one.fits]
         if not all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits):
             break
@@ -97,7 +112,7 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
         noise, unit = then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
         scale = float(np.mean([robust.fit.noise_scale for robust in one.fits]))
-        if abs(scale - 1.0) > _OFF and scale > 0.0:  # a group at its floor leaves that to all
+        if abs(scale - 1.0) > _BY.off and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
             one = search(calibration.with_noise(noise), tied, one)
     return replace(one, pools=pools)
@@ -113,7 +128,7 @@ def _noise_of(one: Fits, noise: Noise, unit: float) -> tuple[Noise, Pools | None
     """
     fits, calibration = [robust.fit for robust in one.fits], one.calibration
     pools: Pools | None = None
-    for _ in range(_ROUNDS):
+    for _ in range(_BY.rounds):
         problems = _problems(calibration.with_noise(noise), one)
         moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)
         if moments.rounding:
@@ -134,7 +149,7 @@ def _floored(noise: Noise, calibration: Calibration) -> Noise:
     """Return noise of which no group is all but exact beside the others."""
     unit = assumed_noise(calibration.mechanism, exact=False)
     sizes = [getattr(noise, name) / getattr(unit, name) for name in vars(noise)]
-    least = _LEAST * max(sizes)
+    least = _BY.least * max(sizes)
     return Noise(
         max(noise.position, least * unit.position),
         max(noise.orientation, least * unit.orientation),
@@ -144,7 +159,7 @@ def _floored(noise: Noise, calibration: Calibration) -> Noise:
 
 def _alike(noise: Noise, then: Noise) -> bool:
     changes = zip(vars(noise).values(), vars(then).values(), strict=True)
-    return all(abs(a - b) <= _ALIKE * max(a, b) for a, b in changes)
+    return all(abs(a - b) <= _BY.alike * max(a, b) for a, b in changes)
 
 
 def _problems(calibration: Calibration, one: Fits) -> list[Problem]:
@@ -221,10 +236,10 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
         )
     first = problem.first.external
     external = first if before is None or before.external is None else before.external
-    for _ in range(_ROUNDS):
+    for _ in range(_BY.rounds):
         fits = _fit_groups(calibration, groups, unknowns, external)
         step = _toward_nominal(gauge, problem, unknowns, fits, external)
-        if np.abs(step).max(initial=0.0) <= _AT_REST:
+        if np.abs(step).max(initial=0.0) <= _BY.still:
             return Fits(calibration, fits, external, gauge, unknowns)
         external = problem.observation.external.moved(external, step)
     raise MeasurementError(

@@ -86,7 +86,7 @@ class CalibrationResult:
     """The calibrated mechanism."""
     legs: tuple[LegResult, ...]
     external: tuple[IdentifiedParameter, ...]
-    """Where the base stands in the frame of the measurements (``tracker.x`` …, a rotation vector),
+    """Where the base is in the frame of the measurements (``tracker.x`` …, a rotation vector),
     and where the targets sit on the platform (``target.x`` …)."""
     covariance: Array
     """Covariance of the legs' parameters, legs in order, shape (n, n)."""

@@ -1,6 +1,6 @@
 """A result folder: ``result.json``, ``residuals.csv``, the nominal and the calibrated mechanism.
 
-``result.json`` says what was found in words and numbers for programs, and holds under ``data`` all
+``result.json`` says what was found, for people and programs, and holds under ``data`` all
 that the result is made of, bit for bit, so that ``load_result`` gives it back.
 """
 
@@ -18,9 +18,9 @@ from pincal.calibration.result import CalibrationResult, Page
 from pincal.calibration.result_data import restored, stored
 from pincal.calibration.runs import RunComparison
 from pincal.errors import MeasurementError
-from pincal.files.input import read_text
+from pincal.files.input import LARGEST_FILE, read_text
 from pincal.files.measurement_writing import write_poses
-from pincal.files.mechanism_folders import load_mechanism, own_files
+from pincal.files.mechanism_folders import load_mechanism, own_files, write_mechanism
 from pincal.files.tables import write_table
 from pincal.model.measurements import Plan
 from pincal.words.sentences import sentence
@@ -28,7 +28,6 @@ from pincal.words.sentences import sentence
 FORMAT = 2
 RESULT = "result.json"
 MECHANISM, NOMINAL = "mechanism", "nominal"
-_LARGEST = 256 * 1024 * 1024  # bytes
 
 
 def save_result(
@@ -51,9 +50,11 @@ def save_result(
     with output.writing(folder, force=force, folder=RESULT, own=own) as scratch:
         text = json.dumps(as_json(result), indent=2, ensure_ascii=False, allow_nan=False)
         (scratch / RESULT).write_text(text + "\n", encoding="utf-8")
-        result.nominal.save(scratch / NOMINAL)
-        if result.converged:
-            result.identified.save(scratch / MECHANISM)
+        mechanisms = {NOMINAL: result.nominal}
+        mechanisms |= {MECHANISM: result.identified} if result.converged else {}
+        for name, mechanism in mechanisms.items():
+            (scratch / name).mkdir()
+            write_mechanism(mechanism, scratch / name)
         write_table(scratch / "residuals.csv", _residuals(result))
         if result.estimated_poses is not None:
             plan = Plan(result.estimated_poses)
@@ -209,7 +210,7 @@ def read_result(folder: str | Path) -> dict[str, Any]:
         MeasurementError: not a result of pincal, or of an unknown version.
     """
     path = Path(folder) / RESULT
-    text = read_text(path, _LARGEST, MeasurementError)
+    text = read_text(path, LARGEST_FILE["result"], MeasurementError)
     try:
         data = json.loads(
             text, parse_float=_finite, parse_constant=_finite, object_pairs_hook=_once

@@ -8,8 +8,7 @@ from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import covariances
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import TieTest
-
-_MOVED = 1e-9  # by which a unit motion of frames moves a difference of tied parameters
+from pincal.estimation.observability.indices import RANK_TOLERANCE
 
 
 def tie_tests(free: Fits) -> tuple[TieTest, ...]:
@@ -34,7 +33,7 @@ def tie_tests(free: Fits) -> tuple[TieTest, ...]:
         directions = free.gauge.of_legs
         moved = R @ directions / np.linalg.norm(directions, axis=0)
         axes, size, _ = np.linalg.svd(moved)
-        R = axes[:, int((size > _MOVED).sum()) :].T @ R
+        R = axes[:, int((size > RANK_TOLERANCE).sum()) :].T @ R
     if not len(R):
         return ()
     off = R @ values

@@ -9,6 +9,8 @@ from __future__ import annotations
 import inspect
 import json
 import logging
+import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,10 +29,35 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from pincal.errors import FileError
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
-stdout = Console(highlight=False, width=_WIDTH)
-stderr = Console(stderr=True, highlight=False, soft_wrap=True)  # warnings and errors
-_remarks = Console(stderr=True, highlight=False, soft_wrap=True)  # all else that is no answer
+
+
+def plain(text: str) -> str:
+    """Return text for a terminal: control characters escaped, and no longer than can be read."""
+    shown = _CONTROL.sub(lambda one: ascii(one.group())[1:-1], text)
+    if len(shown) <= _LONGEST:
+        return shown
+    return f"{shown[: _LONGEST // 2]} … {shown[-_LONGEST // 2 :]}"
+
+
+class _Console(Console):
+    """A console whose reader may leave, as that of ``| head -1`` does: the work goes on."""
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """Print; text comes from files too, and may hold anything."""
+        super().print(*(plain(one) if isinstance(one, str) else one for one in objects), **how)
+
+    def on_broken_pipe(self) -> None:
+        """Say the rest to nobody."""
+        with Path(os.devnull).open("w") as nobody:
+            os.dup2(nobody.fileno(), self.file.fileno())
+
+
+stdout = _Console(highlight=False, width=_WIDTH)
+stderr = _Console(stderr=True, highlight=False, soft_wrap=True)  # warnings and errors
+_remarks = _Console(stderr=True, highlight=False, soft_wrap=True)  # all else that is no answer
 _WRITTEN = ("output", "html", "page", "picture", "truth")  # names of what commands write
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+_LONGEST = 2000  # characters
 _asked = {"json": False}
 _typed: list[str] = []
 
@@ -181,7 +208,9 @@ def _turned_down(quiet: bool, as_json: bool) -> Iterator[None]:
 def answer(found: Mapping[str, Any]) -> None:
     """Print what a command found as JSON, if that was asked for; infinities are null."""
     if _asked["json"]:
-        typer.echo(json.dumps(_plain(found), indent=2, allow_nan=False))
+        text = json.dumps(_plain(found), indent=2, allow_nan=False)
+        answers = _Console(file=sys.stdout, soft_wrap=True, markup=False, emoji=False)
+        answers.out(text, highlight=False)
 
 
 def _plain(value: Any) -> Any:

@@ -176,6 +176,12 @@ class CalibrateOptions(SetupOptions, GivenNoise, MethodOptions):
             help="Hold what the measurements do not determine as near to nominal as can be.",
         ),
     ] = False
+    accept: Annotated[
+        bool,
+        typer.Option(
+            "--accept", help="Exit code 0 even if residuals are larger than the noise given."
+        ),
+    ] = False
     folds: Annotated[int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")] = FOLDS
 
     def calibration(self, mechanism: Mechanism, path: Path) -> Calibration:
@@ -219,7 +225,8 @@ def calibrate(
     (empty cells or no columns). Without noise options, repeated rows give the noise; else it is
     estimated by group from the residuals. RESULT holds report.html to read,
     result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
-    exit code is 1, and no mechanism is written, if the fit does not converge.
+    exit code is 1, and no mechanism is written, if the fit does not converge; 1 with all files
+    written, if χ² contradicts the noise given, unless --accept.
     """
     if how.folds == 1:
         raise MeasurementError("--folds 1: expected 2 or more, or 0 for no held-out validation")
@@ -243,6 +250,13 @@ def calibrate(
     wrote(output)
     answer(as_json(result))
     if not result.converged:
+        raise typer.Exit(1)
+    if result.excess > 1.0 and not how.accept:
+        warn(
+            f"exit code 1: residuals are {result.excess:.3g} times as large as the noise given "
+            "makes them, so the standard errors do not hold. Look at the warnings above, or take "
+            "the result as it is by --accept"
+        )
         raise typer.Exit(1)
 
 

@@ -75,7 +75,7 @@ def demo(
 
 def _step(*words: object) -> None:
     """Show a command as it would be typed."""
-    remember([str(word) for word in words])
+    remember([str(one) for one in words])
     _title(typed())
 
 

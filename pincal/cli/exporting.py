@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -22,6 +23,8 @@ from pincal.formats.trees.tree_mjcf import mjcf
 from pincal.formats.trees.tree_of import tree_of, unwritten
 from pincal.formats.trees.tree_urdf import loops_urdf, loops_yaml
 from pincal.model.mechanism import Mechanism
+
+_NO_NUMBER = re.compile(r"(?<![\w.-])[-+]?(?:nan|inf)(?![\w.-])", re.IGNORECASE)
 
 
 class Form(StrEnum):
@@ -82,7 +85,7 @@ def export(
         raise MechanismError(f"--original and --leg go with URDF, not with {whose}")
     refuse_existing(output, force=force)
     found = delta_printer(load_mechanism(mech))
-    text = write_klipper(found) if whose == "klipper" else write_reprap(found)
+    text = _finite(write_klipper(found) if whose == "klipper" else write_reprap(found), mech)
     with writing(output, force=force) as scratch:
         scratch.write_text(text, encoding="utf-8")
     stdout.print(text.rstrip(), markup=False, soft_wrap=True)
@@ -128,6 +131,8 @@ def _export_tree(
         if whose != "urdf":
             raise MechanismError("--original goes with URDF, not with MJCF")
         data = calibrated_urdf(original, mechanism, leg)
+        if not _NO_NUMBER.search(original.read_text(encoding="utf-8", errors="replace")):
+            _finite(data.decode(errors="replace"), mechanism.name)
         with writing(output, force=force) as scratch:
             scratch.write_bytes(data)
         for line in unwritten(mechanism):
@@ -143,6 +148,7 @@ def _export_tree(
         files[output.with_suffix(".yaml")] = loops_yaml(tree)
     for path in files:
         refuse_existing(path, force=force)
+        _finite(files[path], mechanism.name)
     for path, text in files.items():
         with writing(path, force=force) as scratch:
             scratch.write_text(text, encoding="utf-8")
@@ -150,6 +156,21 @@ def _export_tree(
         warn(line)
     for path in files:
         wrote(path)
+
+
+def _finite(text: str, name: str) -> str:
+    """Return what is to be written.
+
+    Raises:
+        MechanismError: numbers in it that no program can read.
+    """
+    if found := _NO_NUMBER.search(text):
+        raise MechanismError(
+            f"{name}: {found.group()} would be written for a number, in "
+            f"line {text[: found.start()].count(chr(10)) + 1}; its parameters or frames are far "
+            "too large"
+        )
+    return text
 
 
 def _changed(before: bytes, after: bytes) -> int:

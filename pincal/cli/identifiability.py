@@ -76,8 +76,8 @@ def identifiability(
             "rank": found.rank.rank,
             "unknowns": found.rank.n_params,
             "condition": found.rank.condition,
-            "not_told_apart": found.rank.groups,
-            "weakly_told_apart": [asdict(pair) for pair in found.weak],
+            "not_separable": found.rank.groups,
+            "weakly_determined": [asdict(pair) for pair in found.weak],
             "freedoms_of_frames": found.gauge.shape[1],
             "parameters": [
                 {"leg": leg, "name": name, "std": std}

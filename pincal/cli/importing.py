@@ -95,7 +95,7 @@ class ImportOptions:
     base: Annotated[
         str | None,
         typer.Option(
-            metavar="LINK", help="Of a serial arm: the link it stands on, if not the root."
+            metavar="LINK", help="Of a serial arm: the link at its foot, if not the root."
         ),
     ] = None
     probed: Annotated[
@@ -129,7 +129,7 @@ def import_(
 
     A URDF whose loops a YAML file closes (the convention of example-parallel-robots), or MJCF
     with connect and weld and actuators, becomes a mechanism folder: legs, platform and drives are
-    told apart, and each joint's place on its link gets parameters. With --tip a serial arm.
+    found, and each joint's place on its link gets parameters. With --tip a serial arm.
 
     A delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware, become a mechanism
     folder. Heights that DELTA_CALIBRATE saved, or points given by --probed, are written into it

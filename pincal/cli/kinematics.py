@@ -18,21 +18,21 @@ from pincal.cli.app import (
     command,
     output_option,
     remark,
+    warn,
     working,
     wrote,
 )
-from pincal.errors import MeasurementError
-from pincal.files.measurement_writing import write_poses, write_readings
+from pincal.files.measurement_writing import columns_of, reason_column, write_readings
 from pincal.files.measurements import read_poses, read_readings
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
+from pincal.files.tables import write_table
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.model.measurements import Plan
+from pincal.words.wording import LISTED
 from pincal.workspace.criteria import Margins
 from pincal.workspace.sampling import sample_workspace
-
-_SHOWN = 5
 
 
 @command(answers=True)
@@ -44,20 +44,22 @@ def inverse(
 ) -> None:
     """Write the sensor readings of poses.
 
-    Nothing is written if a pose is out of reach.
+    Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
+    code is then 1.
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force)
     plan = read_poses(poses, mechanism)
     solution = solve_inverse(mechanism, plan.poses)
-    reached = solution.reached.all(axis=1)
-    lost = np.flatnonzero(~reached).tolist()
-    _refuse_lost(poses, [(plan.place(row), solution.reason(row)) for row in lost], "pose")
-    write_readings(output, mechanism, solution.readings, force=force)
+    lost = np.atleast_1d(~solution.reached.all(axis=1))
+    reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
+    values = np.where(lost[:, None], np.nan, solution.readings)
+    write_readings(output, mechanism, values, reasons=reasons, force=force)
     wrote(output)
     read = mechanism.reading_names, mechanism.reading_units
-    readings = _columns(*read, solution.readings)
-    answer({"mechanism": mechanism.name, "readings": readings})
+    found = {"mechanism": mechanism.name, "readings": _columns(*read, values)}
+    answer(found | {"reasons": reasons})
+    _leave_if_lost(poses, [plan.place(row) for row in range(len(lost))], reasons, "pose")
 
 
 @command(answers=True)
@@ -71,8 +73,8 @@ def forward(
 
     Poses are those in the assembly mode of home. Readings of more legs than freedoms
     give the pose of least gaps, and how far they contradict each other is said.
-    The search starts from the nearest of many sampled poses. Nothing is written if some
-    readings have no pose.
+    The search starts from the nearest of many sampled poses. Rows of readings that have no pose
+    stay empty, with the reason in the column 'reason'; the exit code is then 1.
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force)
@@ -83,11 +85,13 @@ def forward(
     solution = solve_forward(
         mechanism, values, samples[np.minimum(tree.query(values)[1], len(samples) - 1)]
     )
-    lost = np.flatnonzero(~solution.converged).tolist()
-    _refuse_lost(readings, [(f"row {row + 1}", solution.reasons[row]) for row in lost], "reading")
-    write_poses(output, mechanism, Plan(solution.poses), force=force)
-    if mechanism.redundant:
-        row, leg = np.unravel_index(np.argmax(solution.gap), solution.gap.shape)
+    lost = ~solution.converged
+    reasons = [solution.reasons[row] if lost[row] else "" for row in range(len(lost))]
+    found = np.where(lost[:, None], np.nan, solution.poses)
+    write_table(output, columns_of(mechanism, Plan(found)) | reason_column(reasons), force=force)
+    if mechanism.redundant and not lost.all():
+        gap = np.where(lost[:, None], -np.inf, solution.gap)
+        row, leg = np.unravel_index(np.argmax(gap), gap.shape)
         remark(
             f"readings fit together within {solution.gap[row, leg]:.2g} m "
             f"(row {row + 1}, {mechanism.leg_names[leg]})"
@@ -97,10 +101,12 @@ def forward(
     answer(
         {
             "mechanism": mechanism.name,
-            "poses": _columns(platform.coordinates, platform.units, solution.poses),
+            "poses": _columns(platform.coordinates, platform.units, found),
             "gaps": _columns(mechanism.leg_names, ["m"] * len(mechanism.legs), solution.gap),
+            "reasons": reasons,
         }
     )
+    _leave_if_lost(readings, [f"row {row + 1}" for row in range(len(lost))], reasons, "reading")
 
 
 def _columns(
@@ -111,12 +117,13 @@ def _columns(
     return {name: {"unit": unit, "values": column} for name, unit, column in columns}
 
 
-def _refuse_lost(path: Path, lost: list[tuple[str, str]], what: str) -> None:
-    """Raise if some rows have no solution."""
+def _leave_if_lost(path: Path, places: list[str], reasons: list[str], what: str) -> None:
+    """Leave with exit code 1, and say why, if some rows have no solution."""
+    lost = [f"{place}: {why}" for place, why in zip(places, reasons, strict=True) if why]
     if lost:
-        named = "; ".join(f"{place}: {reason}" for place, reason in lost[:_SHOWN])
-        more = f"; and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
-        raise MeasurementError(
-            f"{path}: {len(lost)} {what}(s) without a solution, nothing written. {named}{more}. "
-            "Correct or remove these rows"
+        more = f"; and {len(lost) - LISTED} more" if len(lost) > LISTED else ""
+        warn(
+            f"{path}: {len(lost)} of {len(places)} {what}s without a solution; their rows are "
+            f"empty, with the reason. {'; '.join(lost[:LISTED])}{more}"
         )
+        raise typer.Exit(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 
 import numpy as np
@@ -51,6 +52,7 @@ def main(argv: list[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")
+    os.environ["MPLBACKEND"] = "agg"  # nothing is drawn on a screen
     remember(sys.argv[1:] if argv is None else argv)
     listen()
     try:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -15,9 +14,10 @@ from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.readers import tips_by_reader
-from pincal.show.tables import nominal_table, symmetry_table
-from pincal.symmetry.detect import SymmetryGroup, symmetry_group
-from pincal.symmetry.elements import Element
+from pincal.show.symmetry_tables import group_table, near_table, symmetry_table
+from pincal.show.tables import nominal_table
+from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
+from pincal.symmetry.elements import cyclic
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
@@ -86,7 +86,7 @@ def check(mech: Mech) -> None:
             "parameters": dict(zip(leg.parameter_names, leg.nominal.tolist(), strict=True)),
             "rank": found.rank,
             "condition": found.condition,
-            "not_told_apart": found.groups,
+            "not_separable": found.groups,
         }
     group = symmetry_group(mechanism)
     if len(mechanism.legs) > 1:
@@ -102,38 +102,57 @@ def symmetry(
         typer.Option(metavar="D2n|Cn", help="Claim a group, such as D6 or C3: fail if it is not."),
     ] = None,
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Largest deviation, relative to a leg's size or [rad].")
+        float, typer.Option(min=0.0, help="Largest deviation, relative to its size or [rad].")
     ] = 1e-6,
+    table: Annotated[
+        bool, typer.Option("--table", help="Also products, generators, subgroups and orbits.")
+    ] = False,
 ) -> None:
     """Find the symmetry group of a mechanism.
 
     Prints where each element carries the legs, how well readings follow (equivariance, on
-    sampled poses), and what breaks the elements that fail. With --group the exit code is 2
-    if the mechanism lacks an element of that group.
+    sampled poses), what breaks the elements that fail, and how far the mechanism is from the
+    largest group that it nearly has. With --group the exit code is 2 if the mechanism lacks an
+    element of that group.
     """
     wanted = _parsed(group) if group is not None else None
     mechanism = load_mechanism(mech)
     found = symmetry_group(mechanism, tolerance)
     with working("checking readings on sampled poses"):
         off = found.equivariance(sample_workspace(mechanism, 300))
-    stdout.print(symmetry_table(found, off))
-    answer(
-        {
-            "mechanism": mechanism.name,
-            "group": found.name,
-            "elements": [
-                {
-                    "element": str(element),
-                    "carries": dict(
-                        zip(mechanism.leg_names, (mechanism.leg_names[i] for i in to), strict=True)
-                    ),
-                }
-                for element, to in zip(found.elements, found.permutations, strict=True)
-            ],
-            "readings_follow_within": off,
-            "broken": [str(one) for one in found.breaks],
+    near = nearest_group(mechanism)
+    stdout.print(symmetry_table(found, off, near))
+    if len(near.group.elements) > len(found.elements):
+        stdout.print(near_table(near))
+    answers: dict[str, Any] = {
+        "mechanism": mechanism.name,
+        "group": found.name,
+        "elements": [
+            {
+                "element": str(element),
+                "carries": dict(
+                    zip(mechanism.leg_names, (mechanism.leg_names[i] for i in to), strict=True)
+                ),
+            }
+            for element, to in zip(found.elements, found.permutations, strict=True)
+        ],
+        "readings_follow_within": off,
+        "broken": [str(one) for one in found.breaks],
+        "nearest": {
+            "group": near.group.name,
+            "displacement": near.displacement,
+            "turn": near.turn,
+        },
+    }
+    if table:
+        for one in group_table(found):
+            stdout.print(one)
+        answers |= {
+            "table": found.table.tolist(),
+            "generators": [str(element) for element in found.generators],
+            "leg_orbits": found.leg_orbits,
         }
-    )
+    answer(answers)
     if wanted:
         _claim(wanted, found)
 
@@ -151,17 +170,20 @@ def _parsed(group: str) -> tuple[int, bool]:
 
 
 def _claim(wanted: tuple[int, bool], found: SymmetryGroup) -> None:
-    """Raise if elements of a claimed group are missing."""
+    """Raise if elements of a claimed group are missing.
+
+    The axis is that of the mechanism's own group, wherever it stands.
+    """
     n, mirrored = wanted
+    name = f"D{2 * n}" if mirrored else f"C{n}"
+    if any(part.name == name for part in found.subgroups()):
+        return
     present = [str(element) for element in found.elements]
-    rotations = [str(Element(2 * pi * k / n)) for k in range(n)]
-    missing = [text for text in rotations if text not in present]
+    missing = [text for text in map(str, cyclic(n)) if text not in present]
     mirrors = sum(element.reflection for element in found.elements)
     if mirrored and mirrors < n:
         missing.append(f"{n - mirrors} of {n} mirrors")
-    if missing:
-        name = f"D{2 * n}" if mirrored else f"C{n}"
-        why = "; ".join(str(b) for b in found.breaks) or "nothing near suggests it"
-        raise SymmetryError(
-            f"not the group {name} but {found.name}: {', '.join(missing)} missing ({why})"
-        )
+    why = "; ".join(str(b) for b in found.breaks) or "nothing near suggests it"
+    raise SymmetryError(
+        f"not the group {name} but {found.name}: {', '.join(missing) or 'elements'} missing ({why})"
+    )

@@ -25,9 +25,7 @@ class SetupOptions:
     ] = None
     unknown_frame: Annotated[
         bool,
-        typer.Option(
-            "--unknown-frame", help="The base stands anywhere in the frame of measurements."
-        ),
+        typer.Option("--unknown-frame", help="The base is anywhere in the frame of measurements."),
     ] = False
     unknown_target: Annotated[
         bool,

@@ -21,6 +21,7 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.cli.options import PlanOptions
+from pincal.design.orbits import selection_group
 from pincal.design.select import Protocol, select_poses
 from pincal.design.select_configurations import select_configurations
 from pincal.errors import MechanismError, ObservabilityError, SymmetryError
@@ -35,7 +36,6 @@ from pincal.kinematics.readers import free_of_collision
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.tables import choice_table, selection_table
-from pincal.symmetry.detect import symmetry_group
 from pincal.words.table import Table
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
@@ -96,7 +96,7 @@ class Protocols:
         if self.named is not None:
             return self.named
         try:
-            symmetry_group(mechanism).carriers()
+            selection_group(mechanism)
         except SymmetryError as error:
             remark(f"independent selection: {error}")
             return "independent"

@@ -13,14 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.exchange import Effort
 from pincal.errors import ObservabilityError
-from pincal.estimation.observability.indices import ROUNDING
+from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
-_TOLERANCE = 1e-3  # of the bound on det^(1/n)
-_POOL = 400  # candidates looked at between two looks at all
-_ROUNDS = 50
-_EXCHANGES = 1500
+_EFFORT = Effort(exchanges=1500, pool=400, rounds=50, tolerance=1e-3)
 
 
 @dataclass(frozen=True)
@@ -66,16 +64,16 @@ def continuous_design(blocks: Array) -> ContinuousDesign:
 
     weights = np.full(count, 1.0 / count)
     variance = _variance(rows, weights)
-    pool = np.argsort(-variance, kind="stable")[: max(_POOL, 4 * n)]
+    pool = np.argsort(-variance, kind="stable")[: max(_EFFORT.pool, 4 * n)]
     weights = np.zeros(count)
     weights[pool] = _multiplicative(rows[pool])
-    for _ in range(_ROUNDS):
+    for _ in range(_EFFORT.rounds):
         weights[pool] = _vertex_exchange(rows[pool], weights[pool])
         variance = _variance(rows, weights)
-        if variance.max() <= n * (1.0 + _TOLERANCE):
+        if variance.max() <= n * (1.0 + _EFFORT.tolerance):
             break
         support = np.flatnonzero(weights)
-        worst = np.argsort(-variance, kind="stable")[:_POOL]
+        worst = np.argsort(-variance, kind="stable")[: _EFFORT.pool]
         pool = np.union1d(support, worst)
     _, log_det = np.linalg.slogdet(_information(rows, weights))
     log_det = float(log_det) + shift
@@ -114,14 +112,14 @@ def _vertex_exchange(rows: Array, weights: Array) -> Array:
     n = rows.shape[2]
     inverse = np.linalg.inv(_information(rows, weights))
     flat = rows.reshape(-1, n)
-    for step in range(_EXCHANGES):
+    for step in range(_EFFORT.exchanges):
         if step % 50 == 49:  # rounding
             inverse = np.linalg.inv(_information(rows, weights))
         variance = ((flat @ inverse) * flat).sum(axis=1).reshape(len(rows), -1).sum(axis=1)
         best = int(np.argmax(variance))
         support = np.flatnonzero(weights)
         worst = int(support[np.argmin(variance[support])])
-        if variance[best] - variance[worst] <= 0.5 * _TOLERANCE * n:
+        if variance[best] - variance[worst] <= 0.5 * _EFFORT.tolerance * n:
             break
         both = np.concatenate((rows[best], rows[worst]))
         sign = np.repeat([1.0, -1.0], rows.shape[1])

@@ -7,15 +7,32 @@ follows by low-rank updates.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.observability.indices import ROUNDING
+from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_EXCHANGES = 1000
-_POOL = 500  # candidates by which the pool grows
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far exchanges of candidates go."""
+
+    exchanges: int
+    """At most."""
+    pool: int
+    """Candidates that are looked at between two looks at all, and by which they grow."""
+    rounds: int = 1
+    """Looks at all, at most."""
+    tolerance: float = 0.0
+    """Of the bound on det^(1/n), where it ends."""
+
+
+_EFFORT = Effort(exchanges=1000, pool=500)
 
 
 def exchange(
@@ -37,7 +54,7 @@ def exchange(
     n = blocks.shape[2]
     scale = np.linalg.norm(blocks.reshape(-1, n), axis=0)
     blocks = blocks / scale
-    pool = np.argsort(-weights, kind="stable")[: max(_POOL, 2 * count)]
+    pool = np.argsort(-weights, kind="stable")[: max(_EFFORT.pool, 2 * count)]
     best, best_value = pool[:count], -np.inf
     for number in range(starts):
         chosen = pool[:count] if number == 0 else rng.permutation(len(blocks))[:count]
@@ -59,7 +76,7 @@ def _improve_among_all(blocks: Array, chosen: Index, pool: Index) -> tuple[Index
         inverse = _inverse(blocks[chosen])
         variance = _inner(blocks.reshape(-1, blocks.shape[2]) @ inverse, blocks)
         gain = np.trace(variance, axis1=1, axis2=2)
-        pool = np.union1d(pool, np.argsort(-gain, kind="stable")[:_POOL])
+        pool = np.union1d(pool, np.argsort(-gain, kind="stable")[: _EFFORT.pool])
 
 
 def _improve(blocks: Array, chosen: Index) -> tuple[Index, float]:
@@ -70,7 +87,7 @@ def _improve(blocks: Array, chosen: Index) -> tuple[Index, float]:
     members[chosen] = True
     inverse = _inverse(blocks[members])
     identity = np.eye(r)
-    for step in range(0 if members.all() else _EXCHANGES):
+    for step in range(0 if members.all() else _EFFORT.exchanges):
         if step % 25 == 24:  # rounding
             inverse = _inverse(blocks[members])
         gain = _det(identity + _inner(flat @ inverse, blocks))

@@ -33,6 +33,7 @@ from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.overview import ROWS
 from pincal.model.setup import Setup
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Method = Literal["all-legs", "per-leg"]
 _GENERIC = 100  # poses at which motions of frames are found among the parameters, at least
-_LINES = 30  # of parameters on a page
 
 
 @dataclass(frozen=True)
@@ -146,8 +146,8 @@ class Forecast(Estimable):
             f"  {name:<24} {std:12.4g} {unit}" if std < np.inf else f"  {name:<24} not determined"
             for name, std, unit in zip(parameter_ids(self.mechanism), self.std, units, strict=True)
         ]
-        if more := len(rows) - _LINES:
-            rows[_LINES:] = [f"  and {more} more (to_dataframe)"] if more > 0 else []
+        if more := len(rows) - ROWS:
+            rows[ROWS:] = [f"  and {more} more (to_dataframe)"] if more > 0 else []
         words = [] if self.rank.complete else [f"not determined apart: {self.rank.describe()}"]
         return "\n".join([repr(self), "standard errors (1 σ):", *rows, *words])
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from pincal.design.certificate import continuous_design
-from pincal.design.distinct import SAME, distinct, places_of
+from pincal.design.distinct import distinct
 from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener, parameter_ids
+from pincal.design.orbits import images
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.given import as_noise
@@ -86,18 +86,44 @@ class Search:
         self.options.say(f"choosing poses for {leg}")
         return self._choose(self.rows(leg, self.candidates), count, leg)
 
-    def orbits(self, leg: str, count: int, elements: tuple[Element, ...]) -> tuple[Index, float]:
-        """Return the candidates whose orbits are chosen, and the orbits' efficiency."""
+    def orbits(
+        self, legs: Sequence[str], count: int, elements: Sequence[Element]
+    ) -> tuple[Array, float]:
+        """Return the poses of chosen orbits, each once, and the orbits' efficiency.
+
+        Args:
+            legs: A leg of each orbit of legs, as often as it is to count.
+            count: Number of orbits.
+            elements: Group that makes the orbits.
+        """
         self.options.say("choosing orbits")
-        platform = self.mechanism.platform
-        orbits = [g.poses(platform, self.candidates) for g in elements]
-        blocks = np.concatenate([self.rows(leg, poses) for poses in orbits], axis=1)
-        places = places_of(platform, np.concatenate(orbits)).reshape(len(orbits), len(blocks), 12)
-        tree, own = KDTree(places[0]), np.arange(len(blocks))
-        for image in places[1:]:  # of itself or of an earlier one: it would be measured twice
-            distance, other = tree.query(image, p=np.inf)
-            blocks[(distance <= SAME) & (other <= own)] = np.nan
-        return self._choose(blocks, count, leg)
+        found, own, repeated = images(self.mechanism.platform, elements, self.candidates)
+        rows = {}
+        for leg in dict.fromkeys(legs):
+            parts = [self.rows(leg, poses) for poses in found]
+            for part, counts in zip(parts, own, strict=True):
+                part[~counts] = 0.0  # measured once
+            rows[leg] = np.concatenate(parts, axis=1)
+        blocks = block_diagonal([rows[leg] for leg in legs]) if len(legs) > 1 else rows[legs[0]]
+        blocks[repeated] = np.nan
+        ids = [one for leg in legs for one in self._ids(leg)]
+        chosen, efficiency = self._choose(blocks, count, self.mechanism.name, ids)
+        kept = own[:, chosen]
+        return found[:, chosen][kept], efficiency
+
+    def efficiency(self, leg: str, poses: Array, chosen: Index) -> float:
+        """Return the efficiency of a choice for a leg among candidates of its own.
+
+        Args:
+            leg: The leg.
+            poses: Its candidates, coordinates of shape (M, dof).
+            chosen: Which of them are chosen.
+        """
+        blocks = self.rows(leg, poses)
+        design = continuous_design(blocks[np.isfinite(blocks).all(axis=(1, 2))])
+        own = blocks[chosen].reshape(-1, blocks.shape[2])
+        log_det = float(np.linalg.slogdet(own.T @ own)[1])
+        return design.efficiency(log_det, len(chosen), blocks.shape[2])
 
     def common(self, count: int) -> tuple[Index, float]:
         """Return the candidates chosen for all legs together, and their efficiency."""
@@ -106,13 +132,15 @@ class Search:
         blocks = block_diagonal([self.rows(leg.name, self.candidates) for leg in legs])
         return self._choose(blocks, count, self.mechanism.name)
 
-    def _choose(self, blocks: Array, count: int, where: str) -> tuple[Index, float]:
+    def _choose(
+        self, blocks: Array, count: int, where: str, ids: Sequence[str] | None = None
+    ) -> tuple[Index, float]:
         """Return the candidates chosen by their rows, shape (M, r, n), and their efficiency.
 
         Raises:
             ObservabilityError: too few poses or candidates, or some parameter undetermined.
         """
-        n, names = blocks.shape[2], self._ids(where)
+        n, names = blocks.shape[2], ids or self._ids(where)
         usable = np.flatnonzero(np.isfinite(blocks).all(axis=(1, 2)) & self.reached)
         self.usable = min(self.usable, len(usable))
         self.unreachable = max(self.unreachable, len(self.candidates) - len(usable))

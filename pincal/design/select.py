@@ -1,7 +1,8 @@
 """Choosing poses to measure, for one leg and mapped to all, or for all legs at once.
 
 - ``independent``: each leg its own poses (5R paper);
-- ``symmetric``: leg 1's poses, carried to the other legs by the group (3-RRR paper, Eqs. 14, 22);
+- ``symmetric``: one leg's poses, carried to the other legs of its orbit by the group (3-RRR paper,
+  Eqs. 14, 22); of several orbits one reference leg each;
 - ``orbits``: whole orbits of the group, so that each measured pose serves every leg;
 - ``common``: poses that are best for the parameters of all legs together (the papers'
   traditional identification).
@@ -9,27 +10,34 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.orbits import (
+    leg_orbits,
+    maps,
+    merged,
+    multiplicities,
+    selection_group,
+    smallest,
+)
 from pincal.design.search import Search, SelectionOptions
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.checks import count_of, described
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import Element
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 Array = NDArray[np.float64]
+_SOME = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
 
 
@@ -47,6 +55,8 @@ class LegDesign:
     r_diagonal: Array
     """|R_ii| of the same, shape (n_params,)."""
     condition: float
+    reference: str = ""
+    """Leg whose poses were mapped to this one; the leg itself if none was."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,6 +75,33 @@ class Selection:
     def efficiency(self) -> float:
         """Smallest efficiency of all legs."""
         return min(leg.efficiency for leg in self.legs)
+
+    @property
+    def diagonals_differ(self) -> float:
+        """Largest part by which |R_ii| of a leg differ from those of its reference leg.
+
+        Mapped poses make them equal (3-RRR paper, Eq. 10) if one leg's parameters become the
+        other's one by one: with equal offsets and gains, of radii and angles, but not of Cartesian
+        coordinates, which the element turns into each other. Their product is equal even then.
+        """
+        diagonals = {leg.leg: leg.r_diagonal for leg in self.legs}
+        return max(
+            float(np.abs(leg.r_diagonal / diagonals[leg.reference] - 1.0).max())
+            for leg in self.legs
+        )
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Whether mapped legs are as observable as their references, parameter by parameter."""
+        if self.protocol != "symmetric" or len(self.legs) == 1:
+            return ()
+        off = self.diagonals_differ
+        if off < 1e-6:
+            return ("|R_ii| of mapped legs are those of their reference legs (Eq. 10)",)
+        return (
+            f"|R_ii| of mapped legs differ by up to {100 * off:.2g} %: offsets, gains or Cartesian "
+            "coordinates turn into each other. Their product, and O1, is equal but for a constant",
+        )
 
     def to_dataframe(self) -> DataFrame:
         """Return a row for each leg: poses, efficiency, observability indices, condition."""
@@ -87,7 +124,10 @@ class Selection:
             f"  {leg.leg:<12} {leg.poses:5d} {leg.efficiency:11.4f} {leg.condition:10.3g}"
             for leg in self.legs
         ]
-        return "\n".join([repr(self), "  leg          poses  efficiency  condition", *rows])
+        lines = [repr(self), "  leg          poses  efficiency  condition", *rows]
+        if self.protocol == "symmetric":
+            lines += [f"  {text}" for text in self.remarks if "differ" in text]
+        return "\n".join(lines)
 
 
 def select_poses(
@@ -121,8 +161,9 @@ def select_poses(
     if not isinstance(protocol, str) or protocol not in get_args(Protocol):
         known = ", ".join(get_args(Protocol))
         raise MeasurementError(f"no protocol {described(protocol)}; expected one of {known}")
+    _refuse_ranks(mechanism)
     search = Search(mechanism, candidates, SelectionOptions(**options))
-    names = mechanism.leg_names
+    names = references = mechanism.leg_names
     if protocol == "independent":
         parts = [search.own(name, count) for name in names]
         poses = np.concatenate([search.candidates[chosen] for chosen, _ in parts])
@@ -133,34 +174,76 @@ def select_poses(
         poses, sets = search.candidates[chosen], (EVERY_LEG,) * count
         efficiencies = [efficiency] * len(names)
     else:
-        carriers = symmetry_group(mechanism).carriers()
-        if protocol == "symmetric":
-            chosen, efficiency = search.own(names[0], count)
-            sets = tuple(name for name in names for _ in range(count))
-        else:
-            carriers = _closed(carriers)
-            chosen, efficiency = search.orbits(names[0], count, carriers)
-            sets = (EVERY_LEG,) * (count * len(carriers))
-        first = search.candidates[chosen]
-        poses = np.concatenate([g.poses(mechanism.platform, first) for g in carriers])
-        efficiencies = [efficiency] * len(names)
-    plan = Plan(poses, sets)
+        plan, efficiencies, references = _by_symmetry(search, count, orbits=protocol == "orbits")
+    if protocol in ("independent", "common"):
+        plan = Plan(poses, sets)
     legs = tuple(
-        _leg_design(mechanism, name, plan, efficiency)
-        for name, efficiency in zip(names, efficiencies, strict=True)
+        replace(_leg_design(mechanism, name, plan, efficiency), reference=reference)
+        for name, efficiency, reference in zip(names, efficiencies, references, strict=True)
     )
     return Selection(plan, protocol, legs, search.usable, search.unreachable)
 
 
-def _closed(elements: tuple[Element, ...]) -> tuple[Element, ...]:
-    """Return the group that elements generate."""
-    found = list(elements)
-    for a in found:
-        for b in elements:
-            product = a.after(b)
-            if not any(np.allclose(product.matrix, g.matrix, atol=1e-6) for g in found):
-                found.append(product)
-    return tuple(found)
+def _by_symmetry(
+    search: Search, count: int, *, orbits: bool
+) -> tuple[Plan, list[float], tuple[str, ...]]:
+    """Return poses mapped by the mechanism's group, and each leg's efficiency and reference leg.
+
+    Args:
+        search: The search.
+        count: Poses for each leg, or number of orbits.
+        orbits: Whether every pose is to serve every leg.
+
+    Raises:
+        SymmetryError: the group carries no leg onto another one, or not its parameters.
+    """
+    mechanism = search.mechanism
+    group, platform = selection_group(mechanism), mechanism.platform
+    some = search.candidates[search.reached][:_SOME]
+    found = leg_orbits(group, some)
+    first = {leg: orbit.legs[0] for orbit in found for leg in orbit.legs}
+    references = tuple(first[name] for name in mechanism.leg_names)
+    if orbits:
+        legs = [
+            name
+            for orbit, times in zip(found, multiplicities(found), strict=True)
+            for name in orbit.legs[:1] * times
+        ]
+        poses, efficiency = search.orbits(legs, count, smallest(group))
+        return Plan(poses, (EVERY_LEG,) * len(poses)), [efficiency] * len(first), references
+    parts, wanted, efficiencies = [], [], {}
+    for orbit in found:
+        chosen, efficiency = search.own(orbit.legs[0], count)
+        rows = search.rows(orbit.legs[0], some)
+        for leg, element in zip(orbit.legs, orbit.carriers, strict=True):
+            parts.append(element.poses(platform, search.candidates[chosen]))
+            wanted += [leg] * count
+            own = search.rows(leg, element.poses(platform, some))
+            flat = [one.reshape(-1, one.shape[2]) for one in (rows, own)]
+            efficiencies[leg] = (
+                efficiency
+                if maps(*flat)
+                else search.efficiency(leg, element.poses(platform, search.candidates), chosen)
+            )
+    plan = merged(mechanism, np.concatenate(parts), wanted)
+    return plan, [efficiencies[name] for name in mechanism.leg_names], references
+
+
+def _refuse_ranks(mechanism: Mechanism) -> None:
+    """Raise if a leg demands more of a pose than it has readings.
+
+    Raises:
+        ObservabilityError: its rows by readings lack rank, so that no index of them has a meaning.
+    """
+    for leg in mechanism.legs:
+        rows = len(mechanism.platform.closing(leg.closes)) - len(leg.passive)
+        if rows > len(leg.sensors):
+            raise ObservabilityError(
+                f"{leg.name} of {mechanism.name!r} makes {rows} equations at a pose and has "
+                f"{len(leg.sensors)} reading: rows of readings lack rank, and poses for single "
+                "legs cannot be compared by them. Choose configurations for all parameters "
+                "together: select_configurations, or 'pincal select' without a protocol"
+            )
 
 
 def _leg_design(mechanism: Mechanism, leg: str, plan: Plan, efficiency: float) -> LegDesign:

@@ -23,10 +23,10 @@ from pincal.kinematics.inverse import inverse
 from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
-_LISTED = 30  # poses on a page
 
 
 def disturb(
@@ -70,8 +70,8 @@ class Simulation:
 
     def __str__(self) -> str:
         lost = [f"  pose {row + 1}: {why}" for row, why in self.unreachable]
-        more = [f"  and {len(lost) - _LISTED} more"] if len(lost) > _LISTED else []
-        return "\n".join([repr(self), *lost[:_LISTED], *more])
+        more = [f"  and {len(lost) - ROWS} more"] if len(lost) > ROWS else []
+        return "\n".join([repr(self), *lost[:ROWS], *more])
 
 
 def simulate(

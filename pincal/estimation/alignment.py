@@ -6,7 +6,7 @@ Points of the nominal machine, where its readings put it, onto where they were m
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,25 @@ from pincal.model.setup import ORIGIN
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_TURNS = 50  # of frame and offsets in turn
-_STILL = 1e-6  # of the extent of the poses: offsets move no more
-_MIRRORED = 0.2  # of the misfit that is left, if the mirror image of a frame explains it
-_MISFIT = 0.05  # of the extent of the measured points, from which a mirror is suspected
-_REFUSED = 0.3  # from which nothing is identified
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """When frames are aligned, and when they are refused."""
+
+    turns: int = 50
+    """Of frame and offsets in turn, at most."""
+    still: float = 1e-6
+    """Of the extent of the poses: offsets move no more."""
+    mirrored: float = 0.2
+    """Of the misfit that is left, if the mirror image of a frame explains it."""
+    misfit: float = 0.05
+    """Of the extent of the measured points, from which a mirror is suspected."""
+    refused: float = 0.3
+    """Of it, from which nothing is identified."""
+
+
+_BY = Alignment()
 
 
 def aligned(problem: Problem, data: Measurements, state: State, good: Mask) -> External:
@@ -41,7 +55,7 @@ def aligned(problem: Problem, data: Measurements, state: State, good: Mask) -> E
     known = [good & np.isfinite(points).all(axis=1) for points in measured]
     frame, offsets = external.frame, external.offsets.copy()
     unknown = {index for index, _ in seen.external.offset_entries}
-    for _ in range(_TURNS if unknown else 1):
+    for _ in range(_BY.turns if unknown else 1):
         if seen.external.frame_rows:
             here = np.concatenate([(r + R @ t)[own] for t, own in zip(offsets, known, strict=True)])
             there = np.concatenate([p[own] for p, own in zip(measured, known, strict=True)])
@@ -54,7 +68,7 @@ def aligned(problem: Problem, data: Measurements, state: State, good: Mask) -> E
                 offsets[index] = (R[own].transpose(0, 2, 1) @ inside[:, :, None])[:, :, 0].mean(
                     axis=0
                 )
-        if np.abs(offsets - before).max(initial=0.0) <= _STILL * max(np.ptp(r), 1e-300):
+        if np.abs(offsets - before).max(initial=0.0) <= _BY.still * max(np.ptp(r), 1e-300):
             break
     if seen.external.frame_rows:
         _check_frame(here, there, frame, platform)
@@ -87,7 +101,7 @@ def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
     if not len(here):
         raise MeasurementError(
             "the frame of the measurements is unknown and cannot be aligned: in no row with a "
-            "measured position do the readings tell where the nominal machine is. It needs as many "
+            "measured position do the readings say where the nominal machine is. It needs as many "
             "readings as the platform has freedoms; check their units, order and signs"
         )
     least = platform.space
@@ -96,7 +110,7 @@ def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
         if len(here) < least or not spread[least - 2] > 1e-3 * spread[0]:
             raise MeasurementError(
                 f"the frame of the measurements is unknown and cannot be aligned: {len(here)} rows "
-                "with a position from which to tell it, all "
+                "with a position that could show it, all "
                 f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
                 "that span the workspace"
             )
@@ -117,13 +131,13 @@ def _check_frame(here: Array, there: Array, frame: Array, platform: Platform) ->
     extent = float(np.sqrt((b**2).sum(axis=1).mean()))
     misfit = float(np.sqrt(((a @ frame[:3, :3].T - b) ** 2).sum(axis=1).mean()))
     _, reflected = _rotation(a, b, platform, mirrored=True)
-    if misfit > _MISFIT * extent and reflected < _MIRRORED * misfit:
+    if misfit > _BY.misfit * extent and reflected < _BY.mirrored * misfit:
         raise MeasurementError(
             "the positions look mirrored: in a right-handed frame they miss the nominal machine's "
             f"by {1e3 * misfit:.3g} mm (rms), with one axis reversed by {1e3 * reflected:.3g} mm. "
             "Check the signs and the order of the tracker's axes"
         )
-    if misfit > _REFUSED * extent:
+    if misfit > _BY.refused * extent:
         raise MeasurementError(
             f"the measured positions miss the nominal machine's by {1e3 * misfit:.3g} mm (rms) "
             f"after the best alignment, {100 * misfit / extent:.0f} % of their extent. Check the "

@@ -15,7 +15,7 @@ from pincal.estimation.losses import outlying
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Problem
 from pincal.estimation.solve import near_start, search, solve_poses
-from pincal.estimation.system import System
+from pincal.estimation.system import Normal, System
 from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -100,7 +100,7 @@ def fit(
     if not problem.weighted:
         system = replace(system, unit=float(np.median(np.linalg.norm(first.stack.noise, axis=2))))
     weights, _ = system.weights(first)
-    highest = system.cost(system.minimised(first)[0], weights, first.state)
+    highest = system.cost(system.residuals(first), weights, first.state)
     near, more = near_start(system, first, progress) if start is None else (first, 0)
     found = search(system, near, progress, highest=highest)
     linear, weights = found.linear, found.weights
@@ -152,9 +152,7 @@ def _chi2(system: System, linear: Linear, weights: Array) -> tuple[float, int]:
     if system.loss is not None:
         return dof * system.scale(linear) ** 2, dof
     if not system.problem.weighted:  # what white residuals would be at their own optimum
-        J, r = system.rows(linear.value, linear.jacobian, weights, linear.state)
-        left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
-        return float(left @ left), dof
+        return float(system.triangle(linear, weights, white=True)[-1, -1] ** 2), dof
     return float(weights[own] @ linear.squares[own] + prior @ prior), dof
 
 
@@ -169,13 +167,10 @@ def _covariance(system: System, linear: Linear, weights: Array, scale: float) ->
     if system.loss is not None:
         used &= ~outlying(linear.squares / scale**2, linear.equations)
         inflation = system.loss.inflation(int(np.median(linear.equations[used])))
-    ones = used.astype(float)
+    bread = Normal.of(system.triangle(linear, used.astype(float))).covariance
     if system.problem.weighted:
-        white, _ = system.rows(linear.value, linear.jacobian, ones, linear.state)
-        return inflation * T @ inverse_gram(white) @ T.T
-    plain, _ = system.rows(*system.minimised(linear), ones, linear.state)
-    bread = inverse_gram(plain)
-    J = system.minimised(linear)[1] @ T
+        return inflation * T @ bread @ T.T
+    J = system.derivatives(linear) @ T
     meat = (linear.white.noise.transpose(0, 2, 1) / system.unit @ J)[used]
     flat = meat.reshape(-1, T.shape[1])
     return inflation * T @ bread @ (flat.T @ flat) @ bread @ T.T
@@ -187,21 +182,12 @@ def influence(one: Fit) -> Array:
     K = −(JᵀJ)⁻¹ Jᵀ W at each pose, W = L⁻¹NᵀS.
     """
     linear, T, system = one.last, one.unknowns.map, one.system
-    _, jacobian = system.minimised(linear)
     weighted = system.problem.weighted
     W = linear.white.by_noise if weighted else linear.white.noise / system.unit
     root = np.sqrt(one.weights)[:, None, None]
-    J = jacobian @ T * root
-    _, prior = one.unknowns.prior_rows(one.unknowns.start)
-    bread = T @ inverse_gram(np.concatenate((J.reshape(-1, T.shape[1]), prior)))
+    J = system.derivatives(linear) @ T * root
+    bread = T @ Normal.of(system.triangle(linear, one.weights)).covariance
     return -one.noise_scale * (bread @ (J.transpose(0, 2, 1) @ (W * root)))
-
-
-def inverse_gram(J: Array) -> Array:
-    """Return (JᵀJ)⁻¹ by QR of the scaled columns."""
-    scale = np.linalg.norm(J, axis=0)
-    inverse = np.linalg.inv(np.linalg.qr(J / scale, mode="r"))
-    return (inverse @ inverse.T) / np.outer(scale, scale)
 
 
 def without(system: System, kept: NDArray[np.bool_]) -> System:

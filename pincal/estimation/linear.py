@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,6 +15,7 @@ from pincal.kinematics.derivatives import Demand
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+_AT_ONCE = 4096  # poses
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,16 @@ class State:
 
 
 @dataclass(frozen=True)
+class Block:
+    """Some rows of the conditions by some unknowns; others do not move them."""
+
+    rows: slice
+    columns: slice
+    values: Array
+    """Shape (N, k of the rows, n of the columns)."""
+
+
+@dataclass(frozen=True)
 class Stack:
     """Conditions at a state, before anything is eliminated: k rows at each of N poses."""
 
@@ -44,12 +56,32 @@ class Stack:
     """Of each leg."""
     value: Array
     """e, shape (N, k), [m] and [rad]."""
-    parameter: Array
-    """A, by all parameters and external unknowns, shape (N, k, n)."""
+    blocks: tuple[Block, ...]
+    """A, by all parameters and external unknowns: legs move their own rows only."""
     pose: Array
     """B, by the platform's twist, shape (N, k, dof); no columns where poses are as measured."""
     noise: Array
     """S, root of the noise, shape (N, k, s)."""
+
+    @property
+    def finite(self) -> bool:
+        """Whether all derivatives by the unknowns exist."""
+        return all(bool(np.isfinite(one.values).all()) for one in self.blocks)
+
+    def parameter(self, poses: slice = slice(None)) -> Array:
+        """Return A of some poses, shape (N, k, n)."""
+        n = max(one.columns.stop for one in self.blocks)
+        A = np.zeros((len(self.value[poses]), self.value.shape[1], n))
+        for one in self.blocks:
+            A[:, one.rows, one.columns] = one.values[poses]
+        return A
+
+    def after(self, step: Array) -> Array:
+        """Return the conditions after a step of the unknowns (n,), to first order, (N, k)."""
+        value = self.value.copy()
+        for one in self.blocks:
+            value[:, one.rows] += one.values @ step[one.columns]
+        return value
 
 
 @dataclass(frozen=True)
@@ -60,10 +92,34 @@ class Linear:
     white: WhiteRows
     value: Array
     """Residuals in standard deviations, shape (N, m)."""
-    jacobian: Array
-    """Their derivatives, shape (N, m, n)."""
     equations: Index
     """How many equations each pose gives, shape (N,)."""
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivatives of the residuals, shape (N, m, n); made anew each time."""
+        return self.jacobian_of(slice(None))
+
+    def jacobian_of(self, poses: slice) -> Array:
+        """Return the derivatives of the residuals at some poses, shape (N, m, n)."""
+        return (
+            np.asarray(self.white.reduced[poses] @ self.stack.parameter(poses))
+            / (self.white.scale[poses])
+        )
+
+    def parts(self) -> Iterator[slice]:
+        """Yield poses, so many as memory holds well."""
+        for begin in range(0, len(self.value), _AT_ONCE):
+            yield slice(begin, min(begin + _AT_ONCE, len(self.value)))
+
+    @property
+    def triangle(self) -> Array:
+        """R of J = Q R over all poses, shape (n, n): the same columns but for a rotation."""
+        R = np.zeros((0, 0))
+        for poses in self.parts():
+            J = self.jacobian_of(poses)
+            R = joined(R, J.reshape(-1, J.shape[2]))
+        return R
 
     @property
     def state(self) -> State:
@@ -88,3 +144,9 @@ class Linear:
     def noise_by_parameter(self) -> Array:
         """Its derivative, shape (N, s, n): rows that do not turn from state to state."""
         return -(self.white.by_noise.transpose(0, 2, 1) @ self.jacobian)
+
+
+def joined(R: Array, rows: Array) -> Array:
+    """Return R of the QR of rows below the R of others, empty where there are none yet."""
+    both = np.concatenate((R, rows)) if R.size else rows
+    return np.asarray(np.linalg.qr(both, mode="r"))

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtrc, chdtri, gammaincinv
 
 from pincal.errors import MeasurementError
 
@@ -54,7 +54,7 @@ class Loss:
 
     def constant(self, equations: NDArray[np.intp]) -> Array:
         """Return the tuning constant of rows by their number of equations, same shape."""
-        return np.sqrt(chi2.ppf(self.probability, np.maximum(equations, 1)))
+        return np.sqrt(_quantile(self.probability, np.maximum(equations, 1)))
 
     def weights(self, squares: Array, equations: NDArray[np.intp]) -> Array:
         """Return the weight of each row, shape (N,).
@@ -73,22 +73,22 @@ class Loss:
         M-estimator (Huber 1981), its mean slope by Stein's identity.
         """
         k = max(equations, 1)
-        d2 = chi2.ppf((np.arange(_DRAWS) + 0.5) / _DRAWS, k)
+        d2 = _quantile((np.arange(_DRAWS) + 0.5) / _DRAWS, k)
         w = self.weights(d2, np.array([k]))
         return float(k * (w**2 * d2).mean() / (w * d2).mean() ** 2)
 
 
 LOSSES: dict[str, Loss] = {
-    "huber": Loss("huber", _huber, float(chi2.cdf(1.345**2, 1))),
-    "cauchy": Loss("cauchy", _cauchy, float(chi2.cdf(2.385**2, 1))),
-    "tukey": Loss("tukey", _tukey, float(chi2.cdf(4.685**2, 1))),
+    "huber": Loss("huber", _huber, float(chdtr(1, 1.345**2))),
+    "cauchy": Loss("cauchy", _cauchy, float(chdtr(1, 2.385**2))),
+    "tukey": Loss("tukey", _tukey, float(chdtr(1, 4.685**2))),
     "reject": Loss("reject", _reject, 1.0 - OUTLYING),
 }
 
 
 def outlying(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return which rows have a χ² that one good row in a thousand exceeds, shape (N,)."""
-    return np.asarray(squares > chi2.isf(OUTLYING, np.maximum(equations, 1)))
+    return np.asarray(squares > chdtri(np.maximum(equations, 1), OUTLYING))
 
 
 def suspected(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -96,7 +96,7 @@ def suspected(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
 
     Of good data, one set of rows in a hundred has any.
     """
-    p = chi2.sf(squares, np.maximum(equations, 1))
+    p = chdtrc(np.maximum(equations, 1), squares)
     order = np.argsort(p)
     clear = p[order] <= SUSPECTED / (len(p) - np.arange(len(p)))
     found = np.zeros(len(p), dtype=bool)
@@ -112,9 +112,9 @@ def robust_scale(squares: Array, equations: NDArray[np.intp], share: float) -> f
         equations: How many equations each row gives, shape (N,).
         share: Degrees of freedom over equations: residuals of a fit are smaller than the noise.
     """
-    told = equations > 0
-    ratio = squares[told] / chi2.ppf(0.5, equations[told])
-    return float(np.sqrt(np.median(ratio) / share)) if told.any() else 1.0
+    counts = equations > 0
+    ratio = squares[counts] / _quantile(0.5, equations[counts])
+    return float(np.sqrt(np.median(ratio) / share)) if counts.any() else 1.0
 
 
 def loss_of(given: LossName | Loss) -> Loss | None:
@@ -132,3 +132,8 @@ def loss_of(given: LossName | Loss) -> Loss | None:
             f"unknown loss {given!r}; expected one of none, {', '.join(LOSSES)}, or a pincal.Loss"
         )
     return LOSSES[given]
+
+
+def _quantile(probability: Array | float, equations: NDArray[np.intp] | int) -> Array:
+    """Return what χ² lies below with a probability."""
+    return np.asarray(2.0 * gammaincinv(np.asarray(equations) / 2.0, probability))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.model.checks import ROUNDING
 from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 
@@ -19,7 +20,6 @@ Freedoms = tuple[float, float, float]
 Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
-_ROUNDED = 1e-12  # of the readings: a spread below is that of a mean's rounding
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, F
 def _variance(groups: list[Array]) -> float:
     """Return the variance within groups of rows, each of shape (n, k); 0 if most are equal."""
     within = np.concatenate([one - one.mean(axis=0) for one in groups])
-    rounding = _ROUNDED * max(float(np.abs(one).max(initial=0.0)) for one in groups)
+    rounding = ROUNDING * max(float(np.abs(one).max(initial=0.0)) for one in groups)
     if not within.size or not np.median(np.abs(within)) > rounding:
         return 0.0
     dof = sum(len(one) - 1 for one in groups) * within.shape[1]

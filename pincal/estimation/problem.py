@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
-from pincal.estimation.linear import Linear, Stack, State
+from pincal.estimation.linear import Block, Linear, Stack, State
 from pincal.estimation.rows import NoNoiseError, white_rows
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
@@ -170,20 +170,24 @@ class Problem:
         seen = self.observation.evaluate(state.matrices, state.external) if self.latent else None
         r = 0 if seen is None else seen.value.shape[1]
         value, pose = np.zeros((count, n_legs + r)), np.zeros((count, n_legs + r, dof))
-        parameter = np.zeros((count, n_legs + r, self.n_parameters + outside))
+        blocks = []
         for demand, rows, columns, used in zip(
             demands, self.leg_rows, self.columns, self.used.T, strict=True
         ):
-            keep = used[:, None, None]
-            value[:, rows] = np.where(used[:, None], demand.value, 0.0)
-            pose[:, rows] = np.where(keep, demand.pose, 0.0)
-            parameter[:, rows, columns] = np.where(keep, demand.parameter, 0.0)
+            by_leg = demand.parameter
+            value[:, rows], pose[:, rows] = demand.value, demand.pose
+            if not used.all():
+                value[~used, rows], pose[~used, rows] = 0.0, 0.0
+                by_leg = np.where(used[:, None, None], by_leg, 0.0)
+            blocks.append(Block(rows, columns, by_leg))
+        n = self.n_parameters
         if seen is not None:
             value[:, n_legs:], pose[:, n_legs:] = seen.value, seen.pose
-            parameter[:, n_legs:, self.n_parameters :] = seen.external
+        by_outside = np.zeros((count, r, outside)) if seen is None else seen.external
+        blocks.append(Block(slice(n_legs, n_legs + r), slice(n, n + outside), by_outside))
         noise = self._noise(demands)
         return Stack(
-            state, demands, value, parameter, pose if self.latent else pose[:, :, :0], noise
+            state, demands, value, tuple(blocks), pose if self.latent else pose[:, :, :0], noise
         )
 
     def _noise(self, demands: Sequence[Demand]) -> Array:
@@ -235,7 +239,6 @@ class Problem:
             stack,
             white,
             white(stack.value[:, :, None])[:, :, 0],
-            white(stack.parameter),
             self.equations,
         )
 
@@ -287,8 +290,7 @@ class Problem:
         parameters = state.parameters + step[:n]
         matrices = state.matrices
         if self.latent:
-            after = stack.value + stack.parameter @ step
-            twists = linear.white.pose_step(after)
+            twists = linear.white.pose_step(stack.after(step))
             there = self._carried(stack, step, twists, parameters)
             matrices = self.platform.displaced(matrices, twists) if there is None else there
         return State(parameters, matrices, state.joints, external)

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri
 
 from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
@@ -21,7 +21,7 @@ from pincal.model.mechanism import Mechanism
 Array = NDArray[np.float64]
 _ROUNDS = 10
 _GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
-_LOG_LEAST = -650.0  # of probabilities that floating point can hold
+_LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
 Progress = Callable[[str], None]
 
 
@@ -170,7 +170,5 @@ def _outliers(one: Fit, scale: float, rows: NDArray[np.intp]) -> tuple[Outlier, 
 
 def _as_one(squares: float, equations: int) -> float:
     """Return the size of one normal residual that is as unlikely as a χ² of several."""
-    log = float(chi2.logsf(squares, equations))
-    if log > _LOG_LEAST:
-        return float(norm.isf(np.exp(log) / 2))
-    return float(np.sqrt(squares))
+    chance = chdtrc(equations, squares)
+    return float(-ndtri(chance / 2) if chance > _LEAST else np.sqrt(squares))

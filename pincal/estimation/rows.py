@@ -22,8 +22,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.observability.indices import ROUNDING
 from pincal.kinematics.closure import product, solve
+from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_law
+from scipy.special import fdtrc
 
 from pincal.estimation.fit import Fit
 
@@ -66,7 +66,7 @@ class _Residuals:
         """Return the probability of a part of χ² of some rank, or of a larger one."""
         free = self.degrees_of_freedom - rank
         ratio = inside / rank / (np.maximum(self.chi2 - inside, 1e-300) / free)
-        return np.asarray(f_law.sf(ratio, rank, free))
+        return np.asarray(fdtrc(rank, free, ratio))
 
     def term(self, w: Array, b: Array) -> float:
         """Return the probability of residuals so far along terms b, shape (n_used, f).

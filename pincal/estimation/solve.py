@@ -18,23 +18,40 @@ from pincal.errors import MeasurementError
 from pincal.estimation.linear import Linear
 from pincal.estimation.problem import Problem
 from pincal.estimation.system import Normal, System
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.closure import Newton, largest_size
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_EVALUATIONS = 1000
-_POSE_STEPS = 10
-_FIRST_ORDER = 1e-6  # of the mechanism's size, and [rad]: poses this near are solved
-_SHORTEST = 1e-2  # of a step: poses that need shorter ones stay where they are
-_LARGEST_STEP = 0.2  # of the mechanism's size, and [rad], that poses take at once
-_DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
-_PROBE = 0.1  # of a step, at which its bend is measured
-_BEND = 0.75  # of a step, twice its second-order part at most
-_NO_STEP = 1e-9  # of a standard error
-_NEAR = 0.1  # of a residual's standard deviation: the evened problem is left
-_SLOW = 1e-6  # of a standard error: nearer only if each step halves the distance
-_NEGLIGIBLE = 1e-3  # of a standard error: what is left where no step falls further
-_ROUNDING = 1e-10  # of the cost: falls that are predicted smaller cannot be judged by it
+
+
+@dataclass(frozen=True)
+class Settings:
+    """When the search ends, and how far it goes at once."""
+
+    evaluations: int = 1000
+    """Of the conditions, at most."""
+    damping: tuple[float, float] = (1e-14, 1e10)
+    """Least and largest, relative to the squares of the columns."""
+    probe: float = 0.1
+    """Of a step, at which its bend is measured."""
+    bend: float = 0.75
+    """Twice the second-order part of a step, of the step, at most."""
+    no_step: float = 1e-9
+    """Of a standard error: the search ends."""
+    slow: float = 1e-6
+    """Of a standard error: nearer only if each step halves the distance."""
+    negligible: float = 1e-3
+    """Of a standard error: converged, where no step falls further."""
+    near: float = 0.1
+    """Of a residual's standard deviation: the evened problem is left."""
+    rounding: float = 1e-10
+    """Of the cost: falls that are predicted smaller cannot be judged by it."""
+    shortest: float = 1e-2
+    """Of a step: poses that need shorter ones stay where they are."""
+
+
+_BY = Settings()
+_POSES = Newton(steps=10, small=1e-6, largest=0.2)  # solved again until first order away
 
 
 @dataclass(frozen=True)
@@ -73,12 +90,12 @@ def search(
     here, damping, growth, evaluations = start, 0.0, 10.0, 1
     weights, scale = system.weights(here)
     normal = system.solve(here, weights)
-    cost = system.cost(system.minimised(here)[0], weights, here.state)
+    cost = system.cost(system.residuals(here), weights, here.state)
     highest = max(cost, highest) if np.isfinite(highest) else cost
-    while normal.decrement > max(_NO_STEP, _rounding(system, here)):
+    while normal.decrement > max(_BY.no_step, _rounding(system, here)):
         if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
             break
-        if evaluations >= _EVALUATIONS or damping > _DAMPING[1]:
+        if evaluations >= _BY.evaluations or damping > _BY.damping[1]:
             break
         if progress and evaluations % 5 == 0:
             progress(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
@@ -88,11 +105,11 @@ def search(
             evaluations += 1
         trial, count = _trial(problem, here, T @ step)
         evaluations += count
-        blind = normal.decrement**2 <= _ROUNDING * cost
+        blind = normal.decrement**2 <= _BY.rounding * cost
         better = False
         if trial is not None:
             new_weights, new_scale = system.weights(trial)
-            new_cost = system.cost(system.minimised(trial)[0], new_weights, trial.state)
+            new_cost = system.cost(system.residuals(trial), new_weights, trial.state)
             new = system.solve(trial, new_weights)
             better = system.falls(here, trial, weights, cost, new_cost)
             if blind:
@@ -102,20 +119,20 @@ def search(
         if better and trial is not None:
             fall = cost - min(system.cost_in(here, trial, weights), new_cost)
             damping *= _change(fall / max(normal.fall(step), 1e-300))
-            damping, growth = (damping if damping > _DAMPING[0] else 0.0), 10.0
+            damping, growth = (damping if damping > _BY.damping[0] else 0.0), 10.0
             slow = blind and new.decrement > 0.5 * normal.decrement
             here, weights, scale, cost, normal = trial, new_weights, new_scale, new_cost, new
-            if slow and normal.decrement <= _SLOW:  # rounding, or less than matters to anyone
+            if slow and normal.decrement <= _BY.slow:  # rounding, or less than matters to anyone
                 break
         elif blind:  # nothing but rounding is left
             break
         else:
-            damping, growth = max(damping, _DAMPING[0]) * growth, 2.0 * growth
+            damping, growth = max(damping, _BY.damping[0]) * growth, 2.0 * growth
     dof = max(int(here.equations[weights > 0.0].sum()) - T.shape[1], 1)
     unit = 1.0 if system.known else np.sqrt(cost / dof)
     left = normal.decrement / max(unit, 1e-300)
-    there = normal.decrement <= max(_NO_STEP, 10.0 * _rounding(system, here))
-    return Found(here, weights, scale, evaluations, left, there or left <= _NEGLIGIBLE)
+    there = normal.decrement <= max(_BY.no_step, 10.0 * _rounding(system, here))
+    return Found(here, weights, scale, evaluations, left, there or left <= _BY.negligible)
 
 
 def _along_the_valley(
@@ -129,19 +146,21 @@ def _along_the_valley(
     problem, T = system.problem, system.unknowns.map
     try:
         with np.errstate(all="ignore"):
-            probe = problem.stack(problem.moved(here, _PROBE * (T @ step)))
+            probe = problem.stack(problem.moved(here, _BY.probe * (T @ step)))
     except (MeasurementError, np.linalg.LinAlgError):
         return np.zeros_like(step)
     weighted = system.problem.weighted
     there = here.white(probe.value[:, :, None])[:, :, 0] if weighted else probe.value / system.unit
-    value, jacobian = system.minimised(here)
-    slope = (there - value) / _PROBE - jacobian @ (T @ step)
-    bent = 2.0 / _PROBE * slope * np.sqrt(weights)[:, None]
-    J = (jacobian @ T) * np.sqrt(weights)[:, None, None]
-    change = -0.5 * normal.solve(np.einsum("nmk,nm->k", J, bent), damping)
+    slope = (there - system.residuals(here)) / _BY.probe
+    bent = np.zeros_like(step)
+    for poses in here.parts():
+        J = system.derivatives(here, poses) @ T
+        beside = (slope[poses] - J @ step) * weights[poses, None]
+        bent += np.einsum("nmk,nm->k", J, beside)
+    change = normal.solve(-bent / _BY.probe, damping)
     if not np.isfinite(change).all():
         return np.zeros_like(step)
-    small = 2.0 * np.linalg.norm(change * normal.lengths) <= _BEND * np.linalg.norm(
+    small = 2.0 * np.linalg.norm(change * normal.lengths) <= _BY.bend * np.linalg.norm(
         step * normal.lengths
     )
     return change if small else np.zeros_like(step)
@@ -171,7 +190,7 @@ def near_start(
     easy = replace(system, problem=evened)
     state = problem.start(first.state.parameters)
     begin, count = solve_poses(evened, evened.linearise(state))
-    found = search(easy, begin, progress, enough=_NEAR)
+    found = search(easy, begin, progress, enough=_BY.near)
     try:
         with np.errstate(all="ignore"):
             near, more = solve_poses(problem, problem.linearise(found.linear.state))
@@ -180,7 +199,7 @@ def near_start(
     costs = []
     for one in (first, near):
         weights, _ = system.weights(one)
-        costs.append(system.cost(system.minimised(one)[0], weights, one.state))
+        costs.append(system.cost(system.residuals(one), weights, one.state))
     better = np.isfinite(costs[1]) and not costs[1] > costs[0]
     return (near if better else first), count + found.evaluations + more
 
@@ -195,7 +214,7 @@ def _trial(problem: Problem, here: Linear, step: Array) -> tuple[Linear | None, 
             trial, count = solve_poses(problem, problem.linearise(problem.moved(here, step)))
     except (MeasurementError, np.linalg.LinAlgError):
         return None, 1
-    finite = np.isfinite(trial.value).all() and np.isfinite(trial.jacobian).all()
+    finite = np.isfinite(trial.value).all() and trial.stack.finite
     return (trial if finite else None), 1 + count
 
 
@@ -221,12 +240,12 @@ def solve_poses(problem: Problem, linear: Linear) -> tuple[Linear, int]:
     size = largest_size(problem.legs, platform)
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
     count, share = 0, np.ones(len(linear.value))
-    for _ in range(_POSE_STEPS):
+    for _ in range(_POSES.steps):
         twists, length = _pose_steps(linear, scale)
-        open_ = (length > _FIRST_ORDER) & (share > _SHORTEST)
+        open_ = (length > _POSES.small) & (share > _BY.shortest)
         if not open_.any():
             break
-        short = share * np.minimum(1.0, _LARGEST_STEP / np.maximum(length, _LARGEST_STEP))
+        short = share * np.minimum(1.0, _POSES.largest / np.maximum(length, _POSES.largest))
         twists = np.where(open_[:, None], twists * short[:, None], 0.0)
         state = linear.state
         matrices = platform.displaced(state.matrices, twists)

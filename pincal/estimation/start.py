@@ -18,7 +18,7 @@ from pincal.estimation.alignment import aligned
 from pincal.estimation.conditions.external import External
 from pincal.estimation.linear import Stack, State
 from pincal.estimation.problem import Problem
-from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.closure import LegClosure, Newton, largest_size
 from pincal.kinematics.forward import placed_by_arm
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.nearest_closure import nearest_closure
@@ -30,13 +30,11 @@ from pincal.model.setup import ORIGIN, Setup
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_STEPS = 60
-_LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
+_NEWTON = Newton(steps=60, small=1e-7, largest=0.2)
 _USUAL = 3.0  # times the median gap that contradicting readings leave
 _WAY = 5  # steps from the readings at home to those measured
 _CLOSES = 1e-3  # of a leg's size, a gap that is left when readings contradict each other
 _TILTED = 1e-3  # [rad]
-_AT_REST = 1e-7  # of the mechanism's size, and [rad]
 _MISSED = 0.03  # of the mechanism's size, median over the rows, from which nothing is identified
 
 
@@ -198,7 +196,7 @@ def poses_at_rest(problem: Problem, state: State) -> State:
     state, cost = stack.state, np.einsum("nk,nk->n", value, value)
     damping = np.full(len(cost), 1e-6)
     open_ = np.ones(len(cost), dtype=bool)
-    for _ in range(_STEPS):
+    for _ in range(_NEWTON.steps):
         B = pose * scale
         square = B.transpose(0, 2, 1) @ B
         diagonal = np.einsum("nii->ni", square)
@@ -206,7 +204,7 @@ def poses_at_rest(problem: Problem, state: State) -> State:
         diagonal += damping[:, None] * (diagonal + np.where(least > 0.0, least, 1.0))
         step = -np.linalg.solve(square, B.transpose(0, 2, 1) @ value[:, :, None])[:, :, 0]
         longest = np.abs(step).max(axis=1)
-        step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))[:, None]
+        step *= np.minimum(1.0, _NEWTON.largest / np.maximum(longest, 1e-300))[:, None]
         step[~open_] = 0.0
         moved = platform.displaced(state.matrices, np.asarray(step * scale))
         stack = problem.stack(replace(state, matrices=moved))
@@ -226,7 +224,7 @@ def poses_at_rest(problem: Problem, state: State) -> State:
         pose = np.where(better[:, None, None], new_pose, pose)
         cost = np.where(better, new_cost, cost)
         damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e9)
-        open_ &= (longest > _AT_REST) & (damping < 1e9)
+        open_ &= (longest > _NEWTON.small) & (damping < 1e9)
         if not open_.any():
             break
     return state
@@ -260,7 +258,7 @@ def check_start(problem: Problem, state: State) -> None:
 def left_out(setup: Setup) -> str:
     """Return which options that free frame and target a setup leaves out, as a remark."""
     options = {
-        "if the base stands elsewhere in it: --unknown-frame": setup.unknown_frame,
+        "if the base is elsewhere in it: --unknown-frame": setup.unknown_frame,
         "if the target is not the platform's origin: --unknown-target or --setup": (
             setup.targets[ORIGIN].unknown
         ),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.linear import Linear, State
+from pincal.estimation.linear import Linear, State, joined
 from pincal.estimation.losses import Loss, robust_scale
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
@@ -46,21 +46,37 @@ class System:
         share = 1.0 - self.unknowns.map.shape[1] / max(int(equations.sum()), 1)
         return robust_scale(linear.squares[own], equations, max(share, 0.1))
 
-    def minimised(self, linear: Linear) -> tuple[Array, Array]:
-        """Return what is minimised, shape (N, m), and its derivatives, shape (N, m, n)."""
-        if self.problem.weighted:
-            return linear.value, linear.jacobian
-        return linear.stack.value / self.unit, linear.stack.parameter / self.unit
+    def residuals(self, linear: Linear) -> Array:
+        """Return what is minimised, shape (N, m)."""
+        return linear.value if self.problem.weighted else linear.stack.value / self.unit
 
-    def rows(
-        self, value: Array, jacobian: Array, weights: Array, state: State
-    ) -> tuple[Array, Array]:
-        """Return Jacobian in the free unknowns and residuals, (M, n_free) and (M,), with priors."""
-        used = weights > 0.0
-        root = np.sqrt(weights[used])[:, None]
-        J = (root[:, :, None] * jacobian[used]).reshape(-1, jacobian.shape[2]) @ self.unknowns.map
-        r, J_prior = self.unknowns.prior_rows(self.values(state))
-        return np.concatenate((J, J_prior)), np.concatenate(((root * value[used]).ravel(), r))
+    def derivatives(self, linear: Linear, poses: slice = slice(None)) -> Array:
+        """Return the derivatives of what is minimised, shape (N, m, n)."""
+        if self.problem.weighted:
+            return linear.jacobian_of(poses)
+        return linear.stack.parameter(poses) / self.unit
+
+    def triangle(self, linear: Linear, weights: Array, *, white: bool = False) -> Array:
+        """Return R of the Jacobian in the free unknowns beside the residuals, with priors.
+
+        Args:
+            linear: Where.
+            weights: Of the rows, shape (N,).
+            white: Whether of white residuals, if others are minimised.
+
+        Returns:
+            Shape (n_free + 1, n_free + 1).
+        """
+        residuals = linear.value if white else self.residuals(linear)
+        r, J = self.unknowns.prior_rows(self.values(linear.state))
+        n = self.unknowns.map.shape[1]
+        R = np.concatenate((np.column_stack((J, r)), np.zeros((n + 1, n + 1))))
+        for poses in linear.parts():
+            used, root = weights[poses] > 0.0, np.sqrt(weights[poses])[:, None]
+            J = linear.jacobian_of(poses) if white else self.derivatives(linear, poses)
+            J = (root[:, :, None] * J)[used].reshape(-1, J.shape[2]) @ self.unknowns.map
+            R = joined(R, np.column_stack((J, (root * residuals[poses])[used].ravel())))
+        return R
 
     def values(self, state: State) -> Array:
         """Return the parameters with zeros for the external unknowns, which have no priors."""
@@ -74,7 +90,7 @@ class System:
 
     def cost_in(self, here: Linear, trial: Linear, weights: Array) -> float:
         """Return the cost at a trial, in the rows and weights of another state."""
-        value = here.frozen(trial) if self.problem.weighted else self.minimised(trial)[0]
+        value = here.frozen(trial) if self.problem.weighted else self.residuals(trial)
         return self.cost(value, weights, trial.state)
 
     def falls(
@@ -92,7 +108,7 @@ class System:
 
     def solve(self, linear: Linear, weights: Array) -> Normal:
         """Return the normal equations in square-root form."""
-        return Normal.of(*self.rows(*self.minimised(linear), weights, linear.state))
+        return Normal.of(self.triangle(linear, weights))
 
 
 @dataclass(frozen=True)
@@ -107,16 +123,18 @@ class Normal:
     """Qᵀ r, shape (n,)."""
 
     @classmethod
-    def of(cls, J: Array, r: Array) -> Normal:
-        """Return the normal equations of a Jacobian (m, n) and residuals (m,)."""
-        n = J.shape[1]
-        lengths = np.linalg.norm(J, axis=0)
+    def of(cls, triangle: Array) -> Normal:
+        """Return the normal equations of R of Jacobian and residuals, shape (n + 1, n + 1)."""
+        n = len(triangle) - 1
+        lengths = np.linalg.norm(triangle[:n, :n], axis=0)
         lengths[lengths == 0.0] = 1.0
-        stacked = np.column_stack((J / lengths, r))
-        if len(stacked) <= n:
-            stacked = np.concatenate((stacked, np.zeros((n + 1 - len(stacked), n + 1))))
-        triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
-        return cls(lengths, triangle[:n, :n], triangle[:n, n])
+        return cls(lengths, triangle[:n, :n] / lengths, triangle[:n, n])
+
+    @property
+    def covariance(self) -> Array:
+        """(JᵀJ)⁻¹, shape (n, n)."""
+        inverse = np.linalg.inv(self.R)
+        return (inverse @ inverse.T) / np.outer(self.lengths, self.lengths)
 
     @property
     def decrement(self) -> float:

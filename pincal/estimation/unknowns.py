@@ -52,9 +52,9 @@ class Unknowns:
         Args:
             parameters: Values, shape (n,).
         """
-        told = np.isfinite(self.priors)
-        sigma = self.priors[told]
-        return (parameters - self.nominal)[told] / sigma, self.map[told] / sigma[:, None]
+        known = np.isfinite(self.priors)
+        sigma = self.priors[known]
+        return (parameters - self.nominal)[known] / sigma, self.map[known] / sigma[:, None]
 
     def held(self, directions: Array) -> Unknowns:
         """Return the unknowns less the freedom to move along directions of z.

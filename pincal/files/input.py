@@ -10,6 +10,8 @@ from pathlib import Path
 from pincal.errors import FileError, PincalError
 from pincal.model.checks import LARGEST
 
+LARGEST_FILE = {"table": 2**28, "result": 2**28, "XML": 2**24, "printer": 2**22, "YAML": 2**20}
+"""Sizes up to which files are read, [bytes], by what they hold."""
 _CHUNK = 64 * 1024  # bytes
 _UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)
 _BEGUN = re.compile(r"\s*[-+.]?[0-9].*[^-+.0-9eE\s]")  # 0,02 and 0.02mm

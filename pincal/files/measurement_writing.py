@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,16 +38,33 @@ def write_poses(
 
 
 def write_readings(
-    path: str | Path, mechanism: GivenMechanism, readings: Array, *, force: bool = False
+    path: str | Path,
+    mechanism: GivenMechanism,
+    readings: Array,
+    *,
+    reasons: Sequence[str] = (),
+    force: bool = False,
 ) -> None:
     """Write readings to a CSV file.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        readings: Readings; NaN becomes an empty cell.
+        reasons: Why a row has none, a text for each; a column only if there is one.
+        force: Whether to replace the file if it exists.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
     mechanism = as_mechanism(mechanism)
-    columns = _reading_columns(mechanism, readings)
+    columns = _reading_columns(mechanism, readings) | reason_column(reasons)
     write_table(path, columns, force=force)
+
+
+def reason_column(reasons: Sequence[str]) -> Columns:
+    """Return the column that says why rows are empty; none if no row is."""
+    return {"reason": tuple(reasons)} if any(reasons) else {}
 
 
 def write_measurements(

@@ -195,7 +195,7 @@ def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
     known = {*mechanism.leg_names, EVERY_LEG, ""}
     sets = tuple(cell.strip() for cell in table.text["set"])
     for row, name in enumerate(sets):
-        if name not in known:
+        if name not in known and not known.issuperset(name.split("+")):
             raise MeasurementError(
                 f"{table.where(row)}: set {name!r} is no leg of {mechanism.name!r}; "
                 f"expected {', '.join(mechanism.leg_names)} or {EVERY_LEG}"

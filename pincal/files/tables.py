@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.files.input import plain_number, read_text, why_no_number
+from pincal.files.input import LARGEST_FILE, plain_number, read_text, why_no_number
 from pincal.files.output import writing
 from pincal.model.checks import LARGEST, must_be
 
@@ -42,7 +42,6 @@ UNITS: dict[str, tuple[str, float]] = {
 }
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _MOST_COLUMNS = 1000
-_LARGEST = 256 * 1024 * 1024  # bytes
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ def read_table(source: str | Path | Any) -> Table:
     if is_dataframe(source):
         return _of_dataframe(source)
     path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
-    text = read_text(path, _LARGEST, MeasurementError, pipe=True)
+    text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows, lines = [], []
     try:

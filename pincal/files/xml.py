@@ -8,10 +8,9 @@ from pathlib import Path
 from lxml import etree
 
 from pincal.errors import MechanismError
-from pincal.files.input import read_bytes
+from pincal.files.input import LARGEST_FILE, read_bytes
 
 _PLACE = re.compile(r", line \d+, column \d+$")
-_LARGEST = 16 * 1024 * 1024  # bytes
 
 
 def read_xml(path: Path, root: str) -> etree._Element:
@@ -25,7 +24,7 @@ def read_xml(path: Path, root: str) -> etree._Element:
         FileError: the file is missing or cannot be read.
         MechanismError: too large, not well-formed, with entities, or another root element.
     """
-    text = read_bytes(path, _LARGEST, MechanismError)
+    text = read_bytes(path, LARGEST_FILE["XML"], MechanismError)
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
     try:
         element = etree.fromstring(text, parser)

@@ -14,9 +14,8 @@ from pydantic_core import ErrorDetails
 from yaml.composer import Composer
 
 from pincal.errors import PincalError
-from pincal.files.input import read_text, why_no_number
+from pincal.files.input import LARGEST_FILE, read_text, why_no_number
 
-_LARGEST = 1024 * 1024  # bytes
 _ALIKE = 0.75  # from which a key is another one, misspelt
 Form = TypeVar("Form", bound=BaseModel)
 
@@ -81,7 +80,7 @@ def read_yaml(path: Path, form: type[Form], error_type: type[PincalError]) -> Fo
         FileError: the file is missing or cannot be read.
         PincalError: of the given type: it does not parse, or says something else than it should.
     """
-    text = read_text(path, _LARGEST, error_type)
+    text = read_text(path, LARGEST_FILE["YAML"], error_type)
     try:
         data = yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:

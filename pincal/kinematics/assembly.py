@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.kinematics.batches import ROUNDING
-from pincal.kinematics.closure import LegClosure, joint_range, largest_size
+from pincal.kinematics.closure import LegClosure, Newton, joint_range, largest_size
+from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.model.platform_kind import PlatformKind
 
 Array = NDArray[np.float64]
-_STEPS = 100
-_LARGEST = 0.3  # of the size, and [rad]
-_CLOSED = 1e-10  # of the size
+_NEWTON = Newton(steps=100, largest=0.3, closed=1e-10)
 _CONFIGURATIONS = 120
 _DEPENDS = 1e-7  # of a column, what others leave of it
 
@@ -46,7 +44,7 @@ def assembled(legs: Sequence[Leg], kind: str | PlatformKind) -> tuple[tuple[Leg,
     size = largest_size(legs, free) or 1.0
     pose = _fitted(closures, joints, free)
     gap = np.inf
-    for _ in range(_STEPS):
+    for _ in range(_NEWTON.steps):
         parts = [one.evaluate(q, pose) for one, q in zip(closures, joints, strict=True)]
         gaps = np.concatenate([part.gap[0] for part in parts])
         gap = float(np.abs(gaps).max())
@@ -62,13 +60,13 @@ def assembled(legs: Sequence[Leg], kind: str | PlatformKind) -> tuple[tuple[Leg,
             J[rows, [column + i for i in leg.passive]] = part.passive[0]
             row, column = rows.stop, column + width
         step = np.linalg.lstsq(J, -gaps, rcond=1e-10)[0]
-        step *= min(1.0, _LARGEST * max(1.0, size) / (float(np.abs(step).max()) or 1.0))
+        step *= min(1.0, _NEWTON.largest * max(1.0, size) / (float(np.abs(step).max()) or 1.0))
         pose = free.displaced(pose, step[None, : free.dof])
         column = free.dof
         for q, width in zip(joints, widths, strict=True):
             q[0] += step[column : column + width]
             column += width
-    if not gap <= _CLOSED * size:
+    if not gap <= _NEWTON.closed * size:
         raise MechanismError(
             f"the loops do not close near the joint positions that the file draws: {gap:.3g} m "
             "stay open. Give positions that close them (keyframe of MJCF, 'home' of the YAML "

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
-#: Part of a mechanism's size, and angle [rad], that rounding errors may reach.
-ROUNDING = 1e-12
 _SERIES = float(np.finfo(float).eps) ** 0.25  # fourth root of rounding errors, [rad]
 
 

@@ -55,7 +55,7 @@ class Chain:
         )
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)  # a chain keeps its forest, of some megabytes
 def leg_chain(leg: Leg, spatial: bool) -> Chain:
     """Return the chain from the base to the leg's tip."""
     return _chain(leg, leg.joints, spatial)

@@ -17,8 +17,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.batches import ROUNDING
 from pincal.kinematics.closure import LegClosure
+from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

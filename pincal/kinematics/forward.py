@@ -19,7 +19,7 @@ from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
-from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
+from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
 from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
@@ -30,10 +30,7 @@ from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_NEWTON_STEPS = 40
-_SMALL = 1e-9  # relative step after which the next error is rounding
-_CLOSED = 1e-8  # of the leg's size
-_LARGEST_STEP = 0.2  # of the mechanism's size, and [rad]
+_NEWTON = Newton(steps=40, small=1e-9, largest=0.2, closed=1e-8)
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,7 +124,7 @@ def _solve(
     size = max(leg.size for leg in legs)
     open_ = np.ones(len(matrices), dtype=bool)
     steps = 0
-    while open_.any() and steps < _NEWTON_STEPS:
+    while open_.any() and steps < _NEWTON.steps:
         steps += 1
         rows = np.flatnonzero(open_)
         closures = [_in_mode(leg, q, matrices, rows) for leg, q in zip(legs, joints, strict=True)]
@@ -135,7 +132,7 @@ def _solve(
         linear, angular = _split(mechanism, twist)
         length = np.maximum(np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1))
         with np.errstate(divide="ignore", invalid="ignore"):
-            shorten = np.minimum(1.0, _LARGEST_STEP / length)[:, None]
+            shorten = np.minimum(1.0, _NEWTON.largest / length)[:, None]
         moved = length
         for leg, q, closure in zip(legs, joints, closures, strict=True):
             change = product(closure.pose, (shorten * twist)[:, :, None])[:, :, 0]
@@ -147,7 +144,7 @@ def _solve(
         matrices[good, :3, 3] += (shorten * linear)[finite]
         turn = Rotation.from_rotvec((shorten * angular)[finite]).as_matrix()
         matrices[good, :3, :3] = turn @ matrices[good, :3, :3]
-        open_[rows] = finite & (moved > _SMALL)
+        open_[rows] = finite & (moved > _NEWTON.small)
     return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
 
 
@@ -218,7 +215,7 @@ def _reasons(
             closure.constraint[:, :, None] + product(closure.project(closure.pose), twist),
         )
         closable = closure.gap - left[:, :, 0]  # by motions of platform and passive joints
-        closes &= (np.abs(closable) <= _CLOSED * leg.size).all(axis=1)
+        closes &= (np.abs(closable) <= _NEWTON.closed * leg.size).all(axis=1)
         in_mode &= in_home_mode(leg, closure)
     in_mode &= platform_margin(mechanism, closures) > 0.0
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")

@@ -17,22 +17,21 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import ROUNDING, least_squares, product
+from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import closed_form, wrapped
-from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
+from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
 from pincal.kinematics.starts import in_home_mode, start_joints
+from pincal.model.checks import ROUNDING
 from pincal.model.mechanism import Mechanism
+from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
 from pincal.model.sensor import SensorLaw, sensor_laws
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 CHUNK = 4096
-_NEWTON_STEPS = 15
 _ATTEMPTS = 6
-_LARGEST_LAST_STEP = 1e-4  # [rad] and [m], where the gap is already small
-_LISTED = 10  # poses on a printed page
-_SMALL = 1e-11  # of the leg's size: the step after that reaches rounding error
+_NEWTON = Newton(steps=15, small=1e-4, closed=1e-11)  # the step after that is rounding
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
     closure = leg.evaluate(joints, matrices)
     closed = possible & _small(leg, closure)
     step = _newton_step(leg, closure)
-    last = (np.abs(step) <= _LARGEST_LAST_STEP).all(axis=1)  # not at a singularity
+    last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
     joints = np.where((closed & ~last)[:, None], joints, joints + step)
     if not (closed | ~possible).all():
         joints, closed = _search(leg, matrices, joints, closed, possible)
@@ -88,7 +87,7 @@ def _search(
             joints[rows] = again
             rows = rows[may]
         found = rows
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(_NEWTON.steps):
             part = leg.evaluate(joints[rows], matrices[rows])
             joints[rows] += _newton_step(leg, part)
             going = ~_small(leg, part) & np.isfinite(joints[rows]).all(axis=1)
@@ -118,7 +117,7 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
 
 
 def _small(leg: LegClosure, closure: Closure) -> Mask:
-    return np.asarray((np.abs(closure.gap) <= _SMALL * leg.size).all(axis=1))
+    return np.asarray((np.abs(closure.gap) <= _NEWTON.closed * leg.size).all(axis=1))
 
 
 @lru_cache(maxsize=64)
@@ -199,7 +198,7 @@ class InverseSolution:
     def __str__(self) -> str:
         """Return a page: the poses that are out of reach, the first ones at least."""
         missed = np.flatnonzero(~self.reached.all(axis=1))
-        lines = [f"  pose {row + 1}: {self.reason(row)}" for row in missed[:_LISTED]]
+        lines = [f"  pose {row + 1}: {self.reason(row)}" for row in missed[:ROWS]]
         more = len(missed) - len(lines)
         return "\n".join([repr(self), *lines, *([f"  and {more} more"] if more > 0 else [])])
 

@@ -8,13 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import Closure, LegClosure
+from pincal.kinematics.closure import Closure, LegClosure, Newton
 from pincal.kinematics.inverse import sensor_law
 from pincal.kinematics.starts import start_joints
 
 Array = NDArray[np.float64]
-_STEPS = 60
-_SMALL = 1e-8  # step, of the leg's size, and [rad]: of its square, Nᵀ c is off at most
+_NEWTON = Newton(steps=60, small=1e-8)  # of the square of that step, Nᵀ c is off at most
 
 
 def nearest_closure(
@@ -22,7 +21,7 @@ def nearest_closure(
     matrices: Array,
     readings: Array,
     joints: Array | None = None,
-    steps: int = _STEPS,
+    steps: int = _NEWTON.steps,
 ) -> tuple[Closure, Array]:
     """Return a leg's closure at poses and readings, |c| least, and the joint positions there.
 
@@ -45,7 +44,7 @@ def nearest_closure(
         closed = leg.evaluate(joints, matrices)
         step = closed.passive_step()
         joints[:, passive] += step
-        if np.abs(step).max(initial=0.0) <= _SMALL * max(1.0, leg.size):
+        if np.abs(step).max(initial=0.0) <= _NEWTON.small * max(1.0, leg.size):
             break
     return closed, joints
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.batches import ROUNDING
 from pincal.kinematics.closed_forms import (
     closed_form,
     driven_rod,
@@ -21,6 +20,7 @@ from pincal.kinematics.closed_forms import (
     slide_geometry,
 )
 from pincal.kinematics.closure import LegClosure
+from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

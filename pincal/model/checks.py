@@ -14,6 +14,8 @@ from pincal.errors import PincalError
 Array = NDArray[np.float64]
 LARGEST = 1e12
 """Size of a mechanism's numbers, [m] or [rad]: larger ones are slips, their squares overflow."""
+ROUNDING = 1e-12
+"""Of the sizes that a number is made of, and angles [rad]: what rounding errors may reach."""
 EXACT = 1e-9
 """Of lengths relative to the size, and of unit vectors: what agrees so far is equal."""
 
@@ -31,7 +33,7 @@ def described(value: object) -> str:
 def array_of(
     values: Any, shape: tuple[int | str, ...], what: str, error_type: type[PincalError]
 ) -> Array:
-    """Return values as an array of float64 that is not writable, a copy if need be.
+    """Return values as an array of float64, always a copy, which its owner may change.
 
     Args:
         values: An array, or lists of numbers.
@@ -46,7 +48,7 @@ def array_of(
         array = np.asarray(values)
         if array.dtype.kind not in "fiub":
             raise ValueError
-        array = array.astype(np.float64, copy=array.flags.writeable)
+        array = array.astype(np.float64)
     except (TypeError, ValueError) as fault:
         raise error_type(
             f"{what}: expected numbers, shape {wanted}; got {described(values)}"
@@ -55,7 +57,6 @@ def array_of(
         isinstance(size, int) and size != own for size, own in zip(shape, array.shape, strict=True)
     ):
         raise error_type(f"{what}: expected shape {wanted}; got shape {array.shape}")
-    array.setflags(write=False)
     return array
 
 

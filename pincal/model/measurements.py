@@ -58,8 +58,8 @@ class Plan:
     poses: Array
     """Coordinates, shape (N, dof), [m] and [rad]."""
     sets: tuple[str, ...] | None = None
-    """Leg for which each pose was chosen, ``"all"`` for every leg, ``"verify"`` for none: to see
-    how the calibrated mechanism does there; None if not said."""
+    """Leg for which each pose was chosen, ``"leg_1+leg_2"`` for several, ``"all"`` for every leg,
+    ``"verify"`` for none: to see how the calibrated mechanism does there; None if not said."""
     readings: Array | None = None
     """Readings to command, shape (N, n_readings), where poses do not determine them."""
     lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
@@ -186,7 +186,8 @@ class Plan:
         """Return which poses were chosen for a leg, shape (N,)."""
         if self.sets is None:
             return np.ones(len(self.poses), dtype=bool)
-        return np.array([s in (leg, EVERY_LEG, "") for s in self.sets], dtype=bool)
+        served = (s in (leg, EVERY_LEG, "") or leg in s.split("+") for s in self.sets)
+        return np.fromiter(served, dtype=bool, count=len(self.sets))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -16,7 +16,7 @@ from pincal.errors import MechanismError
 from pincal.model.checks import must_be
 from pincal.model.leg import Leg
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
-from pincal.model.overview import counted, one_line
+from pincal.model.overview import ROWS, counted, one_line
 from pincal.model.parameter import Parameter, Parameters
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
@@ -26,8 +26,6 @@ Array = NDArray[np.float64]
 RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
     name for names, _ in WAYS.values() for name in names
 }
-
-_ROWS = 42  # of a printed table; those that follow are counted
 
 
 @dataclass(frozen=True)
@@ -261,8 +259,8 @@ def _page(mechanism: Mechanism) -> str:
     if len(legs) > len(names):
         grid = [list(row) for row in zip(*grid, strict=True)]
     table = _columns(grid)
-    lines += table[: _ROWS + 1]
-    lines += [f"… and {len(table) - _ROWS - 1} rows more"] * (len(table) > _ROWS + 1)
+    lines += table[: ROWS + 1]
+    lines += [f"… and {len(table) - ROWS - 1} rows more"] * (len(table) > ROWS + 1)
     return "\n".join(lines)
 
 

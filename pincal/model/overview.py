@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+ROWS = 30
+"""Of a table or list on a printed page; those that follow are counted."""
 _WIDTH = 118  # of a line
 
 

@@ -8,42 +8,27 @@ from pincal.model.mechanism import Mechanism
 
 def mechanism_html(mechanism: Mechanism) -> str:
     """Return a mechanism: a picture and its nominal parameters."""
+    from pincal.show.pictures.files import on_page
     from pincal.show.pictures.picture import picture
-    from pincal.show.pictures.svg import drawing, figure
     from pincal.show.tables import nominal_table
     from pincal.words.pages import rendered
 
-    platform, name = mechanism.platform, f"{mechanism.name} at home"
-    with drawing():
-        drawn = figure(picture(mechanism).figure(), "figure-mechanism", name)
-    return rendered(
-        "mechanism.html",
-        title=f"{mechanism.name}: {len(mechanism.legs)} legs, {', '.join(platform.coordinates)}",
-        description=mechanism.description,
-        figure=drawn,
-        table=nominal_table(mechanism),
+    drawn = on_page("figure-mechanism")(
+        lambda: (picture(mechanism).figure(), f"{mechanism.name} at home")
     )
+    table = nominal_table(mechanism)
+    return rendered("mechanism.html", mechanism=mechanism, figure=drawn(), table=table)
 
 
 def result_html(result: CalibrationResult) -> str:
     """Return a calibration: what to know first, parameters, residuals."""
+    from pincal.show import result_tables, summary
     from pincal.show.report.answers import warning_lines
-    from pincal.show.report.parts import Part
-    from pincal.show.result_tables import legs_table, outliers_table, parameters_table
-    from pincal.show.summary import held_out_line, method_line, noise_line
     from pincal.words.pages import rendered
 
-    shown: list[Part] = []
-    if result.converged:
-        lines = [f"identified with {method_line(result)}", noise_line(result)]
-        lines += [held_out_line(result.validation)] if result.validation is not None else []
-        shown = [lines, parameters_table(result), legs_table(result)]
-        shown += [outliers_table(result)] if result.outliers else []
+    warnings = warning_lines(result)
     return rendered(
-        "result.html",
-        title=f"{result.nominal.name}: calibration, {result.message}",
-        warnings=warning_lines(result),
-        shown=shown,
+        "result.html", result=result, warnings=warnings, tables=result_tables, summary=summary
     )
 
 

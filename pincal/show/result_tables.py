@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.runs import RunComparison
 from pincal.show.results import (
     Series,
     legs_series,
@@ -14,11 +16,12 @@ from pincal.show.results import (
     readings_exact,
 )
 from pincal.words.numbers import SMALL, VALUES, fixed, shown_in
-from pincal.words.table import Cell, Column, Table, Value
+from pincal.words.table import Cell, Table, Value, columns
 
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
-SIGMA = "σ: what the noise alone makes of residuals"
-CONDITION = "condition: of the leg's whitened identification Jacobian, columns scaled"
+_SIZES = ("rms before", "rms after", "σ", "unit")
+_SIGMA = "σ: what the noise alone makes of residuals"
+_CONDITION = "condition: of the leg's whitened identification Jacobian, columns scaled"
 
 
 def calibration_tables(result: CalibrationResult) -> list[Table]:
@@ -33,17 +36,14 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
 def parameters_table(result: CalibrationResult) -> Table:
     """Return identified parameters with 95 % intervals and changes."""
     given = [p.given.replace("fixed", "") for _, p in parameters(result)]
-    rows: list[Sequence[Value]] = [(leg.name, *_cells(p)) for leg, p in parameters(result)]
-    heads: tuple[str, ...] = ("leg", *_HEADS)
-    if any(given):
-        heads, rows = (
-            (*heads, "given"),
-            [(*row, one) for row, one in zip(rows, given, strict=True)],
-        )
+    more = ["given"] if any(given) else []
     return Table(
         f"{result.nominal.name}: parameters, nominal and identified",
-        tuple(map(Column, heads)),
-        rows,
+        columns("leg", *_HEADS, *more),
+        [
+            (leg.name, *_cells(p), *[one] * len(more))
+            for (leg, p), one in zip(parameters(result), given, strict=True)
+        ],
         "change [σ]: by how many standard errors the parameter moved",
         grouped=True,
     )
@@ -69,7 +69,7 @@ def outside_table(result: CalibrationResult) -> Table:
     """Return the unknowns outside the mechanism: frames and targets."""
     return Table(
         "Outside the mechanism",
-        tuple(map(Column, ("unknown", "start", *_HEADS[2:5]))),
+        columns("unknown", "start", *_HEADS[2:5]),
         [(p.id, *_cells(p)[1:5]) for p in result.external],
         "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
         "vector); others: where what was measured is on the platform",
@@ -79,31 +79,44 @@ def outside_table(result: CalibrationResult) -> Table:
 def legs_table(result: CalibrationResult) -> Table:
     """Return residuals, rank and condition of each leg."""
     exact = readings_exact(result)
-    sizes = () if exact else ("rms before", "rms after", "σ", "unit")
-    columns = [Column(name) for name in ("leg", *sizes, "poses")]
-    rows: list[Sequence[Value]] = [
-        (
-            leg.name,
-            *(() if exact else _sizes(one)),
-            leg.n_poses,
-            f"{leg.rank} of {len(leg.parameters)}",
-            leg.condition,
-        )
-        for leg, one in zip(result.legs, legs_series(result), strict=True)
-    ]
-    return Table(
-        "Legs; readings were taken as exact" if exact else "Legs: residuals, rank and condition",
-        (*columns, Column("rank", align="right"), Column("condition", format=".3g")),
-        rows,
-        CONDITION if exact else f"{SIGMA}; {CONDITION}",
+    found = Table(
+        "Legs: residuals, rank and condition",
+        columns("leg", *_SIZES, "poses", "rank", "condition:.3g"),
+        [
+            (
+                leg.name,
+                *_sizes(one),
+                leg.n_poses,
+                Cell(leg.rank, f"{leg.rank} of {len(leg.parameters)}"),
+                leg.condition,
+            )
+            for leg, one in zip(result.legs, legs_series(result), strict=True)
+        ],
+        f"{_SIGMA}; {_CONDITION}",
     )
+    if not exact:
+        return found
+    found = found.only("leg", "poses", "rank", "condition", caption=_CONDITION)
+    return replace(found, title="Legs; readings were taken as exact")
+
+
+def residuals_table(result: CalibrationResult) -> Table:
+    """Return the residuals of the legs alone."""
+    found = legs_table(result).only("leg", *_SIZES, "poses", caption=_SIGMA)
+    return replace(found, title="Residuals of the legs")
+
+
+def rank_table(result: CalibrationResult) -> Table:
+    """Return rank and condition of the legs alone."""
+    found = legs_table(result).only("leg", "rank", "condition", caption=_CONDITION)
+    return replace(found, title="Rank and condition of the legs")
 
 
 def observed_table(result: CalibrationResult) -> Table:
     """Return how the measured quantities of the platform fit, where poses are unknowns."""
     return Table(
         "The platform as measured, at the estimated poses",
-        tuple(map(Column, ("measured", "rows", "rms before", "rms after", "σ", "unit"))),
+        columns("measured", "rows", *_SIZES),
         [(one.name, len(one.rows), *_sizes(one)) for one in observed_series(result)],
     )
 
@@ -120,13 +133,7 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
     more = len(result.outliers) - most
     return Table(
         f"Rows that do not fit, the worst first (robust loss: {result.loss})",
-        (
-            Column("data row"),
-            Column("residual [σ]", format=".1f"),
-            Column("weight", format=".2f"),
-            Column("of"),
-            Column("what"),
-        ),
+        columns("data row", "residual [σ]:.1f", "weight:.2f", "of", "what"),
         [
             (
                 one.row + 1,
@@ -141,10 +148,15 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
     )
 
 
-def runs_table(names: Sequence[str], spread: Sequence[float], predicted: Sequence[float]) -> Table:
+def files_table(files: Sequence[tuple[str, str]]) -> Table:
+    """Return files that were read, and their SHA-256."""
+    return Table("Files read, and their SHA-256", columns("file", "SHA-256"), files)
+
+
+def runs_table(runs: RunComparison) -> Table:
     """Return the spread of parameters over runs against their standard errors."""
     return Table(
         "Spread of the parameters over the runs, against their standard errors, in SI",
-        (Column("parameter"), Column("spread", format=".3g"), Column("predicted", format=".3g")),
-        list(zip(names, map(float, spread), map(float, predicted), strict=True)),
+        columns("parameter", "spread:.3g", "predicted:.3g"),
+        list(zip(runs.names, runs.spread.tolist(), runs.predicted.tolist(), strict=True)),
     )

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.calibration.leg_result import IdentifiedParameter, LegResult
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
 from pincal.calibration.result import CalibrationResult
-from pincal.finding import Finding
 from pincal.model.measurements import Noise
 from pincal.words.results import noise
 from pincal.words.sentences import WORDINGS, sentence
@@ -34,43 +33,25 @@ class Series:
     @property
     def rms(self) -> tuple[float, float, float]:
         """Root mean squares before, after, and of the standard deviations."""
-        before, after, sigma = (
-            float(np.sqrt(np.mean(values**2))) for values in (self.before, self.after, self.sigma)
-        )
+        three = np.array([self.before, self.after, self.sigma])
+        before, after, sigma = np.sqrt(np.mean(three**2, axis=1)).tolist()
         return before, after, sigma
 
 
 def legs_series(result: CalibrationResult) -> list[Series]:
     """Return the residuals of the legs."""
     scale = np.sqrt(result.reduced_chi2) if result.noise_source == "estimated" else 1.0
-    return [
-        Series(
-            leg.name,
-            leg.unit,
-            leg.rows,
-            leg.residuals_before,
-            leg.residuals,
-            leg.sigma * scale,
-            of_leg=True,
-        )
-        for leg in result.legs
-    ]
+    return [_series(leg, leg.sigma * scale) for leg in result.legs]
 
 
 def observed_series(result: CalibrationResult) -> list[Series]:
     """Return the residuals of what was measured of the platform, where poses are unknowns."""
-    return [
-        Series(
-            one.name,
-            one.unit,
-            one.rows,
-            one.residuals_before,
-            one.residuals,
-            one.sigmas,
-            of_leg=False,
-        )
-        for one in result.observed
-    ]
+    return [_series(one, one.sigmas) for one in result.observed]
+
+
+def _series(one: LegResult | Observed, sigma: Array) -> Series:
+    own = one.rows, one.residuals_before, one.residuals, sigma
+    return Series(one.name, one.unit, *own, of_leg=isinstance(one, LegResult))
 
 
 def noisy_series(result: CalibrationResult) -> list[Series]:
@@ -125,8 +106,7 @@ def parameters(result: CalibrationResult) -> Iterator[tuple[LegResult, Identifie
 def warnings(result: CalibrationResult) -> list[str]:
     """Return the warnings; one that several legs share is said once, with their names."""
     legs: dict[str, list[str]] = {}
-    for one in result.warnings:
-        text = sentence(one) if isinstance(one, Finding) else one
+    for text in result.warnings:
         name, colon, rest = text.partition(": ")
         own = bool(colon) and name in result.nominal.leg_names
         legs.setdefault(rest if own else text, []).extend([name] if own else [])

@@ -15,10 +15,22 @@ IDENTIFIED = "#7A33AD"
 #: Positions of a fundamental domain, and those that follow from it.
 DOMAIN, CARRIED = COLOURS[0], "#A9CBE8"
 GROUND = "#D4D4D4"
-#: Width of a page's figure [inch], that of A4 between its margins; most height.
-WIDTH, HEIGHT = 7.4, 9.5
-#: Points from which they are drawn as pixels: a vector picture stays small.
-MANY = 1500
+#: Where a mechanism in space is seen from: slightly from above.
+TOWARDS_VIEWER = (0.45, -0.85, 0.28)
+#: Axes x, y and z of a frame, and poses for every leg.
+AXES, EVERY = ("#CC2626", "#1A8C1A", "#2640D9"), "#333333"
+
+
+@dataclass(frozen=True)
+class PageStyle:
+    """Sizes of figures on pages."""
+
+    width: float = 7.4
+    """That of A4 between its margins, [inch]."""
+    height: float = 9.5
+    """At most, [inch]."""
+    many: int = 1500
+    """Points from which they are drawn as pixels: a vector picture stays small."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +57,7 @@ class PictureStyle:
     """Of a rod, at most."""
 
 
-PICTURE = PictureStyle()
+PAGE, PICTURE = PageStyle(), PictureStyle()
 
 
 class Look(NamedTuple):

@@ -14,7 +14,7 @@ from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
-from pincal.words.numbers import amount, listed, size
+from pincal.words.numbers import amount, listed, shown_in, size
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED
 
@@ -23,8 +23,7 @@ _NO_FREEDOM = (
     "nothing; measure more poses"
 )
 _MISSES = 10.0  # by how many σ a fit misses its own rows that is none
-_MANY = 1e5  # poses: more are not measured
-_PAIRS = 3  # of weakly determined parameters
+FRAMES = ", but for where the base and platform frames lie"
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 _ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
 
@@ -110,7 +109,7 @@ def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
             f"can be promised of it: residuals are {result.excess:.3g} times as large as the noise "
             f"given makes them{'' if result.corrects else ', and hardly fell'}"
         )
-    frames = ", but for where the base and platform frames lie" if result.moves_frames else ""
+    frames = FRAMES if result.moves_frames else ""
     after = platform_size(errors.mean_after(), turning)
     if not result.promises:
         return (
@@ -167,30 +166,31 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     """Return which pairs of parameters are weakly determined; legs alike in one line."""
     alike: dict[tuple[str, ...], list[WeakPair]] = {}
     for pair in pairs:
-        leg, _, name = pair.first.rpartition(".")
-        other_leg, _, other = pair.second.rpartition(".")
-        key = (name, other, "") if leg == other_leg else (f"{leg}.{name}", f"{other_leg}.{other}")
+        (leg, name), (other_leg, other) = _split(pair)
+        key = (name, other) if leg == other_leg else (pair.first, pair.second)
         alike.setdefault(key, []).append(pair)
     lines = [_weak_line(own, mechanism) for own in alike.values()]
-    if len(lines) > _PAIRS:
-        lines[_PAIRS:] = [f"{len(lines) - _PAIRS} more such pairs (--json)"]
-    return lines
+    more = len(lines) - 3
+    return lines if more <= 0 else [*lines[:3], f"{more} more such pairs (--json)"]
+
+
+def _split(pair: WeakPair) -> list[tuple[str, str]]:
+    """Return leg and name of both parameters."""
+    return [(leg, name) for leg, _, name in (i.rpartition(".") for i in (pair.first, pair.second))]
 
 
 def _weak_line(pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
     """Return a line on a pair of parameters, of one leg or alike of several; the weakest counts."""
-    worst = pairs[0]
-    legs = list(dict.fromkeys(pair.first.rpartition(".")[0] for pair in pairs))
+    worst, both, whose = pairs[0], _split(pairs[0]), ""
+    legs = list(dict.fromkeys(_split(pair)[0][0] for pair in pairs))
     ids = [worst.first, worst.second]
-    both = [(leg, name) for leg, _, name in (one.rpartition(".") for one in ids)]
-    whose = ""
     if len(legs) > 1 and both[0][0] == both[1][0]:
         ids = [name for _, name in both]
         whose = " of every leg" if len(legs) == len(mechanism.legs) else f" of {', '.join(legs)}"
+    units = [mechanism.leg(leg).units[name] for leg, name in both]
     known = [
-        f"{amount(worst.known[i], mechanism.leg(leg).units[name])} instead of "
-        f"{amount(worst.std[i], mechanism.leg(leg).units[name]).split(' ')[0]} for {ids[i]}"
-        for i, (leg, name) in enumerate(both)
+        f"{amount(now, unit)} instead of {shown_in(std, unit):.3g} for {id_}"
+        for now, std, unit, id_ in zip(worst.known, worst.std, units, ids, strict=True)
     ]
     return (
         f"{ids[0]} and {ids[1]}{whose} are weakly determined together, correlation "
@@ -252,6 +252,6 @@ def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
     many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
     text = f"for {1e3 * accuracy:g} mm: {many}"
     text += "" if alone is None else f", {alone:,.0f} with --per-leg"
-    if _MANY < needed < np.inf:
+    if 1e5 < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"
     return text

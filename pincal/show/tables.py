@@ -14,9 +14,8 @@ from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
 from pincal.show.summary import forecast_lines
-from pincal.symmetry.detect import SymmetryGroup
 from pincal.words.numbers import SMALL, shown_in
-from pincal.words.table import Cell, Column, Table, Value
+from pincal.words.table import Cell, Column, Table, Value, columns
 from pincal.workspace.articular import ArticularSymmetry
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.positions import Grid
@@ -34,8 +33,8 @@ def nominal_table(mechanism: Mechanism) -> Table:
     if len(mechanism.legs) > len(names):
         grid = [list(row) for row in zip(*grid, strict=True)]
     heads, *rows = grid
-    columns = (Column(str(head), format=".6f") for head in heads)
-    return Table(f"{mechanism.name}: nominal parameters", tuple(columns), rows)
+    shown = tuple(Column(str(head), format=".6f") for head in heads)
+    return Table(f"{mechanism.name}: nominal parameters", shown, rows)
 
 
 def selection_table(selection: Selection) -> Table:
@@ -43,19 +42,18 @@ def selection_table(selection: Selection) -> Table:
     return Table(
         f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
         f"{selection.candidates} candidates",
-        (
-            Column("leg"),
-            Column("poses"),
-            Column("efficiency", format=".4f"),
-            Column("O1", format=".4f"),
-            Column("condition", format=".3g"),
-        ),
+        columns("leg", "poses", "efficiency:.4f", "O1:.4f", "condition:.3g"),
         [
             (leg.leg, leg.poses, leg.efficiency, leg.indices.O1_per_parameter, leg.condition)
             for leg in selection.legs
         ],
-        "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
-        "O1: of the unweighted Jacobian, over the number of parameters",
+        "\n".join(
+            (
+                "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
+                "O1: of the unweighted Jacobian, over the number of parameters",
+                *selection.remarks,
+            )
+        ),
     )
 
 
@@ -64,24 +62,13 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
     rank = chosen.rank
     lost = rank.n_params - rank.rank
     words = f"; {lost} directions are not observable at any candidate" if lost else ""
+    of = Cell(chosen.candidates, f"{chosen.candidates:,}")
+    determined = Cell(rank.rank, f"{rank.rank} of {rank.n_params}")
+    row = (len(chosen.plan.poses), of, chosen.efficiency, determined, ", ".join(chosen.measured))
     return Table(
         f"{mechanism.name}: configurations for all parameters together{words}",
-        (
-            Column("poses"),
-            Column("of"),
-            Column("efficiency", format=".3f"),
-            Column("rank", align="right"),
-            Column("measured"),
-        ),
-        [
-            (
-                len(chosen.plan.poses),
-                Cell(chosen.candidates, f"{chosen.candidates:,}"),
-                chosen.efficiency,
-                f"{rank.rank} of {rank.n_params}",
-                ", ".join(chosen.measured),
-            )
-        ],
+        columns("poses", "of", "efficiency:.3f", "rank", "measured"),
+        [row],
     )
 
 
@@ -90,37 +77,16 @@ def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Table:
     keep = slice(None, None if turns else 2)
     sizes = [[one.position, one.worst_position, one.orientation][keep] for one in (before, after)]
     ratio = [old / new for old, new in zip(*sizes, strict=True)]
-    columns = [
-        Column("position rms", "m", ".4f"),
-        Column("worst", "m", ".4f"),
-        Column("orientation rms", "rad", ".4f"),
-    ]
+    names = {"position rms": "m", "worst": "m", "orientation rms": "rad"}
+    shown = [Column(name, unit, ".4f") for name, unit in names.items()]
     return Table(
         f"platform error over the workspace, {before.poses} poses",
-        (Column("model"), *columns[keep], Column("not reached")),
+        (Column("model"), *shown[keep], Column("not reached")),
         [
             ("nominal (before)", *sizes[0], before.unreachable),
             ("identified (after)", *sizes[1], after.unreachable),
             ("better by", *(Cell(one, f"{one:.1f} times") for one in ratio), None),
         ],
-    )
-
-
-def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
-    """Return a group's elements, where they carry the legs, and what breaks others."""
-    names = group.mechanism.leg_names
-    lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
-    lines += [f"broken: {text}" for text in group.breaks]
-    size = f"{group.name}, {len(group.elements)} elements"
-    return Table(
-        f"{group.mechanism.name}: {size}, nominal geometry and modes",
-        (Column("element"), *(Column(f"{name} to") for name in names)),
-        [
-            (str(element), *(names[i] for i in permutation))
-            for element, permutation in zip(group.elements, group.permutations, strict=True)
-        ],
-        "\n".join(lines),
-        wrap=False,
     )
 
 
@@ -195,7 +161,7 @@ def workspace_table(
         radius = f"radius {inscribed.radius:.4f} m around ({centre}) m{touches}"
         facts.append((f"largest {body}", radius))
     title = f"{test.mechanism.name}: {workspace.kind} workspace"
-    return Table(title, (Column("what"), Column("is")), facts, heads=False)
+    return Table(title, columns("what", "is"), facts, heads=False)
 
 
 def _by_symmetry(workspace: Workspace) -> str:
@@ -232,7 +198,7 @@ def articular_table(
     ]
     return Table(
         f"{mechanism.name}: articular-variables space",
-        tuple(map(Column, ("space", "poses", "leg", "from", "to"))),
+        columns("space", "poses", "leg", "from", "to"),
         rows,
         "\n".join(lines or ["no symmetry but the identity"]),
         wrap=False,

@@ -22,9 +22,7 @@ from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
 Array = NDArray[np.float64]
-_SAMPLED = 1000
 _ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
-_HEIGHTS = (0.25, 0.5, 0.75)  # of the workspace, where a spatial one is cut
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class WorkspaceErrors:
 
     @property
     def where(self) -> str:
-        """Over which poses means are taken, in words."""
+        """Over which poses means are taken, for sentences."""
         if not self.sampled:
             return "over the measured poses"
         count = len(self.poses) - int(self.undetermined.sum())
@@ -105,7 +103,7 @@ def error_maps(
     if not result.explained:
         return None
     if errors is None:
-        errors = workspace_errors(result, Plan(np.array([platform.home])))
+        errors = workspace_errors(result)
     if not errors.sampled or nominal.by_readings:
         return None
     samples, n = errors.poses, _ACROSS[platform.space]
@@ -113,7 +111,7 @@ def error_maps(
     x, y = (np.linspace(low[i], high[i], n) for i in (0, 1))
     heights: tuple[float | None, ...] = (None,)
     if platform.space == 3:
-        heights = tuple(float(z) for z in np.quantile(samples[:, 2], _HEIGHTS))
+        heights = tuple(float(z) for z in np.quantile(samples[:, 2], (0.25, 0.5, 0.75)))
     poses = np.tile(platform.home, (len(heights), n, n, 1))
     poses[..., 0], poses[..., 1] = x, y[:, None]
     for place, height in enumerate(heights):
@@ -130,20 +128,19 @@ def error_maps(
     return ErrorMaps(x, y, heights, before, after)
 
 
-def workspace_errors(result: CalibrationResult, measured: Plan) -> WorkspaceErrors:
+def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
     """Return the platform's errors at samples of the workspace.
 
-    Args:
-        result: The calibration.
-        measured: Measured configurations: taken if no workspace is found with the default margins.
+    At the measured configurations if no workspace is found with the default margins.
     """
     try:
-        found = errors_at(result, sample_configurations(result.nominal, _SAMPLED))
+        found = errors_at(result, sample_configurations(result.nominal, 1000))
         if not found.undetermined.all():
             return found
     except WorkspaceError:
         pass
-    return errors_at(result, measured, sampled=False)
+    readings = result.measurements.readings if result.nominal.by_readings else None
+    return errors_at(result, Plan(result.poses, readings=readings), sampled=False)
 
 
 def errors_at(

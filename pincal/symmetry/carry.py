@@ -17,48 +17,45 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.errors import SymmetryError
 from pincal.model.leg import Joint, Leg
-from pincal.model.placement import Coordinate, Placement, Value
+from pincal.model.placement import Placement, Value
 from pincal.model.sensor import Sensor
 from pincal.symmetry.elements import Element, wrapped
+from pincal.symmetry.placements import LOCAL_MIRROR, mirror_coordinate, on_body
 
 Array = NDArray[np.float64]
-_LOCAL_MIRROR = np.diag([1.0, -1.0, 1.0])
-#: Signs of elementary coordinates under the local mirror.
-_SIGNS = {"x": 1, "y": -1, "z": 1, "rx": -1, "ry": 1, "rz": -1}
 
 
 def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
     """Return a leg carried by an element, in canonical form, under new names.
 
+    What is on the base follows the base's isometry, the platform point the platform's; inside the
+    leg a reflection mirrors geometry.
+
     Raises:
         SymmetryError: a placement whose coordinates cannot express the carried leg.
     """
     old, new = leg.nominal_by_name, dict(leg.parameters)
-    local = _LOCAL_MIRROR if element.reflection else np.eye(3)
+    local = LOCAL_MIRROR if element.reflection else np.eye(3)
     joints = []
     for index, joint in enumerate((*leg.joints, leg.point)):
         where = f"{leg.name}, joint {joint.name!r}"
-        on_base = index == 0 or joint is leg.point
         p = joint.placement
         rest = p.rest(old, where)
-        if on_base:
-            coordinates = _move_point(p.coordinates, element, old, new, where)
-            before = local if p.turns else element.matrix  # what rz does not carry
-            if joint is not leg.point or leg.closes == "frame":  # a point's frame has no meaning
-                rest[:3, :3] = before @ rest[:3, :3] @ local
-            rest[:3, 3] = before @ rest[:3, 3]
+        if index == 0 or joint is leg.point:
+            by = element.platform if joint is leg.point else element.base
+            kept = joint is leg.point and leg.closes == "point"  # a point's frame has no meaning
+            placement = on_body(p, by, rest, kept, (old, new), f"{where}: the {element}")
         else:
             coordinates = p.coordinates
             if element.reflection:
-                coordinates = tuple(_mirror_coordinate(c, old, new) for c in coordinates)
+                coordinates = tuple(mirror_coordinate(c, old, new) for c in coordinates)
             rest[:3, :3] = local @ rest[:3, :3] @ local
             rest[:3, 3] = local @ rest[:3, 3]
+            placement = Placement(coordinates).at(new, rest)
         axis = local @ np.array(joint.axis)
         if joint.kind == "revolute":
             axis = axis * (-1.0 if element.reflection else 1.0)
-        placement = Placement(coordinates).at(new, rest)
         joints.append(replace(joint, placement=placement, axis=_triple(axis)))
     moved = replace(
         leg,
@@ -68,6 +65,33 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         parameters=tuple(new.items()),
     )
     return canonical(moved)
+
+
+def bare(leg: Leg) -> Leg:
+    """Return the leg with numbers in the place of parameters: its geometry alone.
+
+    Whatever coordinates it was drawn in, it can be carried by any isometry.
+    """
+    values = leg.nominal_by_name
+
+    def fixed(joint: Joint) -> Joint:
+        return replace(joint, placement=replace(joint.placement, coordinates=()))
+
+    def number(value: Value) -> float:
+        return values[value] if isinstance(value, str) else value
+
+    sensors = tuple(
+        replace(sensor, gain=number(sensor.gain), offset=number(sensor.offset))
+        for sensor in leg.sensors
+    )
+    terms = {term.parameter for sensor in leg.sensors for term in sensor.terms}
+    return replace(
+        leg,
+        joints=tuple(fixed(joint) for joint in leg.joints),
+        point=fixed(leg.point),
+        sensors=sensors,
+        parameters=tuple((name, value) for name, value in leg.parameters if name in terms),
+    )
 
 
 def canonical(leg: Leg) -> Leg:
@@ -155,62 +179,6 @@ def _changed(value: Value, parameters: dict[str, float], change: Callable[[float
         return change(value)
     parameters[value] = change(parameters[value])
     return value
-
-
-def _move_point(
-    coordinates: tuple[Coordinate, ...],
-    element: Element,
-    old: dict[str, float],
-    new: dict[str, float],
-    where: str,
-) -> tuple[Coordinate, ...]:
-    """Return the coordinates of a point on base or platform after the element."""
-    vector = np.zeros(3)
-    present = set()
-    for c in coordinates:
-        if c.turns and not (c.kind == "rz" and c is coordinates[-1]):
-            raise SymmetryError(
-                f"{where}: a placement on the base with a rotation ({c.kind}) cannot be carried "
-                "by a symmetry; give the point by polar, spherical or x, y, z, and a turn "
-                "about z last, by rz"
-            )
-        if c.kind in ("x", "y", "z"):
-            vector["xyz".index(c.kind)] += c.steps[0].amount(old)
-            present.add(c.kind)
-    moved = element.matrix @ vector
-    moved[np.abs(moved) <= 1e-15 * np.abs(vector).max(initial=0.0)] = 0.0
-    for letter, component in zip("xyz", moved, strict=True):
-        if component != 0.0 and letter not in present:
-            raise SymmetryError(f"{where}: the {element} needs a coordinate {letter!r} here")
-    result = []
-    for c in coordinates:
-        if c.kind in ("x", "y", "z"):
-            target = float(moved["xyz".index(c.kind)])
-            result.append(Coordinate(c.kind, (_set(c.values[0], target, new),)))
-        else:  # an azimuth, alone or of a point
-            *kept, azimuth = c.values
-            before = old[azimuth] if isinstance(azimuth, str) else azimuth
-            azimuth = _set(azimuth, element.azimuth(before), new)
-            result.append(Coordinate(c.kind, (*kept, azimuth)))
-    return tuple(result)
-
-
-def _mirror_coordinate(c: Coordinate, old: dict[str, float], new: dict[str, float]) -> Coordinate:
-    """Return a coordinate inside the leg after the local mirror."""
-    *kept, last = c.values
-    if _SIGNS.get(c.kind, -1) > 0:  # polar and spherical: the azimuth turns over
-        return c
-    value = old[last] if isinstance(last, str) else last
-    return Coordinate(c.kind, (*kept, _set(last, -value, new)))
-
-
-def _set(value: Value, target: float, new: dict[str, float]) -> Value:
-    """Return a constant at its target, or a parameter's name after setting its nominal value."""
-    target += 0.0  # no negative zero
-    if isinstance(value, str):
-        new[value] = target
-        return value
-    return target
 
 
 def _triple(vector: Array) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""A fundamental domain of positions: the sector of which a group's elements make the whole."""
+"""A fundamental domain of positions: a part of which a group's elements make the whole."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ Array = NDArray[np.float64]
 def in_domain(group: SymmetryGroup, positions: Array) -> NDArray[np.bool_]:
     """Return which positions lie in one fundamental domain of a group, shape (N,).
 
-    The one that begins at a mirror plane, or at azimuth 0 where there are rotations only, and
-    goes round until an element carries it onto itself. Images of a position in the
-    domain lie at its azimuth from there or further round.
+    Of a position and its images, that nearest to a point which no element leaves where it is
+    (Dirichlet's domain): with mirrors through an axis, the sector between two of them.
 
     Args:
-        group: The group, of isometries about the base's z axis.
+        group: The group.
         positions: In the base frame, shape (N, 2) or (N, 3), [m].
     """
-    mirrors = [element.angle / 2 for element in group.elements if element.reflection]
-    azimuths = np.arctan2(positions[:, 1], positions[:, 0])
-    images = [
-        (element.angle - azimuths) if element.reflection else (element.angle + azimuths)
-        for element in group.elements
-    ]
-    begin = min((angle % np.pi for angle in mirrors), default=0.0)
-    around = [(image - begin + SAME) % (2 * np.pi) for image in images]  # the identity first
-    return np.asarray(around[0] <= np.min(around, axis=0) + 2 * SAME)
+    turns = group.mechanism.platform.home_pose.rotation.as_matrix()
+    moves = [element.positions(turns) or element.base for element in group.elements]
+    points = np.zeros((len(positions), 3))
+    points[:, : positions.shape[1]] = positions
+    size = float(np.abs(points).max(initial=0.0)) or 1.0
+    angles = np.linspace(0.0, 2 * np.pi, 48, endpoint=False) + 0.01
+    ring = size * np.stack((np.cos(angles), np.sin(angles), 0.1 * np.sin(angles + 1.0)), axis=1)
+    away = [np.linalg.norm(move(ring) - ring, axis=1) for move in moves[1:]]
+    point = ring[np.argmax(np.min(away, axis=0, initial=np.inf))]  # in the middle of a sector
+    distances = np.stack([np.linalg.norm(move(points) - point, axis=1) for move in moves])
+    return np.asarray(distances[0] <= distances.min(axis=0) + SAME * size)

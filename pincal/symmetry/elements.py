@@ -1,34 +1,128 @@
-"""Elements of a dihedral group as isometries about the base's z axis, and how they move poses."""
+"""Elements of symmetry: one isometry of the base and one of the platform, and how they move poses.
+
+A pose T = T_base_platform goes to G_base T G_platform⁻¹. If base and platform are drawn about the
+axis of symmetry, both isometries are the same rotation about z or reflection through it (3-RRR
+paper, Eq. 5); of frames that are elsewhere they differ.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from pincal.errors import SymmetryError
+from pincal.model.checks import EXACT, count_of
 from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
 #: Angles, [rad], and positions relative to their extent that differ by rounding errors only.
-SAME = 1e-9
+SAME = EXACT
+
+
+@dataclass(frozen=True)
+class Isometry:
+    """Rotation or reflection, then a shift: x → Q x + t."""
+
+    turn: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    """Rows of the orthogonal matrix Q."""
+    shift: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """t, [m]."""
+
+    @classmethod
+    def of(cls, matrix: Array, shift: Array | None = None) -> Isometry:
+        """Return the isometry of an orthogonal matrix (3, 3) and a shift (3,), or of a (4, 4)."""
+        if shift is None:
+            matrix, shift = matrix[:3, :3], matrix[:3, 3]
+        rows = tuple(tuple(float(v) + 0.0 for v in row) for row in matrix)
+        return cls(rows, tuple(float(v) + 0.0 for v in shift))
+
+    @cached_property
+    def Q(self) -> Array:
+        """Orthogonal matrix, shape (3, 3)."""
+        return np.array(self.turn)
+
+    @cached_property
+    def t(self) -> Array:
+        """Shift, shape (3,), [m]."""
+        return np.array(self.shift)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Homogeneous matrix, shape (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.Q, self.t
+        return matrix
+
+    def __call__(self, points: Array) -> Array:
+        """Return where points go, shape (N, 3), [m]."""
+        return points @ self.Q.T + self.t
+
+    def after(self, other: Isometry) -> Isometry:
+        """Return the composition: first ``other``, then this one."""
+        return Isometry.of(self.Q @ other.Q, self.Q @ other.t + self.t)
+
+    def inverse(self) -> Isometry:
+        """Return the isometry that undoes this one."""
+        return Isometry.of(self.Q.T, -self.Q.T @ self.t)
+
+    def equals(self, other: Isometry) -> bool:
+        """Return whether two isometries are the same but for rounding errors."""
+        size = max(1.0, float(np.abs(self.t).max()))
+        turned, moved = np.abs(self.Q - other.Q).max(), np.abs(self.t - other.t).max()
+        return bool(turned <= SAME and moved <= SAME * size)
 
 
 @dataclass(frozen=True)
 class Element:
-    """Rotation about z, or reflection through a plane that holds z, of the base frame.
+    """Isometry of the base, and one of the platform, under which a mechanism may be as it was.
 
-    A rotation takes an azimuth β to β + angle; a reflection takes it to angle − β, so the
-    mirror plane is at angle / 2.
+    By angle alone, both are a rotation about z, or a reflection through a plane that holds z: a
+    rotation takes an azimuth β to β + angle, a reflection to angle − β, so the mirror plane is at
+    angle / 2. ``Element.of`` takes any other isometries.
     """
 
     angle: float
-    """[rad]."""
+    """[rad]; of an element about another axis the angle of its own turn."""
     reflection: bool = False
+    """Whether it reflects: rotations do not."""
+    base: Isometry = Isometry()
+    """What it does to the base frame."""
+    platform: Isometry = Isometry()
+    """What it does to the platform frame."""
+
+    def __post_init__(self) -> None:
+        if self.base == self.platform == Isometry():
+            object.__setattr__(self, "base", _about_z(self.angle, self.reflection))
+            object.__setattr__(self, "platform", self.base)
+
+    @classmethod
+    def of(cls, base: Isometry, platform: Isometry) -> Element:
+        """Return the element of two isometries.
+
+        Raises:
+            SymmetryError: one reflects and the other does not: no pose would be carried to a pose.
+        """
+        reflection = np.linalg.det(base.Q) < 0.0
+        if reflection != (np.linalg.det(platform.Q) < 0.0):
+            raise SymmetryError(
+                "an element that reflects the base reflects the platform too; only one of the two "
+                "isometries does"
+            )
+        angle = float(np.arctan2(base.Q[1, 0], base.Q[0, 0]))
+        plain = _about_z(angle, reflection)
+        if plain.equals(base) and plain.equals(platform):
+            return cls(angle, reflection)
+        own = Rotation.from_matrix(-base.Q if reflection else base.Q).magnitude()
+        return cls(float(own), reflection, base, platform)
 
     @staticmethod
     def rotations(n: int) -> tuple[Element, ...]:
         """Return the n rotations of D_2n, the identity first."""
+        n = count_of(n, "the order of rotation", SymmetryError)
         return tuple(Element(wrapped(2 * np.pi * k / n)) for k in range(n))
 
     @staticmethod
@@ -38,49 +132,126 @@ class Element:
 
     @property
     def matrix(self) -> Array:
-        """Orthogonal matrix Q, shape (3, 3)."""
-        cos, sin = np.cos(self.angle), np.sin(self.angle)
-        if self.reflection:
-            return np.array([[cos, sin, 0.0], [sin, -cos, 0.0], [0.0, 0.0, 1.0]])
-        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-
-    def azimuth(self, azimuth: float) -> float:
-        """Return where an azimuth goes, [rad] in (-pi, pi]."""
-        return wrapped((self.angle - azimuth) if self.reflection else (azimuth + self.angle))
+        """Orthogonal matrix Q of the base's isometry, shape (3, 3)."""
+        return self.base.Q
 
     def after(self, other: Element) -> Element:
         """Return the composition: first ``other``, then this one."""
-        angle = self.angle + (-other.angle if self.reflection else other.angle)
-        return Element(wrapped(angle), self.reflection != other.reflection)
+        return Element.of(self.base.after(other.base), self.platform.after(other.platform))
 
     def inverse(self) -> Element:
         """Return the element that undoes this one."""
-        return self if self.reflection else Element(wrapped(-self.angle))
+        return Element.of(self.base.inverse(), self.platform.inverse())
 
     def equals(self, other: Element) -> bool:
         """Return whether two elements are the same but for rounding errors."""
-        same = abs(wrapped(self.angle - other.angle)) <= SAME
-        return self.reflection == other.reflection and same
+        return self.base.equals(other.base) and self.platform.equals(other.platform)
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether it leaves everything where it is."""
+        return self.equals(IDENTITY)
+
+    def matrices(self, matrices: Array) -> Array:
+        """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
+        return self.base.matrix @ matrices @ self.platform.inverse().matrix
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
-        """Return where poses go, coordinates of shape (N, dof): r → Q r, R → Q R Qᵀ."""
-        matrices = platform.transforms(poses).as_matrix().copy()
-        Q = self.matrix
-        matrices[:, :3, 3] = matrices[:, :3, 3] @ Q.T
-        matrices[:, :3, :3] = Q @ matrices[:, :3, :3] @ Q.T
-        return platform.from_matrices(matrices)
+        """Return where poses go, coordinates of shape (N, dof)."""
+        return platform.from_matrices(self.matrices(platform.transforms(poses).as_matrix()))
+
+    def positions(self, rotations: Array) -> Isometry | None:
+        """Return what it does to the platform's positions in all of some orientations alike.
+
+        r → Q r + t − R' s, where s is the shift of the platform's isometry: one and the same only
+        where R' s is, such as if the platform's frame is on its axis.
+
+        Args:
+            rotations: ``R_base_platform``, shape (N, 3, 3).
+
+        Returns:
+            The isometry, or None if it depends on the orientation.
+        """
+        if not self.platform.t.any():
+            return self.base
+        shifts = self.base.Q @ rotations @ (self.platform.Q.T @ self.platform.t)
+        if np.abs(shifts - shifts[0]).max() > SAME * np.linalg.norm(self.platform.t):
+            return None
+        return Isometry.of(self.base.Q, self.base.t - shifts[0])
 
     def __str__(self) -> str:
         """Return the element's name."""
-        degrees = np.degrees(self.angle)
-        if self.reflection:
-            return f"mirror at azimuth {degrees / 2 % 180.0:.4g}°"
-        return "identity" if abs(degrees) < 1e-9 else f"rotation by {degrees % 360.0:.4g}°"
+        Q = self.base.Q
+        if self.is_identity:
+            return "identity"
+        if np.abs(Q + np.eye(3)).max() <= SAME:
+            return "inversion"
+        turn = Rotation.from_matrix(-Q if self.reflection else Q).as_rotvec()
+        amount = float(np.linalg.norm(turn))
+        axis = turn / amount if amount else turn
+        axis = axis * _sign(axis)
+        upright = abs(abs(axis[2]) - 1.0) <= SAME
+        level = abs(axis[2]) <= SAME
+        if self.reflection and abs(amount - np.pi) <= SAME:  # the axis is the mirror's normal
+            if level:
+                return f"mirror at azimuth {_degrees(np.arctan2(-axis[0], axis[1]), 180.0)}"
+            return "mirror across z" if upright else f"mirror across {_triple(axis)}"
+        if self.reflection:  # −1 times a turn by α is a rotoreflection by α + 180°
+            amount += np.pi
+        name = "rotoreflection" if self.reflection else "rotation"
+        turned = _degrees(amount * (1.0 if turn @ axis >= 0.0 else -1.0), 360.0)
+        if upright:
+            return f"{name} by {turned}"
+        if level and not self.reflection:
+            return f"{name} by {turned} about azimuth {_degrees(np.arctan2(axis[1], axis[0]), 180)}"
+        return f"{name} by {turned} about {_triple(axis)}"
+
+
+def _about_z(angle: float, reflection: bool) -> Isometry:
+    """Return a rotation about z, or the reflection through the plane at half the angle."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    side = -1.0 if reflection else 1.0
+    return Isometry.of(
+        np.array([[cos, -side * sin, 0.0], [sin, side * cos, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3)
+    )
+
+
+def _sign(axis: Array) -> float:
+    """Return the sign of an axis' last component that is not zero: a way to write it."""
+    some = axis[np.abs(axis) > SAME]
+    return float(np.sign(some[-1])) if len(some) else 1.0
+
+
+def _degrees(angle: float, period: float) -> str:
+    value = float(f"{round(float(np.degrees(angle)), 9) % period:.4g}") % period
+    return f"{value:.4g}°"
+
+
+def _triple(axis: Array) -> str:
+    return "(" + ", ".join(f"{v + 0.0:.4g}" for v in axis.round(9)) + ")"
+
+
+IDENTITY = Element(0.0)
 
 
 def wrapped(angle: float) -> float:
     """Return an angle in (-pi, pi], [rad]."""
     return float(np.pi - (np.pi - angle) % (2 * np.pi))
+
+
+def cyclic(n: int) -> tuple[Element, ...]:
+    """Return C_n: the n rotations about z, the identity first."""
+    return Element.rotations(n)
+
+
+def dihedral(n: int, azimuth: float = 0.0) -> tuple[Element, ...]:
+    """Return D_2n: n rotations about z, then n reflections through planes that hold z.
+
+    Args:
+        n: Number of rotations, and of mirrors.
+        azimuth: Of the first mirror plane, [rad]; the others follow every half turn over n.
+    """
+    return cyclic(n) + tuple(Element.mirror(azimuth + np.pi * k / n) for k in range(n))
 
 
 #: What the package calls them by.

@@ -82,7 +82,7 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "sign-of-column": _wording(
         "Sign of one reading",
-        lambda f: f"{f.values['column']} has the other sign",
+        "{column} has the other sign",
         "One sensor of a leg with several counts the other way.",
         _SIGN.format("its sign"),
         column="name of the reading",
@@ -118,7 +118,7 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "sign-of-angle": _wording(
         "Sign of an angle of the platform",
-        lambda f: f"{f.values['column']} has the other sign",
+        "{column} has the other sign",
         "An angle of the platform's orientation turns the other way.",
         "Change the sign of that angle",
         column="name of the angle",

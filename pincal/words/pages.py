@@ -21,6 +21,8 @@ def clean(text: str) -> str:
 
 
 def _cleaned(value: Any) -> Any:
+    if value is None:
+        return ""
     return clean(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 

@@ -61,14 +61,6 @@ def _few(found: Finding) -> str:
     return f"{', '.join(v['legs'])}: {v['poses']} poses for {v['unknowns']} parameters"
 
 
-def _tie(found: Finding) -> str:
-    v = found.values
-    return (
-        f"{v['name']} is tied over the legs, and the measurements contradict that "
-        f"(p = {v['p_value']:.2g})"
-    )
-
-
 def _zeros(found: Finding) -> str:
     off = [f"{id_} by {change:.3g} {_si(unit)}" for id_, change, unit in found.values["changes"]]
     return f"zeros of readings are far from the drawing's: {listed(off)}"
@@ -86,11 +78,6 @@ def _held(found: Finding) -> str:
     return f"these measurements do not determine everything: {'; '.join(parts)}"
 
 
-def _unused(found: Finding) -> str:
-    v = found.values
-    return f"{v['unused']} of {v['total']} measured poses serve other legs only"
-
-
 PARAMETERS: dict[str, Wording] = {
     "few-poses": Wording(
         "Few poses",
@@ -106,7 +93,7 @@ PARAMETERS: dict[str, Wording] = {
     "unused-poses": Wording(
         "Poses that serve one leg only",
         {"unused": "number of poses that do not serve every leg", "total": "number of poses"},
-        _unused,
+        "{unused} of {total} measured poses serve other legs only",
         "Each leg was identified by the poses of its set only.",
         "Leave out --per-leg, or add --poses all: then every leg uses every pose",
         "info",
@@ -172,7 +159,7 @@ PARAMETERS: dict[str, Wording] = {
     "tie-contradicted": Wording(
         "A tie does not hold",
         {"name": "name of the tied parameters, or several with commas", "p_value": P_VALUE},
-        _tie,
+        "{name} is tied over the legs, and the measurements contradict that (p = {p_value:.2g})",
         "The legs differ in this parameter by more than their standard errors explain (1 %).",
         "Leave the tie out (--tie)",
     ),

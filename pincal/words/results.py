@@ -69,24 +69,6 @@ def _outliers_remedy(found: Finding) -> str:
     return f"Look at {them}, or use a robust loss (--robust reject)"
 
 
-def _held_out(found: Finding) -> str:
-    v = found.values
-    return (
-        f"held-out rows miss by {v['held_out']:.2f} standard deviations where "
-        f"{v['expected']:.2f} are expected (p = {v['p_value']:.1g}): the model follows its rows "
-        "more closely than the machine"
-    )
-
-
-def _drift(found: Finding) -> str:
-    v = found.values
-    return (
-        f"{v['leg']}: residuals follow the order of the rows (rank correlation "
-        f"{v['correlation']:+.2f}, p = {v['p_value']:.1g}): drift, of temperature or of a "
-        "reference, is likely"
-    )
-
-
 def _proportion(found: Finding) -> str:
     v = found.values
     parts = (f"{100 * ratio:.0f} % of it in {name}" for name, ratio in v["ratios"].items())
@@ -121,29 +103,15 @@ def _step(found: Finding) -> str:
     )
 
 
-def _runs(found: Finding) -> str:
-    v = found.values
-    return (
-        f"parameters differ between runs {v['ratio']:.1f} times as much as their standard errors "
-        f"say (p = {v['p_value']:.1g}), {', '.join(found.parameters)} most: something changed "
-        "between runs, or the noise is larger than given"
-    )
-
-
-def _excess(found: Finding) -> str:
-    more = (
-        f"residuals are {found.values['excess']:.3g} times as large as the noise given makes them"
-    )
-    return f"no accuracy can be promised: {more}" + (
-        "" if found.code == "residuals-too-large" else ", and hardly fell"
-    )
-
-
+_EXCESS = (
+    "no accuracy can be promised: residuals are {excess:.3g} times as large as the noise given "
+    "makes them"
+)
 RESULTS: dict[str, Wording] = {
     "not-converged": Wording(
         "The fit did not converge",
         {"message": "why the search ended"},
-        lambda f: f"the fit did not converge: {f.values['message']}",
+        "the fit did not converge: {message}",
         "The search for the parameters ended without an answer: there is no calibrated mechanism.",
         "Look at the units and at the working mode; give a better nominal mechanism, more poses, "
         "or a robust loss (--robust reject)",
@@ -152,7 +120,7 @@ RESULTS: dict[str, Wording] = {
     "not-corrected": Wording(
         "The fit failed",
         {"excess": "root of the reduced χ²"},
-        _excess,
+        _EXCESS + ", and hardly fell",
         "Parameters that fit no better than nominal ones correct nothing.",
         "Look at the warnings first",
         "error",
@@ -160,7 +128,7 @@ RESULTS: dict[str, Wording] = {
     "residuals-too-large": Wording(
         "No accuracy can be promised",
         {"excess": "root of the reduced χ²"},
-        _excess,
+        _EXCESS,
         "Something is wrong with rows, noise or model, and the parameters follow it.",
         "Look at the warnings first",
         "error",
@@ -272,21 +240,25 @@ RESULTS: dict[str, Wording] = {
             "expected": "the same, as expected",
             "p_value": P_VALUE,
         },
-        _held_out,
+        "held-out rows miss by {held_out:.2f} standard deviations where {expected:.2f} are "
+        "expected (p = {p_value:.1g}): the model follows its rows more closely than the machine",
         "Rows that a fit has not seen miss by more than is explained (p below 0.001).",
         "Measure more poses, or fix parameters",
     ),
     "drift": Wording(
         "Residuals follow the order of the rows",
         {"leg": "name of the leg", "correlation": "rank correlation", "p_value": "its probability"},
-        _drift,
+        "{leg}: residuals follow the order of the rows (rank correlation {correlation:+.2f}, "
+        "p = {p_value:.1g}): drift, of temperature or of a reference, is likely",
         "Drift: of temperature, of a reference, of the tracker.",
         "Measure in another order, or again when warm; name runs in a column run",
     ),
     "runs-differ": Wording(
         "Runs differ",
         {"ratio": "spread over the runs, in predicted standard errors", "p_value": P_VALUE},
-        _runs,
+        "parameters differ between runs {ratio:.1f} times as much as their standard errors say "
+        "(p = {p_value:.1g}), {parameters} most: something changed between runs, or the noise is "
+        "larger than given",
         "Runs, calibrated each alone, spread more than their standard errors say (p below 0.001). "
         "The finding's parameters are the three that differ most.",
         "Find what changed between runs",

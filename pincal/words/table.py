@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     import pandas
     from rich.console import Console, ConsoleOptions, RenderResult
 
-_SHORT = 12  # rows of a table that is not broken over printed pages
-
 
 class Cell(NamedTuple):
     """A value and how it is shown, where that depends on more than its column."""
@@ -44,8 +42,6 @@ class Column:
     """SI unit of its numbers, ``"m"``, ``"rad"`` or ``"1"``, if it is one for all."""
     format: str = ".4g"
     """Of its numbers, in the unit in which they are read."""
-    align: Literal["left", "right"] | None = None
-    """To the right if not given and there is a number in it."""
     units: Mapping[str, str] = field(default_factory=lambda: SMALL)
     """In which unit numbers are read, by SI unit."""
 
@@ -70,6 +66,13 @@ class Column:
         if not isfinite(value):
             return "" if value != value else "∞"
         return f"{shown_in(value, self.unit, self.units) if self.unit else value:{self.format}}"
+
+
+def columns(*heads: str) -> tuple[Column, ...]:
+    """Return columns of heads with the format of their numbers: ``leg``, ``efficiency:.3f``."""
+    return tuple(
+        Column(name, format=own or ".4g") for name, _, own in (h.partition(":") for h in heads)
+    )
 
 
 @dataclass(frozen=True)
@@ -108,12 +111,10 @@ class Table:
 
     @property
     def aligned(self) -> tuple[Literal["left", "right"], ...]:
-        """On which side each column's cells stand."""
-        number = [any(_is_number(row[i]) for row in self.rows) for i in range(len(self.columns))]
-        return tuple(
-            column.align or ("right" if one else "left")
-            for column, one in zip(self.columns, number, strict=True)
-        )
+        """On which side each column's cells stand: to the right if there is a number in it."""
+        places = range(len(self.columns))
+        number = (any(isinstance(_raw(row[i]), int | float) for row in self.rows) for i in places)
+        return tuple("right" if one else "left" for one in number)
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows for JSON: raw values in SI by the columns' names; None if not finite."""
@@ -151,8 +152,7 @@ class Table:
         """Return the table as HTML, in a frame that scrolls where the page is too narrow."""
         from pincal.words.pages import rendered
 
-        short = len(self.rows) <= _SHORT
-        return rendered("table.html", table=self, sides=self.aligned, short=short)
+        return rendered("table.html", table=self, sides=self.aligned)
 
     def __html__(self) -> str:
         """Return the table for templates, which escape text but not this."""
@@ -188,12 +188,6 @@ class Table:
         out = io.StringIO()
         Console(file=out, width=120).print(self)
         return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
-
-
-def _is_number(value: Value) -> bool:
-    return isinstance(value, (int, float, Measured)) or (
-        isinstance(value, Cell) and isinstance(value.value, (int, float))
-    )
 
 
 def _raw(value: Value) -> float | str | None:

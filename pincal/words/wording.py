@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from pincal.finding import Finding, Severity
 
-#: Words that need no values, or a function of the finding.
+#: Words with the finding's values in braces, or a function of the finding.
 Words: TypeAlias = str | Callable[[Finding], str]
 #: Groups of parameters in a sentence; result.json has all.
 LISTED = 4
@@ -41,11 +41,18 @@ class Wording:
 
     def said(self, found: Finding) -> str:
         """Return what was found."""
-        return self.says if isinstance(self.says, str) else self.says(found)
+        return _with(self.says, found)
 
     def remedied(self, found: Finding) -> str:
         """Return what to do about it."""
-        return self.remedy if isinstance(self.remedy, str) else self.remedy(found)
+        return _with(self.remedy, found)
+
+
+def _with(words: Words, found: Finding) -> str:
+    """Return words with the values of a finding."""
+    if not isinstance(words, str):
+        return words(found)
+    return words.format(parameters=", ".join(found.parameters), **found.values)
 
 
 def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = LISTED) -> str:

@@ -14,7 +14,20 @@ from pincal.files.tables import UNITS
 Array = NDArray[np.float64]
 _AXIS = re.compile(r"^\s*(\w+)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*=\s*(.+?)\s*$")
 #: Values of one axis, samples or poses.
-MOST = 10_000_000
+
+
+@dataclass(frozen=True)
+class Most:
+    """What is refused as too many."""
+
+    values: int = 10_000_000
+    """Of an axis, samples, poses."""
+    orientations: int = 1_000_000
+    positions: int = 1_000_000_000
+    """Of a grid, a byte each."""
+
+
+MOST = Most()
 FIT = 1e-6
 """Part of a step by which values may be off: written by hand, they are rounded."""
 #: Units of all axes that a grid may have.
@@ -80,8 +93,10 @@ class Axis:
             )
         if step <= 0.0:
             raise WorkspaceError(f"axis {name!r}: the step is {step:g}; expected more than 0")
-        if (high - low) / step > MOST:
-            raise WorkspaceError(f"axis {name!r} has more than {MOST:,} values; a larger step")
+        if (high - low) / step > MOST.values:
+            raise WorkspaceError(
+                f"axis {name!r} has more than {MOST.values:,} values; a larger step"
+            )
         count = int(np.floor((high - low) / step + FIT)) + 1
         last = low + (count - 1) * step
         if abs(high - last) <= FIT * step:

@@ -11,6 +11,7 @@ from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
+from pincal.symmetry.elements import SAME, Element
 from pincal.workspace.axes import Axis
 from pincal.workspace.positions import Grid, Samples
 from pincal.workspace.region import Workspace
@@ -53,7 +54,7 @@ def default_grid(mechanism: GivenMechanism, given: Iterable[str | Axis] = ()) ->
     low, high = _reach(mechanism)
     n = 3 if spatial else 2
     step = float((high - low)[:n].max()) / _ACROSS[n]
-    turns = sum(not element.reflection for element in symmetry_group(mechanism).elements)
+    turns = len(_around_z(mechanism, rotations=True))
     if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):
         around = 2 * turns * -(-_AROUND[n] // (2 * turns))
         radius = _radius(mechanism)
@@ -104,8 +105,24 @@ def default_samples(mechanism: GivenMechanism, count: int, seed: int = 0) -> Sam
     low, high = _reach(mechanism)
     spatial = mechanism.platform.units.count("m") == 3
     height = (float(low[2]), float(high[2])) if spatial else (0.0, 0.0)
-    elements = symmetry_group(mechanism).elements
-    return Samples(count, _radius(mechanism), height, seed, elements)
+    return Samples(count, _radius(mechanism), height, seed, _around_z(mechanism))
+
+
+def _around_z(mechanism: Mechanism, *, rotations: bool = False) -> tuple[Element, ...]:
+    """Return the elements that turn positions about the base's z axis, the identity first.
+
+    Args:
+        mechanism: The mechanism.
+        rotations: Leave out reflections.
+    """
+    group = symmetry_group(mechanism, readings=False).elements
+    return tuple(
+        element
+        for element in group
+        if not element.base.t.any()
+        and element.matrix[2, 2] > 1.0 - SAME
+        and not (rotations and element.reflection)
+    )
 
 
 def _across(name: str, low: float, high: float, step: float) -> Axis:

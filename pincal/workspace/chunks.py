@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import socket
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
@@ -18,9 +19,21 @@ from pincal.errors import WorkspaceError
 
 Chunk: TypeAlias = tuple[int, int]
 Task: TypeAlias = Callable[[int, int], bytes]
-_WAIT = 5.0  # for a scheduler to answer, [s]
-_PATIENCE = 10.0  # until workers are looked for, [s]
-_AHEAD = 4  # chunks handed to each core of a cluster at a time
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """How a cluster is waited for."""
+
+    wait: float = 5.0
+    """For a scheduler to answer, [s]."""
+    patience: float = 10.0
+    """Until workers are looked for, [s]."""
+    ahead: int = 4
+    """Chunks handed to each core at a time."""
+
+
+_CLUSTER = Cluster()
 
 
 def run(
@@ -64,7 +77,7 @@ def _on_cluster(task: Task, chunks: list[Chunk], scheduler: str) -> Iterator[tup
     _reach(scheduler)
     try:
         client: Any = distributed.Client(  # type: ignore[no-untyped-call]
-            scheduler, timeout=_WAIT
+            scheduler, timeout=_CLUSTER.wait
         )
     except (OSError, ValueError, TypeError, TimeoutError) as error:
         raise WorkspaceError(f"no Dask scheduler answers at {scheduler}: {error}") from error
@@ -75,7 +88,7 @@ def _on_cluster(task: Task, chunks: list[Chunk], scheduler: str) -> Iterator[tup
                 f"the Dask scheduler at {scheduler} has no workers; start some with 'dask worker "
                 f"{scheduler} --nthreads 1 --nworkers 2'"
             )
-        yield from _collect(client, distributed.wait, task, chunks, _AHEAD * cores)
+        yield from _collect(client, distributed.wait, task, chunks, _CLUSTER.ahead * cores)
 
 
 def _reach(scheduler: str) -> None:
@@ -84,7 +97,7 @@ def _reach(scheduler: str) -> None:
         parts = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
         if not parts.hostname or not parts.port:
             raise ValueError("not an address")
-        socket.create_connection((parts.hostname, parts.port), _WAIT).close()
+        socket.create_connection((parts.hostname, parts.port), _CLUSTER.wait).close()
     except (OSError, ValueError) as error:
         raise WorkspaceError(
             f"no Dask scheduler answers at {scheduler}: {error}. Start one with 'dask scheduler' "
@@ -108,7 +121,7 @@ def _collect(
         if not pending:
             return
         try:
-            done = wait(pending, timeout=_PATIENCE, return_when="FIRST_COMPLETED").done
+            done = wait(pending, timeout=_CLUSTER.patience, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             if not client.nthreads():
                 raise WorkspaceError("all workers of the Dask cluster are gone") from None

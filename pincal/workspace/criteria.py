@@ -14,18 +14,16 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import ROUNDING
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.inverse import CHUNK, close, matrix_chunks
 from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import drive_margins, home_determinant, platform_margin
-from pincal.model.checks import must_be
+from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_SINGULAR = 1e-9  # determinant that is zero but for rounding errors
 _GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
 
 
@@ -65,7 +63,14 @@ class Criteria:
         self.mechanism = mechanism
         self.least = as_margins(least)
         self._type2 = self.least.least_type2(mechanism)
-        if self._type2 > -np.inf and abs(home_determinant(mechanism)) < _SINGULAR:
+        rows, dof = mechanism.constraints, mechanism.platform.dof
+        if self._type2 > -np.inf and rows < dof:
+            raise WorkspaceError(
+                f"the legs of {mechanism.name!r} make {rows} equations, too few for the {dof} "
+                "freedoms of its platform: they do not hold it anywhere. Add legs, read more of "
+                "their joints, or ask for reach alone (--no-margins)"
+            )
+        if self._type2 > -np.inf and abs(home_determinant(mechanism)) < EXACT:
             raise WorkspaceError(
                 f"the home pose of {mechanism.name!r} is at a type-2 singularity, so it does not "
                 "say which side is meant; move home, or count poses on both sides (--no-margins)"

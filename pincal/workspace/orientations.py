@@ -15,10 +15,9 @@ from pincal.errors import WorkspaceError
 from pincal.model.orientation import WAYS, rotation_of
 from pincal.model.platform import Platform
 from pincal.symmetry.elements import SAME, Element
-from pincal.workspace.axes import Axis
+from pincal.workspace.axes import MOST, Axis
 
 Array = NDArray[np.float64]
-_MOST = 1_000_000
 _PLANE_STEP = np.radians(5.0)
 _SPACE_STEP = np.radians(30.0)
 _SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
@@ -97,24 +96,24 @@ class Orientations:
         if "tilt" in values and "azimuth" not in values:
             values["azimuth"] = _round("azimuth", np.radians(10.0)).values
         lists = [values.get(name, np.zeros(1)) for name in columns]
-        if math.prod(len(v) for v in lists) > _MOST:
-            raise WorkspaceError(f"more than {_MOST:,} orientations; take larger steps")
+        if math.prod(len(v) for v in lists) > MOST.orientations:
+            raise WorkspaceError(f"more than {MOST.orientations:,} orientations; take larger steps")
         grid = np.stack(np.meshgrid(*lists, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls.from_rotations(rotation_of(way, grid))
 
     def maps(self, element: Element) -> bool:
-        """Return whether an element carries the set onto itself: R → Q R Qᵀ."""
-        x, y, z, w = self.quaternions.T
-        axis = np.stack((x, y, z), axis=1) @ element.matrix.T
-        if element.reflection:  # the axis of a turn is a pseudovector
-            axis = -axis
-        images = np.column_stack((axis, w))
-        if len(images) > 1 and not self._has(images[:: max(1, len(images) // 64)]):
-            return False
-        return self._has(images)
+        """Return whether an element carries the set onto itself: R → Q R Pᵀ."""
+        side = -1.0 if element.reflection else 1.0
+        before, after = (
+            Rotation.from_matrix(side * by.Q) for by in (element.base, element.platform)
+        )
+        every = self.rotations
+        some = every[:: max(1, len(self) // 64)]
+        return all(self._has(before * part * after.inv()) for part in (some, every))
 
-    def _has(self, quaternions: Array) -> bool:
-        away, _ = self._tree.query(quaternions, distance_upper_bound=SAME)
+    def _has(self, rotations: Rotation) -> bool:
+        images = rotations.as_quat(canonical=True)
+        away, _ = self._tree.query(images, distance_upper_bound=SAME)
         return bool(np.isfinite(away).all())
 
     @cached_property

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.symmetry.elements import SAME, Element
+from pincal.symmetry.elements import IDENTITY, SAME, Element, Isometry
 from pincal.workspace.axes import FIT, MOST, Axis
 
 Array = NDArray[np.float64]
@@ -25,7 +25,6 @@ Indices = NDArray[np.int64]
 #: Takes numbers of positions to those of their images.
 Carrier: TypeAlias = Callable[[Indices], Indices]
 POSITION_AXES = ("x", "y", "radius", "bearing", "z")
-_MOST = 1_000_000_000  # positions of a grid, a byte each
 BLOCK = 1 << 17
 """Positions, or pairs of position and orientation, in memory at a time."""
 
@@ -47,8 +46,8 @@ class Positions(Protocol):
     def measures(self, index: Indices) -> Array:
         """Return the length, area or volume that each position represents, shape (N,)."""
 
-    def carrier(self, element: Element) -> Carrier | None:
-        """Return what an element does to the numbers, or None if the set does not map."""
+    def carrier(self, move: Isometry) -> Carrier | None:
+        """Return what an isometry does to the numbers, or None if the set does not map."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,8 +75,10 @@ class Grid:
                     "axis 'bearing' goes round more than once, or its step does not divide the "
                     "full turn; expected for example 'bearing [deg]=0:360:5'"
                 )
-        if self.size > _MOST:
-            raise WorkspaceError(f"a grid of {self.size:.3g} positions; at most {_MOST:.0e}")
+        if self.size > MOST.positions:
+            raise WorkspaceError(
+                f"a grid of {self.size:.3g} positions; at most {MOST.positions:.0e}"
+            )
 
     def __repr__(self) -> str:
         """Return the grid in a line."""
@@ -140,34 +141,38 @@ class Grid:
             result *= self.axes[0].values[0]
         return result
 
-    def carrier(self, element: Element) -> Carrier | None:
-        """Return what an element does to the numbers, or None if the grid does not map."""
-        first, second, *rest = self.axes
-        swap = False
+    def carrier(self, move: Isometry) -> Carrier | None:
+        """Return what an isometry does to the numbers, or None if the grid does not map."""
+        Q, t = move.Q, move.t
+        values = [axis.values for axis in self.axes]
+        if len(values) < 3:
+            values.append(np.zeros(1))
         if self.polar:
-            turned = element.azimuth(0.0) + (-1.0 if element.reflection else 1.0) * second.values
-            images = [first.values, turned]
-        else:
-            Q = element.matrix.round()
-            if np.abs(element.matrix - Q).max() > SAME:  # only quarter turns and such
+            across = (Q[:2, 2], Q[2, :2], t[:2] / max(1.0, float(values[0][-1])))
+            if max(np.abs(part).max() for part in across) > SAME:
                 return None
-            swap = bool(Q[0, 0] == 0.0)
-            a, b = (Q[0, 1], Q[1, 0]) if swap else (Q[0, 0], Q[1, 1])
-            # images of the values that come to lie on this axis, in their own order
-            images = [
-                a * (second if swap else first).values,
-                b * (first if swap else second).values,
-            ]
-        images += [axis.values for axis in rest]
+            side = np.sign(np.linalg.det(Q[:2, :2]))
+            turned = np.arctan2(Q[1, 0], Q[0, 0]) + side * values[1]
+            source = [0, 1, 2]
+            images: list[Array] = [values[0], turned, Q[2, 2] * values[2] + t[2]]
+        else:
+            whole = Q.round()
+            if np.abs(Q - whole).max() > SAME:  # only quarter turns and such
+                return None
+            # values that come to lie on each axis, in their own order
+            source = [int(np.argmax(np.abs(row))) for row in whole]
+            images = [whole[i, k] * values[k] + t[i] for i, k in enumerate(source)]
+        if len(self.axes) < 3:
+            if source[2] != 2 or abs(images[2][0]) > SAME * max(1.0, np.abs(values[0]).max()):
+                return None
+            source, images = source[:2], images[:2]
         maps = [_match(axis, image) for axis, image in zip(self.axes, images, strict=True)]
         if any(m is None for m in maps):
             return None
 
         def carry(index: Indices) -> Indices:
-            split = list(self.split(index))
-            if swap:
-                split[0], split[1] = split[1], split[0]
-            moved = tuple(m[i] for m, i in zip(maps, split, strict=True) if m is not None)
+            split = self.split(index)
+            moved = tuple(m[split[k]] for m, k in zip(maps, source, strict=True) if m is not None)
             return np.ravel_multi_index(moved, self.shape).astype(np.int64)
 
         return carry
@@ -201,16 +206,16 @@ class Samples:
     height: tuple[float, float] = (0.0, 0.0)
     """Lower and upper end of the cylinder, [m]; equal in a plane."""
     seed: int = 0
-    elements: tuple[Element, ...] = (Element(0.0),)
+    elements: tuple[Element, ...] = (IDENTITY,)
     """Group in whose orbits positions come."""
 
     def __post_init__(self) -> None:
         finite = np.isfinite([self.radius, *self.height]).all()
         ordered = self.radius > 0.0 and self.height[0] <= self.height[1]
-        if not (1 <= self.count <= MOST and finite and ordered and self.elements):
+        if not (1 <= self.count <= MOST.values and finite and ordered and self.elements):
             raise WorkspaceError(
                 f"{self.count} samples in a cylinder of radius {self.radius:g}, height "
-                f"{self.height[0]:g} to {self.height[1]:g}: expected 1 to {MOST:,}, a "
+                f"{self.height[0]:g} to {self.height[1]:g}: expected 1 to {MOST.values:,}, a "
                 "positive radius, and the lower end first"
             )
 
@@ -238,19 +243,20 @@ class Samples:
         points = self._first[index // len(self.elements)]
         which = index % len(self.elements)
         matrices = np.stack([element.matrix for element in self.elements])
-        return np.einsum("nij,nj->ni", matrices[which], points)
+        shifts = np.stack([element.base.t for element in self.elements])
+        return np.einsum("nij,nj->ni", matrices[which], points) + shifts[which]
 
     def measures(self, index: Indices) -> Array:
         """Return the share of the cylinder's area or volume, [m²] or [m³], shape (N,)."""
         whole = np.pi * self.radius**2 * ((self.height[1] - self.height[0]) or 1.0)
         return np.full(len(index), whole / self.size)
 
-    def carrier(self, element: Element) -> Carrier | None:
-        """Return what an element does to the numbers, or None if it is not of the group."""
+    def carrier(self, move: Isometry) -> Carrier | None:
+        """Return what an isometry does to the numbers, or None if it is not of the group."""
         table = []
         for own in self.elements:
-            target = element.after(own)
-            same = [i for i, e in enumerate(self.elements) if e.equals(target)]
+            target = move.after(own.base)
+            same = [i for i, e in enumerate(self.elements) if e.base.equals(target)]
             if not same:
                 return None
             table.append(same[0])
@@ -273,15 +279,21 @@ class Samples:
 
 
 def representatives(
-    positions: Positions, elements: Sequence[Element]
+    positions: Positions, moves: Sequence[Isometry]
 ) -> Callable[[Indices], Indices]:
     """Return what takes numbers of positions to the lowest numbers of their orbits.
 
     Args:
         positions: The positions.
-        elements: Elements of a group that maps them onto themselves.
+        moves: Isometries that map them onto themselves; of what they generate, all are used.
     """
-    found = [positions.carrier(element) for element in elements]
+    moves = list(moves)
+    for first in moves:
+        for second in tuple(moves):
+            product = first.after(second)
+            if not any(product.equals(one) for one in moves):
+                moves.append(product)
+    found = [positions.carrier(move) for move in moves]
     carriers = [carrier for carrier in found if carrier]
 
     def lowest(index: Indices) -> Indices:

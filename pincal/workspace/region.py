@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,10 @@ from numpy.typing import NDArray
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import write_table
-from pincal.kinematics.singularity import margins
-from pincal.model.checks import described
+from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import SAME, Element
+from pincal.symmetry.elements import IDENTITY, Element, Isometry
 from pincal.workspace.chunks import run
 from pincal.workspace.criteria import Margins, as_margins, refuse_readings
 from pincal.workspace.neighbours import at_edge, edges, part_around
@@ -37,6 +37,7 @@ from pincal.workspace.positions import (
     Samples,
     representatives,
 )
+from pincal.workspace.symmetric import keep_side, moves_of, usable
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -51,14 +52,14 @@ class _Task:
 
     test: PositionTest
     positions: Positions
-    elements: tuple[Element, ...]
+    moves: tuple[Isometry, ...]
 
     def __reduce__(self) -> tuple[type[_Task], tuple[object, ...]]:
-        return _Task, (self.test, self.positions, self.elements)
+        return _Task, (self.test, self.positions, self.moves)
 
     @cached_property
     def lowest(self) -> Carrier:
-        return representatives(self.positions, self.elements)
+        return representatives(self.positions, self.moves)
 
     def __call__(self, begin: int, end: int) -> bytes:
         index = np.arange(begin, end)
@@ -97,7 +98,8 @@ class Workspace:
 
     def representative(self, index: Indices) -> Mask:
         """Return which positions, by number, are of the fundamental domain that was computed."""
-        return representatives(self.asked, self.elements)(index) == index
+        moves = moves_of(self.elements, self.test.orientations)
+        return representatives(self.asked, moves)(index) == index
 
     @cached_property
     def cut(self) -> bool:
@@ -195,18 +197,31 @@ class Workspace:
         )
 
 
+@dataclass(frozen=True)
+class Computing:
+    """How a workspace is computed."""
+
+    symmetry: bool = True
+    """Compute a fundamental domain of the mechanism's group only, as far as the group maps
+    positions and orientations onto themselves."""
+    connected: bool = False
+    """Keep only what hangs together, on this grid, with the position that counts and is nearest
+    to home."""
+    jobs: int = 1
+    """Processes; -1 for one a core."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler to run on."""
+    progress: Callable[[int], None] | None = None
+    """Called with the number of positions done."""
+
+
 def compute_workspace(
     mechanism: GivenMechanism,
     kind: str,
     positions: Positions,
     orientations: Orientations | None = None,
     least: Margins | None = None,
-    *,
-    symmetry: bool = True,
-    connected: bool = False,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] | None = None,
+    **options: Any,
 ) -> Workspace:
     """Return the positions that a platform reaches in one orientation, some, or all of a set.
 
@@ -221,52 +236,47 @@ def compute_workspace(
         orientations: Orientations asked; if not given, home's for a constant orientation, and
             all round (5° apart in a plane, 30° in space) if reachable or dexterous.
         least: Margins from singularities.
-        symmetry: Compute a fundamental domain of the mechanism's group only, as far as the
-            group maps positions and orientations onto themselves.
-        connected: Keep only what hangs together, on this grid, with the position that counts and
-            is nearest to home.
-        jobs: Processes; -1 for one a core.
-        scheduler: Address of a Dask scheduler to run on.
-        progress: Called with the number of positions done.
+        **options: ``symmetry``, ``connected``, ``jobs``, ``scheduler``, ``progress``: see
+            ``Computing``.
 
     Raises:
         WorkspaceError: an unknown kind, no orientations where they are needed, or work that
             cannot be run as asked.
     """
-    mechanism = as_mechanism(mechanism)
+    how, mechanism = Computing(**options), as_mechanism(mechanism)
     asked = _asked(mechanism, kind, orientations)
     if not hasattr(positions, "at"):
         raise WorkspaceError(f"positions: expected a Grid or Samples; got {described(positions)}")
     _check_positions(mechanism, positions)
-    if connected and not isinstance(positions, Grid):
+    if how.connected and not isinstance(positions, Grid):
         raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
     refuse_readings(mechanism)
     every = kind != "reachable"
     least = as_margins(least)
-    group = symmetry_group(mechanism, SAME).elements
-    elements: tuple[Element, ...] = (Element(0.0),)
-    if symmetry:
-        kept = _keep_side(mechanism, group, least)
-        elements = tuple(e for e in kept if positions.carrier(e) and asked.maps(e))
+    group = symmetry_group(mechanism, ROUNDING, readings=False).elements
+    elements: tuple[Element, ...] = (IDENTITY,)
+    if how.symmetry:
+        elements = usable(keep_side(mechanism, group, least), positions, asked)
     unused = tuple(e for e in group if e not in elements)
-    task = _Task(PositionTest(mechanism, asked, every, least), positions, elements)
+    moves = moves_of(elements, asked)
+    task = _Task(PositionTest(mechanism, asked, every, least), positions, moves)
     task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
     most = _CHUNK if task.test.in_closed_form else min(_CHUNK, _CLOSED)
     size = max(1, min(BLOCK, most // len(asked)))
     inside, computed = np.zeros(positions.size, dtype=bool), 0
     for done, (chunk, bits) in enumerate(
-        run(task, list(_chunks(positions.size, size)), jobs, scheduler), 1
+        run(task, list(_chunks(positions.size, size)), how.jobs, how.scheduler), 1
     ):
         packed = np.frombuffer(bits, dtype=np.uint8)
         inside[slice(*chunk)] = np.unpackbits(packed, count=chunk[1] - chunk[0])
-        if progress:
-            progress(min(done * size, positions.size))
+        if how.progress:
+            how.progress(min(done * size, positions.size))
     for begin, end in _chunks(positions.size, BLOCK):
         index = np.arange(begin, end)
         lowest = task.lowest(index)
         computed += int(np.count_nonzero(lowest == index))
         inside[begin:end] = inside[lowest]
-    if connected and isinstance(positions, Grid) and inside.any():
+    if how.connected and isinstance(positions, Grid) and inside.any():
         inside = part_around(positions, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
     return Workspace(kind, task.test, positions, inside, elements, unused, computed)
@@ -297,24 +307,6 @@ def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orien
     if kind == "constant-orientation":
         return Orientations.home(platform)
     return Orientations.everywhere(platform)
-
-
-def _keep_side(
-    mechanism: Mechanism, group: tuple[Element, ...], least: Margins
-) -> tuple[Element, ...]:
-    """Return the elements that keep home on its side of type-2 singularities.
-
-    An element that permutes legs oddly turns the determinant's sign over, which the margin
-    looks at, unless home is where it was.
-    """
-    platform = mechanism.platform
-    if least.least_type2(mechanism) == -np.inf:
-        return group
-    home = np.array([platform.home])
-    images = np.concatenate([element.poses(platform, home) for element in group])
-    with np.errstate(invalid="ignore"):
-        same = margins(mechanism, images).type2 > 0.0
-    return tuple(element for element, ok in zip(group, same, strict=True) if ok)
 
 
 def _check_positions(mechanism: Mechanism, positions: Positions) -> None:

@@ -8,6 +8,7 @@ if it can be driven to from home so.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -30,10 +31,25 @@ from pincal.workspace.criteria import Margins, in_workspace
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_BATCH, _PART = 16_384, 2048  # poses that are drawn, and looked at, together
-_PILOT = 1_500  # accepted poses from which the box is tightened and connected
-_WIDEN = 0.1  # of the box around the accepted poses, on each side
-_MOST = 400  # batches without enough poses before giving up
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How poses are drawn."""
+
+    batch: int = 16_384
+    """Poses that are drawn together."""
+    part: int = 2048
+    """Poses that are looked at together."""
+    pilot: int = 1_500
+    """Accepted poses from which the box is tightened and connected."""
+    widen: float = 0.1
+    """Of the box around the accepted poses, on each side."""
+    most: int = 400
+    """Batches without enough poses before giving up."""
+
+
+_EFFORT = Effort()
 
 
 def sample_configurations(
@@ -66,7 +82,7 @@ def sample_configurations(
     low, high = _reading_limits(mechanism)
     arm = all(not leg.passive for leg in mechanism.legs)
     poses, readings, total = [], [], 0
-    for _ in range(_MOST):
+    for _ in range(_EFFORT.most):
         drawn = rng.uniform(low, high, (2 * count, len(low)))
         solution = forward(mechanism, drawn)
         kept = np.flatnonzero(solution.converged)
@@ -125,9 +141,9 @@ def sample_workspace(
         low, high, connected = _explore(mechanism, rng, least)
     found = [np.empty((0, mechanism.platform.dof))]
     total = 0
-    for _ in range(_MOST * (1 + count // _BATCH)):
-        drawn = rng.uniform(low, high, (_BATCH, mechanism.platform.dof))
-        for poses in np.split(drawn, _BATCH // _PART):
+    for _ in range(_EFFORT.most * (1 + count // _EFFORT.batch)):
+        drawn = rng.uniform(low, high, (_EFFORT.batch, mechanism.platform.dof))
+        for poses in np.split(drawn, _EFFORT.batch // _EFFORT.part):
             kept = poses[in_workspace(mechanism, poses, least)]
             kept = kept[connected(kept)]
             found.append(kept)
@@ -149,9 +165,9 @@ def _check_count(count: int) -> None:
     Raises:
         WorkspaceError: none, or too many.
     """
-    if not 1 <= count_of(count, "count", WorkspaceError) <= MOST:
+    if not 1 <= count_of(count, "count", WorkspaceError) <= MOST.values:
         raise WorkspaceError(
-            f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
+            f"the number of poses is {count}; expected at least 1 and at most {MOST.values:,}"
         )
 
 
@@ -178,20 +194,20 @@ def _explore(
 
     low, high = reach
     kept = home[None]
-    for _ in range(_MOST):
-        poses = rng.uniform(low, high, (_BATCH, len(low)))
+    for _ in range(_EFFORT.most):
+        poses = rng.uniform(low, high, (_EFFORT.batch, len(low)))
         kept = np.concatenate((kept, poses[counts(poses)]))
-        if len(kept) >= _PILOT:
+        if len(kept) >= _EFFORT.pilot:
             break
         if len(kept) > 8:  # few hits: look closer to where they are
             low, high = _around(kept, 0.5, *reach)
     connected = HomeComponent(mechanism.platform, kept, counts)
     for _ in range(2):  # tighten to the part around home, and widen where the box cut
-        low, high = _around(kept[connected(kept)], _WIDEN, *reach)
-        poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
+        low, high = _around(kept[connected(kept)], _EFFORT.widen, *reach)
+        poses = rng.uniform(low, high, (2 * _EFFORT.batch, len(low)))
         kept = np.concatenate((kept, poses[counts(poses)]))
-        connected = HomeComponent(mechanism.platform, kept[-2 * _PILOT :], counts)
-    return *_around(kept[connected(kept)], _WIDEN / 4, *reach), connected
+        connected = HomeComponent(mechanism.platform, kept[-2 * _EFFORT.pilot :], counts)
+    return *_around(kept[connected(kept)], _EFFORT.widen / 4, *reach), connected
 
 
 def _why_not_home(mechanism: Mechanism, least: Margins) -> str:

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.leg_fit import QUESTIONED, LegFit, leg_fits
+from pincal.calibration.hypotheses.leg_fit import LegFit, leg_fits
+from pincal.calibration.hypotheses.rule import RULE
 from pincal.calibration.hypotheses.sample import Sample
 from pincal.kinematics.inverse import inverse
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS, columns_of, rotation_of
 
 Array = NDArray[np.float64]
-_SHIFTS = (1, -1, 2, -2)  # rows by which logs of poses and readings are out of step
 #: For each unit of a header: what the numbers may be in, and the factor that puts them right.
 UNITS = {
     "m": {"mm": 1e-3, "m": 1e3},
@@ -71,7 +71,7 @@ def single_faults(sample: Sample) -> Iterator[Hypothesis]:
         yield Hypothesis("orientation-inverted", partial(_inverted, False))
         yield Hypothesis("pose-inverted", partial(_inverted, True))
     yield from _exchanged(sample)
-    for shift in _SHIFTS:
+    for shift in RULE.shifts:
         yield Hypothesis("rows-shifted", partial(_shifted, shift), {"shift": shift})
 
 
@@ -239,7 +239,7 @@ def _best_order(sample: Sample) -> list[int]:
     matrices[:, :3, 3] -= matrices[:, :3, :3] @ sample.offset
 
     def cost(fit: LegFit) -> float:
-        return float(np.clip(fit.near, QUESTIONED * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
+        return float(np.clip(fit.near, RULE.questioned * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
 
     columns = [(matrices, sample.readings[:, [j]]) for j in every]
     table = [[cost(one) for one in leg_fits(sample.mechanism, i, columns)] for i in every]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.calibration.hypotheses.rule import RULE
 from pincal.estimation.observability.drawings import DIFFER, changes_of
 from pincal.estimation.observability.frames import frame_motions
 from pincal.kinematics.closure import LegClosure
@@ -22,11 +23,8 @@ from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-QUESTIONED = 0.02
-"""Misfit over the stroke that was measured, from which measurements are questioned."""
 _STEPS = 20  # a leg that closes needs fewer; one that does not is not worth more
 _ROUNDS = 5  # of least squares on the way to the least sum of absolute values
-_PRECISE = 1e-4  # of the leg's size: gaps that are none
 
 
 @dataclass(frozen=True)
@@ -61,12 +59,12 @@ class LegFit:
     @property
     def misfit(self) -> float:
         """The leg's share in a hypothesis' score: what is left, or 1 in another working mode."""
-        return max(self.near, _PRECISE) if self.as_home else max(1.0, self.gap)
+        return max(self.near, RULE.precise) if self.as_home else max(1.0, self.gap)
 
     @property
     def questioned(self) -> bool:
         """Whether machines near nominal leave much of what was measured."""
-        most = max(min(QUESTIONED * self.stroke, DIFFER), _PRECISE)
+        most = max(min(RULE.questioned * self.stroke, DIFFER), RULE.precise)
         return self.rows > 1 and not self.near <= most
 
 
@@ -130,7 +128,7 @@ def _left(size: float, J: Array, value: Array) -> Array:
         J: Change of the gaps by as much as each parameter may differ, shape (N, k, n), [m].
         value: The gaps, shape (N, k), [m].
     """
-    J, value = J / (_PRECISE * size), value / (_PRECISE * size)
+    J, value = J / (RULE.precise * size), value / (RULE.precise * size)
     if not (np.isfinite(J).all() and np.isfinite(value).all()):
         return np.full(len(value), 1.0)
     n = J.shape[2]
@@ -143,7 +141,7 @@ def _left(size: float, J: Array, value: Array) -> Array:
         left = np.linalg.norm(value + J @ step, axis=1)
         usual = max(float(np.median(left)), 1.0)
         weights = 1.0 / np.sqrt(np.maximum(left / usual, 1.0))
-    return _PRECISE * left
+    return RULE.precise * left
 
 
 def _stroke(by_reading: Array, readings: Array) -> float:

@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_law
+from scipy.special import fdtrc
 
+from pincal.calibration.hypotheses.rule import RULE
 from pincal.estimation.observability.drawings import plausible_changes
 from pincal.estimation.observability.frames import frame_motions, unexplained
+from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
@@ -23,10 +25,6 @@ from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding
 
 Array = NDArray[np.float64]
-_CHANCE = 1e-5  # probability of so much motion as one body, below which it is none
-_BODY = 1e-6  # relative misfit of changes of parameters that are a motion of a frame
-_ROWS = 200  # enough to judge by
-_MUCH = 0.25  # of the platform's error: less is not worth a warning
 
 
 def misaligned(
@@ -42,7 +40,7 @@ def misaligned(
         poses: Measured or estimated, shape (N, dof), [m] and [rad].
         readings: Measured, shape (N, n_readings), [rad] or [m].
     """
-    rows = np.linspace(0, len(poses) - 1, min(_ROWS, len(poses))).astype(int)
+    rows = np.linspace(0, len(poses) - 1, min(RULE.rows_moved, len(poses))).astype(int)
     read = readings[rows] if mechanism.by_readings else None
     if not np.isfinite(poses[rows]).all() or (read is not None and np.isnan(read).any()):
         return ()
@@ -60,7 +58,7 @@ def misaligned(
         chance, amounts = _as_one(gain, own, changes, scale)
         left = unexplained(platform, moved[:, :, None], own, size)[:, :, 0]
         share = 1.0 - ((left * lengths) ** 2).sum() / ((moved * lengths) ** 2).sum()
-        if chance > _CHANCE or share < _MUCH:
+        if chance > RULE.chance or share < RULE.matters:
             continue
         turns = len(amounts) > space
         values: dict[str, Any] = {
@@ -91,7 +89,7 @@ def _as_one(gain: Array, motions: Array, changes: Array, scale: Array) -> tuple[
     A, b = gain.reshape(-1, gain.shape[2]) * scale, motions.reshape(-1, motions.shape[2])
     D = np.linalg.lstsq(A, b, rcond=1e-9)[0]
     misfit, sizes = np.linalg.norm(A @ D - b, axis=0), np.linalg.norm(b, axis=0)
-    rigid = (misfit <= _BODY * sizes).all() and len(changes) > D.shape[1]
+    rigid = (misfit <= NEGLIGIBLE * sizes).all() and len(changes) > D.shape[1]
     if not rigid or not changes.all():
         return 1.0, np.zeros(D.shape[1])
     Q, R = np.linalg.qr(D)
@@ -99,4 +97,4 @@ def _as_one(gain: Array, motions: Array, changes: Array, scale: Array) -> tuple[
     k, n = len(along), len(changes)
     inside, outside = along @ along, own @ own - along @ along
     amounts = np.linalg.lstsq(R, along, rcond=None)[0]
-    return float(f_law.sf(inside / k / (outside / (n - k)), k, n - k)), amounts
+    return float(fdtrc(k, n - k, inside / k / (outside / (n - k)))), amounts

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.calibration.hypotheses.leg_fit import QUESTIONED
 from pincal.calibration.hypotheses.ranking import (
     Judged,
     as_findings,
@@ -21,6 +20,7 @@ from pincal.calibration.hypotheses.ranking import (
     judge,
     other_side,
 )
+from pincal.calibration.hypotheses.rule import RULE
 from pincal.calibration.hypotheses.sample import Sample, placed, sample_of
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.external import External
@@ -28,16 +28,13 @@ from pincal.estimation.observability.drawings import DIFFER
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.inverse import inverse
+from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup, Target
 from pincal.words.sentences import finding, sentence, sentences
 
 Array = NDArray[np.float64]
-_STILL = 1e-3  # of a leg's size, and [rad]: readings that differ by less hardly move
-_FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
-_ROUNDED = 1e-12  # of a leg's size: what rounding leaves of exact rows
-_FAR = 10.0  # times the median that a row misses by: a slip, if fewer than one row in so many
 
 
 def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | None = None) -> None:
@@ -132,7 +129,7 @@ def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     if turned := _turns(sample):
         return turned
     for leg, one in judged:
-        if one.near > max(_FOLLOWS * one.stroke, _STILL):
+        if one.near > max(RULE.follows * one.stroke, RULE.still):
             return (
                 finding("readings-do-not-follow", leg=leg.name, left=one.near, stroke=one.stroke),
             )
@@ -152,7 +149,7 @@ def _still(sample: Sample) -> tuple[Finding, ...]:
         known = nominal[np.isfinite(nominal[:, index]), index]
         unit = mechanism.reading_units[index]
         moved = float(np.ptp(known)) if len(known) > 1 else 0.0
-        if still[index] and moved > _STILL * (1.0 if unit == "rad" else leg.size):
+        if still[index] and moved > RULE.still * (1.0 if unit == "rad" else leg.size):
             named.append((name, float(readings[0, index]), unit, moved))
     return (finding("readings-still", readings=tuple(named)),) if named else ()
 
@@ -194,10 +191,10 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     if not judged:
         return ()
     left = np.array(judged)
-    usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), _ROUNDED)
+    usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), ROUNDING)
     times = np.nan_to_num(left / usual).max(axis=0)
-    far = np.flatnonzero(times > _FAR)
-    if not 0 < len(far) <= max(1.0, len(times) / _FAR):
+    far = np.flatnonzero(times > RULE.slip)
+    if not 0 < len(far) <= max(1.0, len(times) / RULE.slip):
         return ()
     rows = sample.rows[given.rows]
     worst = int(rows[np.argmax(times)])
@@ -242,8 +239,8 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
     size = largest_size(mechanism.legs, mechanism.platform)
     turns = "rad" in mechanism.platform.units
     for what, given, unit, most in (
-        ("position", noise.position, "m", QUESTIONED * size),
-        ("orientation", noise.orientation, "rad", QUESTIONED if turns else np.inf),
+        ("position", noise.position, "m", RULE.questioned * size),
+        ("orientation", noise.orientation, "rad", RULE.questioned if turns else np.inf),
     ):
         if given > most:
             values: dict[str, Any] = {

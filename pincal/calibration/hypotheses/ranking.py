@@ -1,7 +1,7 @@
 """The rule: a hypothesis explains measurements if each fault put right leaves a third of misfit.
 
 The misfit of a leg is what machines near the nominal one leave of its closure. Hypotheses that
-leave as little as the best cannot be told from it; all of them are named.
+leave as little as the best cannot be separated from it; all of them are named.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pincal.calibration.hypotheses.faults import (
     zeros,
 )
 from pincal.calibration.hypotheses.leg_fit import LegFit, leg_fits
+from pincal.calibration.hypotheses.rule import RULE
 from pincal.calibration.hypotheses.sample import Sample, placed
 from pincal.estimation.observability.drawings import DIFFER
 from pincal.finding import Finding
@@ -29,11 +30,6 @@ from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding
 
 Array = NDArray[np.float64]
-_EACH = 3.0  # by which each fault that is put right divides the misfit
-_EQUAL = 2.0  # times the misfit that the best leaves: cannot be told from it
-_FEW, _GRID = 12, 12  # rows, and zeros of a motor that are tried, where the frame is unknown
-_ROUNDS = 3  # of grids, each over a cell of the last
-_FRAMED = 40  # rows, where another frame is tried
 AS_MEASURED = Hypothesis("nothing", lambda sample: (sample.poses, sample.readings))
 
 
@@ -70,7 +66,7 @@ class Judged:
     @property
     def near(self) -> bool:
         """Whether a few rows fit so that all may be plausible."""
-        return bool(self.fits) and bool((self.misfits <= _EQUAL * DIFFER).all())
+        return bool(self.fits) and bool((self.misfits <= RULE.equal * DIFFER).all())
 
     @property
     def questioned(self) -> list[int]:
@@ -121,7 +117,7 @@ def explanations(sample: Sample, given: Judged) -> list[Judged]:
         found = [one for one in stage if explains(one, given)]
         if found:
             best = min(one.misfit for one in found)
-            equal = [one for one in found if one.misfit <= _EQUAL * best]
+            equal = [one for one in found if one.misfit <= RULE.equal * best]
             here = [one for one in equal if other_side(sample.mechanism, one.matrices) <= 0.5]
             return here or ([] if given.elsewhere > 0.5 else equal)
     return []
@@ -130,10 +126,10 @@ def explanations(sample: Sample, given: Judged) -> list[Judged]:
 def _stages(sample: Sample, given: Judged) -> Iterator[list[Judged]]:
     """Yield hypotheses with their fits, the simplest first.
 
-    A base that stands near where it should is a change of parameters, and no hypothesis.
+    A base that is near where it should be is a change of parameters, and no hypothesis.
     """
     alone = sample.oriented and not sample.free  # legs can be judged one by one
-    framed = replace(sample, free=True).part(np.arange(len(sample.rows))[:_FRAMED])
+    framed = replace(sample, free=True).part(np.arange(len(sample.rows))[: RULE.rows_framed])
     single = _judged(sample, given, single_faults(sample))
     if alone and not given.plausible:
         single += _judged(framed, given, [replace(AS_MEASURED, code="unknown-frame")])
@@ -155,7 +151,7 @@ def explains(one: Judged, given: Judged) -> bool:
     gap = max((fit.gap for fit in given.fits if fit.rows > 1), default=np.inf)
     if shrinks and gap < 1.0:
         return False  # lengths too large miss by far, and shrinking makes any misfit small
-    return one.plausible and one.misfit * _EACH**one.hypothesis.faults <= given.misfit
+    return one.plausible and one.misfit * RULE.each**one.hypothesis.faults <= given.misfit
 
 
 def _judged(sample: Sample, given: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
@@ -182,14 +178,14 @@ def _likely(sample: Sample, tried: Sequence[tuple[Hypothesis, tuple[int, ...]]])
 def _few(sample: Sample) -> Sample:
     """Return a few of the rows, where the frame is unknown."""
     count = len(sample.rows)
-    return sample.part(np.linspace(0, count - 1, min(_FEW, count)).astype(int))
+    return sample.part(np.linspace(0, count - 1, min(RULE.rows_zeros, count)).astype(int))
 
 
 def _helped(found: Judged, given: Judged) -> Judged:
     """Return a hypothesis for those legs only whose readings it puts right."""
     every = range(len(found.fits))
     rows = [i for i in every if found.fits[i].rows > 1]
-    helped = [i for i in rows if found.fits[i].misfit * _EACH <= given.fits[i].misfit]
+    helped = [i for i in rows if found.fits[i].misfit * RULE.each <= given.fits[i].misfit]
     fits = tuple(found.fits[i] if i in helped else given.fits[i] for i in every)
     return replace(found, fits=fits, legs=() if helped == list(every) else tuple(helped))
 
@@ -217,13 +213,16 @@ def _zeros(sample: Sample, given: Judged) -> list[Judged]:
     few, units = _few(sample), np.eye(len(mechanism.legs))
     far = [np.pi if leg.reading_units[0] == "rad" else leg.size / 2 for leg in mechanism.legs]
     best, reach, equal = np.zeros(len(units)), np.array(far), 1.0
-    for _ in range(_ROUNDS):
-        grid = best + np.linspace(-1, 1, _GRID + 1)[1:, None] * reach
+    for _ in range(RULE.times):
+        grid = best + np.linspace(-1, 1, RULE.zeros + 1)[1:, None] * reach
         tried = [zeros(off * unit) for offs in grid for off, unit in zip(offs, units, strict=True)]
         costs = np.reshape([one.misfit for one in judge(few, tried)], grid.shape)
         among = costs <= equal * costs.min(axis=0)
         best = (grid * among).sum(axis=0) / among.sum(axis=0)
-        reach, equal = 2 * reach / _GRID, _EQUAL  # where no measurement says more, the middle
+        reach, equal = (
+            2 * reach / RULE.zeros,
+            RULE.equal,
+        )  # where no measurement says more, the middle
     offsets = [replace(zeros(off), by_leg=False) for off in best[:, None] * units]
     return _likely(sample, [(one, (index,)) for index, one in enumerate(offsets)])
 

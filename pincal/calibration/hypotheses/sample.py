@@ -1,6 +1,6 @@
 """Measurements in the frame of the nominal machine: rows by which hypotheses are judged.
 
-If the base stands at an unknown place, forward kinematics of the readings says where the nominal
+If the base is at an unknown place, forward kinematics of the readings says where the nominal
 machine was, and the best rigid motion takes that to what was measured (Kabsch 1976). Orientations
 that were not measured are those of forward kinematics.
 """
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.calibration.hypotheses.rule import RULE
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Measurements
@@ -21,8 +22,6 @@ from pincal.model.setup import ORIGIN, Setup
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
-_ROWS = 500  # enough to judge by
-_FEWER = 100  # where forward kinematics is needed
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Sample:
     oriented: bool
     """Whether orientations were measured."""
     free: bool
-    """Whether the base stands at an unknown place in the frame of the measurements."""
+    """Whether the base is at an unknown place in the frame of the measurements."""
 
     def matrices(self) -> Array:
         """Return poses as homogeneous matrices, shape (N, 4, 4)."""
@@ -67,18 +66,18 @@ def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample 
     Rows with complete poses; if there are none such, with positions and all readings.
     """
     target, platform = setup.targets[ORIGIN], mechanism.platform
-    told = np.isfinite(data.poses)
-    rows, oriented = np.flatnonzero(told.all(axis=1)), True
+    known = np.isfinite(data.poses)
+    rows, oriented = np.flatnonzero(known.all(axis=1)), True
     if len(rows) < 2:
         whole = np.isfinite(data.readings).all(axis=1)
-        rows = np.flatnonzero(told[:, : platform.units.count("m")].all(axis=1) & whole)
+        rows = np.flatnonzero(known[:, : platform.units.count("m")].all(axis=1) & whole)
         oriented = False
     free = setup.unknown_frame
     if len(rows) < 2 or (target.unknown and np.any(target.offset) + free):
         return None
-    most = _ROWS if oriented and not free else _FEWER
+    most = RULE.rows if oriented and not free else RULE.rows_forward
     rows = rows[:: -(-len(rows) // most)]
-    poses = np.where(told[rows], data.poses[rows], platform.home)
+    poses = np.where(known[rows], data.poses[rows], platform.home)
     readings, offset = data.readings, np.array(target.offset, dtype=float)
     return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free)
 

@@ -1,4 +1,4 @@
-"""Unknowns outside the mechanism: where its base stands, where the targets sit, instruments' own.
+"""Unknowns outside the mechanism: where its base is, where the targets sit, instruments' own.
 
 The base frame in the frame of the measurements, T_frame_base; offsets of targets in the
 platform frame; where an unknown target carries an orientation, how that is turned against the

@@ -258,8 +258,8 @@ def _orientations(platform: Platform, data: Measurements) -> Array:
     turns = np.full((len(data), 3, 3), np.nan)
     rad = [i for i, unit in enumerate(platform.units) if unit == "rad"]
     if rad:
-        told = np.isfinite(data.poses[:, rad]).all(axis=1)
-        full = np.zeros((int(told.sum()), platform.dof))
-        full[:, rad] = data.poses[told][:, rad]
-        turns[told] = platform.transforms(full).as_matrix()[:, :3, :3]
+        whole = np.isfinite(data.poses[:, rad]).all(axis=1)
+        full = np.zeros((int(whole.sum()), platform.dof))
+        full[:, rad] = data.poses[whole][:, rad]
+        turns[whole] = platform.transforms(full).as_matrix()[:, :3, :3]
     return turns

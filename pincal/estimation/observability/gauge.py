@@ -1,6 +1,6 @@
 """Gauge freedoms: motions of frames that no measurement of this kind can observe.
 
-If the base stands at an unknown place in the tracker's frame, turning the base frame and all
+If the base is at an unknown place in the tracker's frame, turning the base frame and all
 base points with it changes nothing that is measured; so does turning the platform's frame if
 its orientation is not measured. Such directions are found as what generic poses leave
 undetermined, distinguished from parameters that are truly lost by what they do to the platform, and
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pincal.errors import ObservabilityError
 from pincal.estimation.observability.frames import frames_moved, split_frames, still
 from pincal.estimation.observability.generic import derivatives_near, lost_directions
-from pincal.estimation.observability.indices import identifiability
+from pincal.estimation.observability.indices import NEGLIGIBLE, identifiability
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.finding import Finding
@@ -28,7 +28,6 @@ from pincal.words.sentences import finding
 from pincal.words.wording import groups_in_words
 
 Array = NDArray[np.float64]
-_SCALE = 1e-6  # relative misfit of lost directions in which all lengths grow
 _TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
 
 
@@ -108,7 +107,7 @@ def _undetermined(
     Q = np.linalg.qr(lost / np.linalg.norm(lost, axis=0))[0]
     for sign in (1.0, -1.0):
         grown = np.where(units == "m", nominal, np.where(units == "1", sign * nominal, 0.0))
-        if count == 1 and np.linalg.norm(grown - Q @ (Q.T @ grown)) < _SCALE * np.linalg.norm(
+        if count == 1 and np.linalg.norm(grown - Q @ (Q.T @ grown)) < NEGLIGIBLE * np.linalg.norm(
             grown
         ):
             gains = dict.fromkeys(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.estimation.observability.indices import scaled_axes
+from pincal.estimation.observability.indices import RANK_TOLERANCE, scaled_axes
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
@@ -22,7 +22,6 @@ from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _ROWS = 200  # generic configurations, at least
-_LOST = 1e-9  # of the largest singular value, columns of unit length
 
 
 @dataclass(frozen=True)
@@ -109,4 +108,4 @@ def lost_directions(J: Array) -> tuple[Array, Array]:
         J: Shape (m, n).
     """
     lengths, s, axes = scaled_axes(J)
-    return axes[int((s > _LOST * s[0]).sum()) :], lengths
+    return axes[int((s > RANK_TOLERANCE * s[0]).sum()) :], lengths

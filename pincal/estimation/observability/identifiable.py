@@ -9,7 +9,7 @@ poses makes when it is drawn once more.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,21 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]
-_CLEARLY = 3.0  # times what noise makes
-_POSES = 500  # enough to judge by: both grow alike with the number of poses
-_TAKES_PART = 0.1  # of the largest entry of a direction
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is undetermined by measured poses."""
+
+    clearly: float = 3.0
+    """Times what noise makes of information: less is none."""
+    poses: int = 500
+    """Enough to judge by: both grow alike with the number of poses."""
+    takes_part: float = 0.1
+    """Of the largest entry of a direction: parameters with more are named."""
+
+
+_BY = Judgement()
 NOT_THIS_MACHINE = (
     "They are hardly this machine's: check signs, units, the order of the readings, the frame of "
     "the poses, and rows that are far off (--robust cauchy)"
@@ -45,14 +57,13 @@ def check_rank(
         ObservabilityError: a parameter is not determined; the message names it.
         MeasurementError: a derivative does not exist at some pose.
     """
-    J = linear.jacobian.reshape(-1, linear.jacobian.shape[2])
-    if not np.isfinite(J).all():
+    if not (linear.stack.finite and np.isfinite(linear.white.whitener).all()):
         names = [leg.name for leg in problem.legs]
         raise MeasurementError(
             f"{', '.join(names)}: a residual or its derivative is not finite at some measured "
             "pose; a leg may be folded or stretched there"
         )
-    J = np.asarray(np.linalg.qr(J, mode="r"))  # the same columns but for a rotation
+    J = linear.triangle
     _, prior = unknowns.prior_rows(unknowns.start)
     all_ = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
     if ended and not all_.complete:
@@ -63,7 +74,7 @@ def check_rank(
     if not all_.complete:
         raise ObservabilityError(
             f"the measured poses leave parameters undetermined: {all_.describe()} "
-            f"(rank {all_.rank} of {all_.n_params}). Measure poses that tell them apart, fix "
+            f"(rank {all_.rank} of {all_.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
             "can be (--hold-undetermined; leave out --per-leg)"
         )
@@ -103,7 +114,7 @@ def check_information(
 
 def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: float) -> Array:
     """Return directions in parameter space that noise observes as well as poses, shape (k, n)."""
-    some = np.linspace(0, len(linear.value) - 1, min(_POSES, len(linear.value))).astype(int)
+    some = np.linspace(0, len(linear.value) - 1, min(_BY.poses, len(linear.value))).astype(int)
     part = problem.part(some)
     linear = part.linearise(linear.state.rows(some))
     state = linear.state
@@ -117,12 +128,12 @@ def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: 
     triangle = np.linalg.qr(own / lengths, mode="r")
     _, information, directions = np.linalg.svd(triangle, full_matrices=False)
     made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
-    return np.asarray(directions[information < _CLEARLY * made])
+    return np.asarray(directions[information < _BY.clearly * made])
 
 
 def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
     """Return which unknowns take part in directions, rows of shape (k, n)."""
     size = np.abs(directions).max(axis=0)
     return tuple(
-        name for name, part in zip(names, size, strict=True) if part > _TAKES_PART * size.max()
+        name for name, part in zip(names, size, strict=True) if part > _BY.takes_part * size.max()
     )

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
+from pincal.model.checks import ROUNDING
+
 Array = NDArray[np.float64]
-ROUNDING = 1e-12
-"""Of the sizes that a number is made of, below which it is zero."""
 RANK_TOLERANCE = 1e-9
 """Of the largest singular value, columns of unit length, below which a direction is lost."""
 NEGLIGIBLE = 1e-6

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.tables import UNITS
 from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import sensor_law
@@ -32,7 +33,8 @@ Array = NDArray[np.float64]
 Three = tuple[float, float, float]
 TOWERS = ("tower_a", "tower_b", "tower_c")
 _TEMPLATE = "linear_delta"
-MM = 1e-3
+ANGLES = (210.0, 330.0, 90.0)  # of the towers, where none are given [deg]
+MM = UNITS["mm"][1]
 """[m], in which firmware writes."""
 _SMALL = 5e-10  # [m] and [1], below the digits that are written
 _PRINTED = 0.7  # of the delta radius: the print radius where none is known

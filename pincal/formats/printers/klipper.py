@@ -18,15 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.files.input import lines_of, plain_number, read_text
-from pincal.formats.printers.delta import MM, DeltaPrinter, Expressed, Three, noted
+from pincal.files.input import LARGEST_FILE, lines_of, plain_number, read_text
+from pincal.formats.printers.delta import ANGLES, MM, DeltaPrinter, Expressed, Three, noted
 from pincal.model.checks import LARGEST
 
 Array = NDArray[np.float64]
 _SAVED = "#*# "  # begins the lines of SAVE_CONFIG
 _STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
-_ANGLES = (210.0, 330.0, 90.0)  # where none are given [deg]
-_LARGEST = 4 * 1024 * 1024  # bytes, of all files together
 _ONE_MORE = 4096  # bytes for which an included file counts at least
 
 
@@ -67,7 +65,7 @@ def read_klipper(path: str | Path) -> KlipperFile:
             radius=MM * config.number("printer", "delta_radius"),
             angles=_three(
                 radians(config.number(name, "angle", usual))
-                for name, usual in zip(_STEPPERS, _ANGLES, strict=True)
+                for name, usual in zip(_STEPPERS, ANGLES, strict=True)
             ),
             arms=_three(MM * config.number(name, "arm_length", arm) for name in _STEPPERS),
             endstops=_three(
@@ -142,7 +140,7 @@ class _Config:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.remarks: list[str] = []
-        self._left = _LARGEST
+        self._left = LARGEST_FILE["printer"]  # of all files together
         regular: list[str] = []
         saved: list[str] = []
         for line in self._lines(path, ()):
@@ -164,7 +162,7 @@ class _Config:
             FileError: the file is missing or cannot be read.
             MechanismError: files that include each other, or too many of them.
         """
-        text = read_text(path, _LARGEST, MechanismError, pipe=not above)
+        text = read_text(path, LARGEST_FILE["printer"], MechanismError, pipe=not above)
         if path.resolve() in above:
             raise MechanismError(f"{self.path}: files include each other, {path.name} among them")
         if self._left < 0:

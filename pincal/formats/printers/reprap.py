@@ -16,12 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.files.input import lines_of, plain_number, read_text
-from pincal.formats.printers.delta import MM, DeltaPrinter, Expressed, noted
+from pincal.files.input import LARGEST_FILE, lines_of, plain_number, read_text
+from pincal.formats.printers.delta import ANGLES, MM, DeltaPrinter, Expressed, noted
 
 Array = NDArray[np.float64]
-_ANGLES = (210.0, 330.0, 90.0)
-_LARGEST = 4 * 1024 * 1024  # bytes
 _COMMENT = re.compile(r";.*|\([^)]*(?:\)|$)")
 _COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.I | re.A)
 _WORD = re.compile(r"\s*([A-Z])\s*([-+.\d:\s]*)", re.I | re.A)
@@ -36,7 +34,7 @@ def read_reprap(path: str | Path) -> DeltaPrinter:
         MechanismError: no M665, a letter missing or unknown, or a tilt of the bed.
     """
     path = Path(path)
-    text = read_text(path, _LARGEST, MechanismError, pipe=True)
+    text = read_text(path, LARGEST_FILE["printer"], MechanismError, pipe=True)
     given: dict[tuple[str, str], list[float]] = {}
     for number, line in enumerate(lines_of(text), start=1):
         command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0])
@@ -61,7 +59,7 @@ def read_reprap(path: str | Path) -> DeltaPrinter:
     if len(arms) not in (1, 3):
         raise MechanismError(f"{path}: M665 L has {len(arms)} lengths; expected 1 or 3, by colons")
     a, b, c = (arms * 3)[:3]
-    angles = [u + value("665", letter) for u, letter in zip(_ANGLES, "XYZ", strict=True)]
+    angles = [u + value("665", letter) for u, letter in zip(ANGLES, "XYZ", strict=True)]
     ends = [value("665", "H") + value("666", letter) for letter in "XYZ"]
     try:
         return DeltaPrinter(
@@ -108,7 +106,7 @@ def write_reprap(found: Expressed) -> str:
     endstops = np.array(printer.endstops) / MM
     height = round(float(endstops.mean()), 4)
     arms = ":".join(f"{arm / MM:.4f}" for arm in printer.arms)
-    turns = (np.degrees(printer.angles) - _ANGLES + 180.0) % 360.0 - 180.0
+    turns = (np.degrees(printer.angles) - ANGLES + 180.0) % 360.0 - 180.0
     angles = _lettered(turns)
     ends = _lettered(endstops - height)
     lines = ["; Delta kinematics, calibrated by pincal. Put it into config.g in the place of the"]

@@ -21,12 +21,12 @@ from pincal.errors import MechanismError
 from pincal.files.urdf import link_of, read_joint
 from pincal.files.xml import read_xml
 from pincal.formats.trees.tree import listed
+from pincal.model.checks import ROUNDING
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, placement_of
 
 Array = NDArray[np.float64]
-_SAME = 1e-12  # of unit vectors; [m] and [rad] of origins
 
 
 def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None = None) -> bytes:
@@ -104,7 +104,7 @@ class _Urdf:
     def differs(self, name: str, placement: Placement) -> bool:
         """Return whether a joint's origin is another one in the URDF."""
         change = placement.origin() - self.joints[name].placement.origin()
-        return bool(np.abs(change).max() > _SAME)
+        return bool(np.abs(change).max() > ROUNDING)
 
 
 def _without_mimic(element: etree._Element) -> etree._Element:
@@ -170,7 +170,7 @@ def _of_chain(urdf: _Urdf, leg: Leg) -> dict[str, Placement]:
             )
         one_axis = joint.kind != "fixed" and name == joint.name
         if one_axis and (
-            own.kind != joint.kind or np.abs(np.subtract(own.axis, joint.axis)).max() > _SAME
+            own.kind != joint.kind or np.abs(np.subtract(own.axis, joint.axis)).max() > ROUNDING
         ):
             raise MechanismError(
                 f"{urdf.path}: joint {name!r} cannot be placed: its axis there is another one than "
@@ -216,7 +216,7 @@ def _of_point(urdf: _Urdf, leg: Leg) -> tuple[dict[str, Placement], Array | None
 
 
 def _is_nothing(matrix: Array) -> bool:
-    return bool(np.abs(matrix - np.eye(4)).max() <= _SAME)
+    return bool(np.abs(matrix - np.eye(4)).max() <= ROUNDING)
 
 
 def _words(matrix: Array) -> str:

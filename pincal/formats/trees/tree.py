@@ -13,7 +13,6 @@ from pincal.model.leg import Closing, Joint
 from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]
-_XYZ = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -100,12 +99,12 @@ def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
     edges: list[Edge] = []
     for index, letter in enumerate(axes):
         last = index == len(axes) - 1
-        slides = letter.isupper()
+        slides, axis = letter.isupper(), letter.lower()
         one = Joint(
             f"{joint.name}_{letter if not slides else 'p' + letter.lower()}",
             "prismatic" if slides else "revolute",
             joint.placement if index == 0 else Placement(),
-            _XYZ["xyz".index(letter.lower())],
+            (float(axis == "x"), float(axis == "y"), float(axis == "z")),
             -np.inf,
             np.inf,
         )

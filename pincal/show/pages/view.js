@@ -14,7 +14,7 @@
   let pose = -1;
   let timer = null;
 
-  // meshcat's scene stands in a world whose y points up
+  // meshcat's scene is in a world whose y points up
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
 
   const element = (kind, text, parent) => {

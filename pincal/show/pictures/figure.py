@@ -12,11 +12,12 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from pincal.model.measurements import EVERY_LEG
+from pincal.show import style
+from pincal.show.pictures.files import drawing
 from pincal.show.pictures.painting import paint, placed
-from pincal.show.pictures.svg import drawing
 from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
-from pincal.show.view.looks import TOWARDS_VIEWER, frame_axes, grid_step, ground, set_colour
-from pincal.show.view.scene import Scene
+from pincal.show.view.scene import Scene, frame_axes, grid_step, ground
+from pincal.words.numbers import counted
 from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ def _axes_of_view(planar: bool) -> Array:
     """Return what points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
     if planar:
         return np.eye(3)
-    towards = np.array(TOWARDS_VIEWER) / np.linalg.norm(TOWARDS_VIEWER)
+    towards = np.array(style.TOWARDS_VIEWER) / np.linalg.norm(style.TOWARDS_VIEWER)
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     return np.stack((right, np.cross(towards, right), towards))
@@ -110,22 +111,14 @@ def _short(name: str) -> str:
 
 def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
     """Draw all poses as lines from joint to joint, by set, and return their legend."""
-    skeletons = scene.body.skeletons() @ V[:2].T
-    at = scene.body.placements[:, scene.body.part("platform/body"), :3, 3] @ V[:2].T
-    faint = float(np.clip(8 / len(at), 0.12, 0.5))
+    faint = float(np.clip(8 / len(scene.plan.poses), 0.12, 0.5))
     legend = []
-    for name, marker in zip(dict.fromkeys(scene.sets), cycle(MARKERS), strict=False):
-        own = np.array(scene.sets) == name
-        colour = set_colour(scene, name)
-        lines = skeletons[own].reshape(-1, 2, 2)
-        lines = lines[np.isfinite(lines).all(axis=(1, 2))]
-        axes.add_collection(
-            LineCollection(list(lines), colors=colour, lw=0.7, alpha=faint, zorder=0.5)
-        )
-        axes.plot(*at[own].T, marker, ms=3, color=colour, zorder=0.6)
+    for (name, colour, at, lines), marker in zip(scene.by_set(), cycle(MARKERS), strict=False):
+        ghosts = list(lines @ V[:2].T)
+        axes.add_collection(LineCollection(ghosts, colors=colour, lw=0.7, alpha=faint, zorder=0.5))
+        axes.plot(*(at @ V[:2].T).T, marker, ms=3, color=colour, zorder=0.6)
         whose = f" for {_short(name)}" if name not in ("", EVERY_LEG) else ""
-        count = f"{own.sum()} pose{'s' if own.sum() > 1 else ''}"
-        legend.append(_dot(colour, f"{count}{whose}", marker))
+        legend.append(_dot(colour, f"{counted(len(at), 'pose')}{whose}", marker))
     return legend
 
 

@@ -1,21 +1,62 @@
-"""Figures as files: svg, png or pdf by name, whole or not at all, the same bytes for the same."""
+"""Figures as files and as parts of pages: whole or not at all, the same bytes for the same.
+
+A figure is drawn and written under one set of matplotlib's parameters. As part of a page its SVG is
+read back as a tree: no document type, names or dates, text as text, and nothing that another
+figure of the page could be mistaken for.
+"""
 
 from __future__ import annotations
 
 import io
 import re
 import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
+from lxml import etree
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from pincal.errors import FileError
 from pincal.files.output import writing
-from pincal.show.pictures.svg import drawing
+from pincal.words.pages import clean, rendered
 
 #: What each format would say about its making.
 _SAID = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator")}
+_STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",  # text stays text: small, searchable, in any letters
+    "font.sans-serif": ["DejaVu Sans", "Verdana"],
+    "text.parse_math": False,  # a $ in a name is a $
+    "axes.formatter.use_mathtext": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
+    "figure.dpi": 150,
+    "hatch.linewidth": 0.6,
+}
+
+
+@contextmanager
+def drawing(**more: Any) -> Iterator[None]:
+    """Draw figures for pages inside, whatever the user's own style is.
+
+    Args:
+        **more: Further parameters of matplotlib, ``_`` for the point in their names.
+    """
+    with mpl.rc_context(), warnings.catch_warnings():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE | {key.replace("_", "."): own for key, own in more.items()})
+        # letters that matplotlib's font lacks are the browser's to draw
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
+        yield
 
 
 def picture_path(path: str | Path) -> Path:
@@ -46,16 +87,69 @@ def save_figure(drawn: Figure, path: str | Path, *, force: bool = False) -> Path
 def figure_bytes(drawn: Figure, kind: str) -> bytes:
     """Return a figure as svg, png or pdf; names and dates of its making are left out."""
     buffer = io.BytesIO()
-    with drawing(), mpl.rc_context({"svg.hashsalt": "pincal"}):
-        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
-        drawn.savefig(
-            buffer,
-            format=kind,
-            dpi=150,
-            bbox_inches="tight",
-            pad_inches=0.05,
-            metadata=dict.fromkeys(_SAID[kind]),
-        )
+    closely: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.05}
+    with drawing(svg_hashsalt="pincal"):
+        drawn.savefig(buffer, format=kind, dpi=150, metadata=dict.fromkeys(_SAID[kind]), **closely)
     if kind != "svg":
         return buffer.getvalue()
     return re.sub(rb"(?<= )(-?\d+\.\d\d)\d+\b", rb"\1", buffer.getvalue())  # of a point
+
+
+@dataclass(frozen=True)
+class SvgFigure:
+    """A figure with its caption, as part of a page."""
+
+    svg: str
+    """Elements of HTML; texts in it are escaped."""
+    caption: str
+
+    def __html__(self) -> str:
+        """Return the figure for a page."""
+        return rendered("figure.html", figure=self)
+
+
+def on_page(
+    name: str,
+) -> Callable[[Callable[..., tuple[Figure, str] | None]], Callable[..., SvgFigure | None]]:
+    """Return what makes a function that draws a figure and gives its caption a part of a page.
+
+    Args:
+        name: The figure's own in the page: ids in it differ from those of other figures.
+    """
+
+    def decorate(draw: Callable[..., tuple[Figure, str] | None]) -> Callable[..., SvgFigure | None]:
+        def part(*args: Any) -> SvgFigure | None:
+            buffer = io.BytesIO()
+            with drawing(svg_hashsalt=name):
+                if (drawn := draw(*args)) is None:
+                    return None
+                canvas: Any = FigureCanvasSVG(drawn[0])
+                canvas.print_svg(buffer, metadata={"Date": None})  # savefig would draw twice
+            picture = _inline(buffer.getvalue())
+            for key, value in {"role": "img", "aria-label": clean(drawn[1]), "id": name}.items():
+                picture.set(key, value)
+            return SvgFigure(etree.tostring(picture, method="html", encoding="unicode"), drawn[1])
+
+        return part
+
+    return decorate
+
+
+def _inline(svg: bytes) -> Any:
+    """Return an SVG as elements of HTML: no namespaces, no ids but those that are used."""
+    safe: dict[str, Any] = {"resolve_entities": False, "no_network": True, "remove_comments": True}
+    root: Any = etree.fromstring(svg, etree.XMLParser(huge_tree=True, **safe))
+    for element in list(root.iter("{*}metadata", "{*}style")):
+        element.getparent().remove(element)
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg.decode()))
+    for element in root.iter():
+        element.tag = etree.QName(element).localname
+        for key, value in element.items():
+            del element.attrib[key]
+            name = etree.QName(key).localname
+            if (name == "href" or not key.startswith("{")) and (name != "id" or value in used):
+                element.set(name, "".join(value.split()) if value[:5] == "data:" else value)
+    etree.cleanup_namespaces(root)
+    for key in ("width", "height", "version"):
+        del root.attrib[key]
+    return root

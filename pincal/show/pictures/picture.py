@@ -14,7 +14,6 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
@@ -32,7 +31,7 @@ class Picture:
     """Which pose the mechanism is drawn at."""
 
     def draw(self, axes: Axes) -> Axes:
-        """Draw into axes; as its makers meant it, inside ``pincal.show.pictures.svg.drawing()``."""
+        """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
         from pincal.show.pictures.figure import draw_scene
 
         return draw_scene(axes, self.scene, self.row)
@@ -92,11 +91,9 @@ def picture(
             shape; a factor that is not positive.
     """
     mechanism = as_mechanism(mechanism)
-    identified = None if identified is None else as_mechanism(identified)
     plan = plan_of(mechanism, [mechanism.platform.home] if poses is None else poses)
     if not 0 <= row < max(len(plan.poses), 1):
         raise MeasurementError(
             f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"
         )
-    cloud = None if workspace is None else numbers_of(workspace, "workspace", MeasurementError)
-    return Picture(scene(mechanism, plan, cloud, identified, magnify), row)
+    return Picture(scene(mechanism, plan, workspace, identified, magnify), row)

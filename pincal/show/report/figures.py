@@ -2,80 +2,98 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.show.pictures.svg import SvgFigure, on_page
+from pincal.show.pictures.files import on_page
 from pincal.show.plots import (
-    by_set,
     draw_bars,
-    draw_changes,
+    draw_map,
     draw_mechanism,
     draw_poses,
-    draw_set,
+    label,
     name_places,
-    shown_label,
 )
 from pincal.show.report.findings import Findings
-from pincal.show.results import noisy_series, whose
-from pincal.show.style import WIDTH
-from pincal.show.workspace_errors import WorkspaceErrors
-from pincal.words.numbers import SMALL, shown_in
+from pincal.show.results import Series, noisy_series, parameters, whose
+from pincal.show.style import COLOURS, PAGE, look
+from pincal.words.numbers import FACTORS, SMALL, shown_in
 
 Array = NDArray[np.float64]
+Drawn = tuple[Figure, str] | None
+
+
+def _figure(height: float) -> Figure:
+    """Return a figure as wide as a page, [inch]."""
+    return Figure(figsize=(PAGE.width, min(height, PAGE.height)), layout="constrained")
 
 
 @on_page("figure-poses")
-def poses_figure(found: Findings) -> tuple[Figure, str]:
+def poses_figure(found: Findings) -> Drawn:
     """Return the measured poses, with the mechanism in the plane (3-RRR paper, Figs. 4, 8)."""
     mechanism = found.result.nominal
-    sets = found.data.sets or ("",) * len(found.data)
+    sets = found.result.measurements.sets or ("",) * len(found.poses)
     plan = Plan(found.poses, tuple(one or EVERY_LEG for one in sets))
     if mechanism.platform.space == 2:
-        drawn = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+        drawn = _figure(3.4)
         left, axes = drawn.subplots(1, 2)
         draw_mechanism(left, mechanism)
-        over = found.errors.poses if found.errors is not None and found.errors.sampled else None
-        draw_poses(axes, mechanism, plan, over)
-        _remove_legend(axes)
+        if found.errors is not None and found.errors.sampled:
+            axes.plot(*found.errors.poses[:, :2].T, ",", color="0.8", zorder=0)
+        draw_poses(axes, mechanism, plan)
+        axes.set_aspect("equal")
         what = "over its workspace (grey), and the mechanism at home"
         what += "; strokes show the orientation" if found.turns else ""
     else:
-        drawn = Figure(figsize=(WIDTH, 3.0), layout="constrained")
-        for axes, pair in zip(drawn.subplots(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
-            _projection(axes, mechanism, plan, pair)
+        drawn = _figure(3.0)
+        home = joints_at(mechanism, home_of(mechanism)).joints
+        for axes, seen in zip(drawn.subplots(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
+            for leg in mechanism.legs:
+                if np.isfinite(home[leg.name]).all():
+                    points = skeleton(leg, home[leg.name][0])[:, seen]
+                    axes.plot(*points.T, "-", color="0.75", lw=1.5, zorder=1)
+            draw_poses(axes, mechanism, plan, seen)
+            axes.set_aspect("equal", adjustable="datalim")
         what = "seen from above, from the front and from the side; grey: the mechanism at home"
-    drawn.legend(
-        *axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
-    )
+    named = axes.get_legend_handles_labels()
+    drawn.legend(*named, loc="outside lower center", ncols=4, frameon=False)
     return drawn, f"The {len(plan.poses)} measured poses of the platform, {what}."
 
 
-def _projection(axes: Axes, mechanism: Mechanism, plan: Plan, pair: tuple[int, int]) -> None:
-    """Draw poses as they are seen along an axis, and the legs at home."""
-    across = list(pair)
-    home = joints_at(mechanism, home_of(mechanism))
-    for leg in mechanism.legs:
-        if np.isfinite(home.joints[leg.name]).all():
-            points = skeleton(leg, home.joints[leg.name][0])[:, across]
-            axes.plot(*points.T, "-", color="0.75", lw=1.5, zorder=1)
-    for index, name, own in by_set(mechanism, plan):
-        draw_set(axes, index, name, own[:, across])
-    axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
-    axes.set_aspect("equal", adjustable="datalim")
-
-
 @on_page("figure-changes")
-def changes_figure(found: Findings) -> tuple[Figure, str]:
-    """Return the change of each parameter with its interval."""
-    drawn = Figure(figsize=(WIDTH, 3.2), layout="constrained")
-    _legend_outside(draw_changes(drawn.subplots(), found.result))
+def changes_figure(found: Findings) -> Drawn:
+    """Return the change of each parameter with its interval, in 1e-3 of SI; no fixed ones."""
+    legs, drawn = found.result.legs, _figure(3.2)
+    units = {p.name: p.unit for _, p in parameters(found.result) if p.given != "fixed"}
+    axes, names = drawn.subplots(), list(units)
+    step = min(0.2, 0.8 / len(legs))
+    for index, leg in enumerate(legs):
+        free = [p for p in leg.parameters if p.given != "fixed"]
+        shift = (index - (len(legs) - 1) / 2) * step
+        colour, marker, _ = look(index)
+        axes.errorbar(
+            np.array([names.index(p.name) for p in free]) + shift,
+            1e3 * np.array([p.change for p in free]),
+            1e3 * np.array([(p.high - p.low) / 2 for p in free]),
+            fmt=marker,
+            color=colour,
+            label=label(leg.name),
+            ms=4,
+            capsize=3,
+            lw=1,
+        )
+    axes.axhline(0.0, color="0.5", lw=0.8)
+    name_places(axes, names, [SMALL[units[name]] or "10⁻³" for name in names])
+    axes.set_ylabel("identified − nominal, ± 95 %")
+    _legend_outside(axes)
     return drawn, (
         "Change of each parameter from nominal, with its 95 % interval. Where the interval "
         "holds zero, the measurements do not distinguish the nominal value from the identified "
@@ -83,35 +101,30 @@ def changes_figure(found: Findings) -> tuple[Figure, str]:
     )
 
 
-def platform_figure(found: Findings) -> SvgFigure | None:
-    """Return bars of the platform's errors and of the residuals, before and after (Fig. 10)."""
-    return None if found.errors is None else _bars(found, found.errors)
-
-
 @on_page("figure-rms")
-def _bars(found: Findings, errors: WorkspaceErrors) -> tuple[Figure, str]:
-    parts: list[tuple[str, dict[str, Array]]] = []
+def platform_figure(found: Findings) -> Drawn:
+    """Return bars of the platform's errors and of the residuals, before and after (Fig. 10)."""
+    if (errors := found.errors) is None:
+        return None
+    parts: dict[str, dict[str, Array]] = {}
     caption = "Root mean square errors before and after: "
     if found.result.explained:
         both = 1e3 * np.array([errors.mean_before(), errors.mean_after()])
         titles = ("platform: position [mm]", "orientation [mrad]")[: 1 + found.turns]
-        parts = [(title, {errors.where: own}) for title, own in zip(titles, both.T, strict=False)]
+        parts = {title: {errors.where: own} for title, own in zip(titles, both.T, strict=False)}
         caption += f"the platform's {errors.where} (after: as expected), and "
-    residuals: dict[str, dict[str, Array]] = {}
-    for one in noisy_series(found.result):
+    series = noisy_series(found.result)
+    for one in series:
         sizes = np.array([shown_in(value, one.unit) for value in one.rms[:2]])
-        residuals.setdefault(SMALL[one.unit], {})[one.name] = sizes
-    parts += [(f"residuals [{unit}]", bars) for unit, bars in residuals.items()]
-    drawn = Figure(figsize=(WIDTH, 2.9), layout="constrained")
-    widths = [1.4 + 0.6 * len(bars) for _, bars in parts]
+        parts.setdefault(f"residuals [{SMALL[one.unit]}]", {})[one.name] = sizes
+    drawn = _figure(2.9)
+    widths = [1.4 + 0.6 * len(bars) for bars in parts.values()]
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
-    for axes, (title, bars) in zip(panels, parts, strict=True):
-        series = {
-            name: {label: float(own[place]) for label, own in bars.items()}
-            for place, name in enumerate(("before", "after"))
-        }
-        draw_bars(axes, series).set_title(title)
-        _remove_legend(axes)
+    for axes, (title, bars) in zip(panels, parts.items(), strict=True):
+        when = enumerate(("before", "after"))
+        draw_bars(axes, {k: {name: own[i] for name, own in bars.items()} for i, k in when})
+        axes.set_title(title)
+        axes.get_legend().remove()
         turned = len(bars) > 4
         for bar in axes.containers:
             axes.bar_label(bar, fmt="%.2g", fontsize=6.5, rotation=90 * turned, padding=2)
@@ -119,18 +132,18 @@ def _bars(found: Findings, errors: WorkspaceErrors) -> tuple[Figure, str]:
             axes.tick_params(axis="x", labelrotation=45)
         axes.margins(y=0.18)
     drawn.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    return drawn, f"{caption}the residuals of each {whose(noisy_series(found.result))}."
+    return drawn, f"{caption}the residuals of each {whose(series)}."
 
 
 @on_page("figure-observability")
-def observability_figure(found: Findings) -> tuple[Figure, str]:
+def observability_figure(found: Findings) -> Drawn:
     """Return |R_ii| of each parameter and leg at the poses used (3-RRR paper, Fig. 9)."""
     mechanism = found.result.nominal
     read = {"m"} if mechanism.by_readings else set(mechanism.reading_units)
     unit = read.pop() if len(read) == 1 else "reading"
     units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
     what = "the leg's end" if mechanism.by_readings else "the readings"
-    drawn = Figure(figsize=(WIDTH, 2.8), layout="constrained")
+    drawn = _figure(2.8)
     axes = draw_bars(drawn.subplots(), found.observability)
     names = list(dict.fromkeys(name for own in found.observability.values() for name in own))
     per = [unit if units[name] == "1" else f"{unit}/{units[name]}" for name in names]
@@ -145,11 +158,130 @@ def observability_figure(found: Findings) -> tuple[Figure, str]:
 
 
 def _legend_outside(axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    names = [shown_label(label) for label in labels]
-    axes.legend(handles, names, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    handles, names = axes.get_legend_handles_labels()
+    axes.legend(
+        handles, map(label, names), loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False
+    )
 
 
-def _remove_legend(axes: Axes) -> None:
-    if (legend := axes.get_legend()) is not None:
-        legend.remove()
+@on_page("figure-residuals")
+def residuals_figure(found: Findings) -> Drawn:
+    """Return residuals before and after against the row, one line of panels for each series."""
+    series = noisy_series(found.result)
+    drawn = _figure(0.5 + 1.25 * len(series))
+    panels = drawn.subplots(len(series), 2, sharex=True, squeeze=False)
+    alike: dict[tuple[str, bool], tuple[Axes, Axes]] = {}
+    for index, (one, (left, right)) in enumerate(zip(series, panels, strict=True)):
+        first = alike.setdefault((one.unit, one.of_leg), (left, right))
+        if first[0] is not left:
+            left.sharey(first[0])
+            right.sharey(first[1])
+        unit = SMALL[one.unit]
+        factor, rows, many = FACTORS[unit], one.rows + 1, len(one.rows) > PAGE.many
+        colour, marker, _ = look(index)
+        style = {"color": colour, "rasterized": many, "ms": 3}
+        left.plot(rows, factor * one.before, marker, mfc="none", **style)
+        right.plot(rows, factor * one.after, marker, **style)
+        bound = 1.96 * factor * one.sigma
+        ends = np.stack((np.stack((rows, -bound), 1), np.stack((rows, bound), 1)), 1)
+        bars = LineCollection(list(ends), colors="0.8", lw=3, zorder=0, rasterized=many)
+        right.add_collection(bars)
+        _mark_outliers(right, found, one, factor)
+        left.set_ylabel(f"{one.name} [{unit}]")
+        for axes in (left, right):
+            axes.axhline(0.0, color="0.5", lw=0.6, zorder=0)
+            axes.tick_params(labelleft=True)
+    for axes, title in zip(panels[0], ("nominal", "identified"), strict=True):
+        axes.set_title(f"{title} parameters ({'before' if title == 'nominal' else 'after'})")
+    for axes in panels[-1]:
+        axes.set_xlabel("data row")
+    return drawn, (
+        f"Residuals of each {whose(series)} against the row of the measurements, before and "
+        "after; the scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: "
+        "rows that do not fit the others; crosses at the upper edge: rows that were rejected."
+    )
+
+
+def _mark_outliers(axes: Axes, found: Findings, series: Series, factor: float) -> None:
+    """Ring rows that do not fit, and name the worst six."""
+    place = {int(row): i for i, row in enumerate(series.rows)}
+    own = [one for one in found.result.outliers if not series.of_leg or series.name in one.legs]
+    for rank, one in enumerate(own):
+        row = one.row + 1
+        if one.row in place:
+            where, system = (row, factor * float(series.after[place[one.row]])), axes.transData
+            axes.plot(*where, "o", ms=8, mfc="none", mec=COLOURS[1], mew=1.2)
+        else:
+            where, system = (row, 0.93), axes.get_xaxis_transform()
+            axes.plot(*where, "X", ms=6, color=COLOURS[1], transform=system, clip_on=False)
+        if rank < 6:
+            beside: dict[str, Any] = {"xytext": (6, 2), "textcoords": "offset points", "size": 7}
+            axes.annotate(str(row), where, xycoords=system, **beside)
+
+
+@on_page("figure-histogram")
+def histogram_figure(found: Findings) -> Drawn:
+    """Return the distribution of residuals in standard deviations, against the normal one.
+
+    None if all that was measured is exact.
+    """
+    parts = [(one.after[one.sigma > 0.0], one.sigma) for one in noisy_series(found.result)]
+    white = np.concatenate([after / sigma[sigma > 0.0] for after, sigma in parts])
+    if not len(white := white[np.isfinite(white)]):
+        return None
+    drawn = _figure(2.4)
+    axes = drawn.subplots()
+    shown = min(max(4.0, float(np.ceil(np.abs(white).max()))), 8.0)
+    bins = np.linspace(-shown, shown, int(4 * shown) + 1).tolist()
+    looks: dict[str, Any] = {
+        "color": COLOURS[5],
+        "edgecolor": "white",
+        "label": f"{len(white)} residuals",
+    }
+    axes.hist(white.clip(-shown, shown), bins, density=True, **looks)
+    z = np.linspace(-shown, shown, 200)
+    normal = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+    axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
+    axes.set(xlabel="residual [standard deviations]", ylabel="density")
+    axes.legend(frameon=False)
+    outside = 100 * float((np.abs(white) > 1.96).mean())
+    return drawn, (
+        "Distribution of the residuals after the calibration, each over its standard "
+        f"deviation; {outside:.0f} % are larger than 1.96. Expected are 5 %, or less: the fit "
+        "makes residuals smaller."
+    )
+
+
+@on_page("figure-maps")
+def maps_figure(found: Findings) -> Drawn:
+    """Return the platform's errors over x and y, before and after (3-RRR paper, Figs. 6, 11)."""
+    if (maps := found.maps) is None:
+        return None
+    quantities = ((0, "position", "mm"), (1, "orientation", "mrad"))[: 1 + found.turns]
+    rows = [
+        (f"{what} {when}", unit, 1e3 * values[..., column])
+        for column, what, unit in quantities
+        for when, values in (("before", maps.before), ("after, expected", maps.after))
+    ]
+    spatial = len(maps.heights) > 1
+    across = len(maps.heights) if spatial else 2
+    down = len(rows) * len(maps.heights) // across
+    panel = 0.8 * PAGE.width / across * float(np.ptp(maps.y) / np.ptp(maps.x))
+    drawn = _figure(down * (panel + 0.5))
+    panels = iter(drawn.subplots(down, across, sharex=True, sharey=True).ravel())
+    for title, unit, values in rows:
+        own = [next(panels) for _ in maps.heights]
+        limits = float(np.nanmin(values)), float(np.nanmax(values))
+        for axes, error, height in zip(own, values, maps.heights, strict=True):
+            draw_map(axes, (maps.x, maps.y), error, limits)
+            axes.set_title("" if height is None else f"z = {height:.3g} m")
+        own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
+        drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
+    drawn.supxlabel("x [m]", size=8)
+    drawn.supylabel("y [m]", size=8)
+    where = "the workspace at home orientation" if found.turns else "the workspace"
+    return drawn, (
+        f"Error of the platform over {where}: how far the nominal model is off, and what is "
+        "to be expected of the calibrated one (standard error). Scales differ; white: not in "
+        "the workspace."
+    )

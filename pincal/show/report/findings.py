@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pincal.calibration.result import CalibrationResult
 from pincal.estimation.observability.indices import r_diagonal
 from pincal.kinematics.derivatives import leg_demand
-from pincal.model.measurements import Measurements, Plan
 from pincal.show.results import turns
 from pincal.show.workspace_errors import (
     ErrorMaps,
@@ -28,11 +27,13 @@ class Findings:
     """A calibration, what it was made from, and what follows from it."""
 
     result: CalibrationResult
-    data: Measurements
-    poses: Array
-    """Poses of all rows in the base frame, shape (N, dof)."""
     errors: WorkspaceErrors | None
     """None if the fit did not converge."""
+
+    @cached_property
+    def poses(self) -> Array:
+        """Poses of all rows in the base frame, shape (N, dof)."""
+        return self.result.poses
 
     @property
     def turns(self) -> bool:
@@ -50,7 +51,8 @@ class Findings:
         for leg, own in zip(self.result.legs, machine.reading_columns, strict=True):
             free = [i for i, p in enumerate(leg.parameters) if p.std > 0.0]
             rows = np.unique(leg.rows)
-            readings = self.data.readings[rows][:, own] if machine.by_readings else None
+            read = self.result.measurements.readings
+            readings = read[rows][:, own] if machine.by_readings else None
             demand = leg_demand(machine, leg.name, self.poses[rows], readings=readings)
             demand = demand if machine.by_readings else demand.as_joint()
             C = demand.parameter.reshape(-1, len(leg.parameters))
@@ -67,7 +69,4 @@ class Findings:
 
 def findings(result: CalibrationResult) -> Findings:
     """Return what follows from a calibration."""
-    data, poses = result.measurements, result.poses
-    readings = data.readings if result.nominal.by_readings else None
-    errors = workspace_errors(result, Plan(poses, readings=readings)) if result.converged else None
-    return Findings(result, data, poses, errors)
+    return Findings(result, workspace_errors(result) if result.converged else None)

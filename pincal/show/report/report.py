@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from pathlib import Path
 
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
-from pincal.files.output import writing
+from pincal.show.page import Page
 from pincal.show.report.findings import Findings, findings
 
 _PACKAGES = ("pincal", "pin", "numpy", "scipy")
@@ -33,69 +32,35 @@ class Origin:
     date: str
 
 
-class Report:
+class Report(Page):
     """A report: a page to save, or to see in a notebook."""
 
     def __init__(self, found: Findings, origin: Origin) -> None:
         self.found = found
         self.origin = origin
 
-    def html(self) -> str:
-        """Return the page, which needs no other file and no network."""
-        return self._page
-
     @cached_property
     def _page(self) -> str:
-        import pincal.show.report.sections as sections  # imports matplotlib: slow
-        from pincal.show.report.answers import answers, warning_lines
-        from pincal.show.summary import method_line
+        from pincal.show import result_tables, results, summary
+        from pincal.show.report import facts, figures  # imports matplotlib: slow
+        from pincal.show.report.answers import Answers, warning_lines
         from pincal.words.pages import rendered
 
-        found, origin, result = self.found, self.origin, self.found.result
-        shown = [sections.measured(found)]
-        if result.converged:
-            shown += [
-                one(found)
-                for one in (
-                    sections.parameters,
-                    sections.residuals,
-                    sections.platform,
-                    sections.observability,
-                )
-            ]
-            shown += [sections.outliers(result), sections.checks(result, origin.notes)]
+        found, origin = self.found, self.origin
         versions = [f"{package} {version(package)}" for package in _PACKAGES]
-        made = (*versions, f"Python {platform.python_version()}")
         return rendered(
             "report.html",
-            name=result.nominal.name,
-            description=result.nominal.description,
-            about=(
-                f"{origin.date} · {len(found.data)} rows · {method_line(result)} · {result.message}"
-            ),
-            warnings=warning_lines(result),
-            answers=answers(found, origin.notes),
-            sections=[
-                *shown,
-                sections.reproduction(origin.command, made, origin.files, origin.date),
-            ],
-        )
-
-    def save(self, path: str | Path, *, force: bool = False) -> Path:
-        """Write the page to a file, whole or not at all, and return its path.
-
-        Raises:
-            FileError: the file exists and ``force`` is not set, or cannot be written.
-        """
-        with writing(path, force=force) as scratch:
-            scratch.write_text(self.html(), encoding="utf-8")
-        return Path(path)
-
-    def _repr_html_(self) -> str:
-        """Return the page in a frame of its own, for notebooks."""
-        return (
-            '<iframe sandbox="" style="width: 100%; height: 800px; border: 0" '
-            f'srcdoc="{html.escape(self.html())}"></iframe>'
+            found=found,
+            result=found.result,
+            origin=origin,
+            facts=facts,
+            figures=figures,
+            results=results,
+            summary=summary,
+            tables=result_tables,
+            warnings=warning_lines(found.result),
+            answers=Answers(found, origin.notes),
+            versions=[*versions, f"Python {platform.python_version()}"],
         )
 
 

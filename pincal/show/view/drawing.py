@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.show.style import CARRIED, DOMAIN, GROUND, IDENTIFIED
-from pincal.show.view.bodies import Body
-from pincal.show.view.looks import frame_axes, ground, set_colour
-from pincal.show.view.scene import Scene
-from pincal.show.view.shapes import Shape
+from pincal.show.view.bodies import Body, Shape
+from pincal.show.view.scene import Scene, frame_axes, ground
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of pyzmq, when meshcat asks for it
@@ -70,14 +68,8 @@ def commands(scene: Scene) -> list[bytes]:
     if scene.cloud:
         colours = np.where(scene.cloud.domain[:, None], _rgb(DOMAIN), _rgb(CARRIED))
         _dots(draw["cloud"], scene.cloud.positions, colours, 2)
-    positions = scene.body.placements[:, scene.body.part("platform/body"), :3, 3]
-    skeletons = scene.body.skeletons()
-    for number, name in enumerate(dict.fromkeys(scene.sets), 1):
-        own = np.array(scene.sets) == name
-        colour = set_colour(scene, name)
-        _dots(draw[f"sets/{number}"], positions[own], _rgb(colour), 7)
-        lines = skeletons[own].reshape(-1, 2, 3)
-        lines = lines[np.isfinite(lines).all(axis=(1, 2))]
+    for number, (_, colour, positions, lines) in enumerate(scene.by_set(), 1):
+        _dots(draw[f"sets/{number}"], positions, _rgb(colour), 7)
         _lines(draw[f"ghosts/{number}"], lines, colour, opacity=0.45)
     return recorder.commands
 

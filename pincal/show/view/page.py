@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.show.style import DOMAIN, IDENTIFIED
+from pincal.show.style import DOMAIN, IDENTIFIED, TOWARDS_VIEWER
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
-from pincal.show.view.looks import TOWARDS_VIEWER, grid_step, set_colour
-from pincal.show.view.scene import Scene
+from pincal.show.view.scene import Scene, grid_step, set_colour
 from pincal.words.numbers import FACTORS, POSES, SMALL
 from pincal.words.pages import rendered
 
@@ -30,7 +28,7 @@ def page(scene: Scene, source: str = "") -> str:
 
     Args:
         scene: What to show.
-        source: Where it comes from, in words.
+        source: Where it comes from.
     """
     text = json.dumps(_data(scene, source), ensure_ascii=False, separators=(",", ":"))
     return rendered(
@@ -84,33 +82,28 @@ def _body(root: str, body: Body) -> dict[str, Any]:
 
 def _rows(scene: Scene) -> list[dict[str, Any]]:
     """Return the table under the slider: what each row is, and its value at each pose."""
-    platform = scene.mechanism.platform
-    coordinates = zip(platform.coordinates, platform.units, scene.plan.poses.T, strict=True)
-    rows = [_row("pose", name, unit, POSES, values) for name, unit, values in coordinates]
-    names, units = scene.mechanism.reading_names, scene.mechanism.reading_units
-    by_readings = scene.mechanism.by_readings
-    readings = {"given" if by_readings else "nominal": scene.readings}
-    if scene.plan.readings is not None and not by_readings:
-        readings["measured"] = scene.plan.readings
-    for group, read in readings.items():
-        for name, unit, values in zip(names, units, read.T, strict=True):
-            rows.append(_row(group, name, unit, POSES, values))
+    mechanism, platform = scene.mechanism, scene.mechanism.platform
+    read = mechanism.reading_names, mechanism.reading_units
+    groups = [("pose", platform.coordinates, platform.units, POSES, scene.plan.poses)]
+    what = "given" if mechanism.by_readings else "nominal"
+    groups.append((what, *read, POSES, scene.readings))
+    if scene.plan.readings is not None and not mechanism.by_readings:
+        groups.append(("measured", *read, POSES, scene.plan.readings))
     if scene.identified:
-        errors = zip(platform.freedoms, platform.units, scene.identified.errors.T, strict=True)
-        rows += [_row("error", name, unit, SMALL, values) for name, unit, values in errors]
-    return rows
-
-
-def _row(
-    group: str, name: str, unit: str, units: Mapping[str, str], values: Array
-) -> dict[str, Any]:
-    shown = (values * FACTORS[units[unit]]).round(4)
-    return {
-        "group": group,
-        "name": name,
-        "unit": units[unit],
-        "values": [float(v) if np.isfinite(v) else None for v in shown],
-    }
+        errors = scene.identified.errors
+        groups.append(("error", platform.freedoms, platform.units, SMALL, errors))
+    return [
+        {
+            "group": group,
+            "name": name,
+            "unit": shown[unit],
+            "values": [float(v) if np.isfinite(v) else None for v in values],
+        }
+        for group, names, units, shown, every in groups
+        for name, unit, values in zip(
+            names, units, (every * [FACTORS[shown[u]] for u in units]).round(4).T, strict=True
+        )
+    ]
 
 
 def _layers(scene: Scene) -> list[dict[str, Any]]:

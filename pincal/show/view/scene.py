@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +11,14 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.view.bodies import Body, body
+from pincal.show.style import AXES, EVERY, look
+from pincal.show.view.bodies import Body, Shape, body
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.domain import in_domain
 
@@ -73,6 +76,15 @@ class Scene:
         """Whether all moves in the x-y plane."""
         return len(self.mechanism.platform.closure_rows) == 2
 
+    def by_set(self) -> Iterator[tuple[str, str, Array, Array]]:
+        """Yield name, colour, positions (n, 3) and legs' segments (k, 2, 3) of each set, [m]."""
+        at = self.body.placements[:, self.body.part("platform/body"), :3, 3]
+        skeletons = self.body.skeletons()
+        for name in dict.fromkeys(self.sets):
+            own = np.array(self.sets) == name
+            lines = skeletons[own].reshape(-1, 2, 3)
+            yield name, set_colour(self, name), at[own], lines[np.isfinite(lines).all(axis=(1, 2))]
+
     def points(self) -> Array:
         """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
         bodies = [self.body] + ([self.identified.body] if self.identified else [])
@@ -90,24 +102,11 @@ class Scene:
 def scene(
     mechanism: Mechanism,
     plan: Plan,
-    workspace: Array | None = None,
-    identified: Mechanism | None = None,
+    workspace: ArrayLike | None = None,
+    identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
 ) -> Scene:
-    """Return the scene of a mechanism at the poses of a plan.
-
-    Args:
-        mechanism: The nominal mechanism.
-        plan: The poses, and the sets they belong to.
-        workspace: Positions, shape (M, 2) or (M, 3), or poses that begin with them, [m].
-        identified: The identified mechanism, to be shown beside the nominal one.
-        magnify: Factor on the differences of its parameters.
-
-    Raises:
-        MechanismError: poses of a wrong shape; an identified mechanism with other parameters.
-        MeasurementError: no poses, too many or not whole; a workspace of a wrong
-            shape; a factor that is not positive.
-    """
+    """Return the scene of a mechanism at the poses of a plan; all else as of ``view``."""
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
             f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
@@ -119,14 +118,10 @@ def scene(
             "not whole; those that a calibration estimated can be drawn: "
             "result.estimated_poses, or poses.csv in the folder of the result"
         )
-    found = Scene(
-        mechanism,
-        plan,
-        body(mechanism, plan),
-        joints_at(mechanism, plan).readings,
-    )
+    found = Scene(mechanism, plan, body(mechanism, plan), joints_at(mechanism, plan).readings)
     if identified is not None:
-        found = replace(found, identified=_identified(found, identified, magnify))
+        machine = _identified(found, as_mechanism(identified), magnify)
+        found = replace(found, identified=machine)
     return found if workspace is None else replace(found, cloud=_cloud(mechanism, workspace))
 
 
@@ -144,7 +139,7 @@ def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> P
     return Plan(mechanism.platform.coordinates_of(given))
 
 
-def _cloud(mechanism: Mechanism, workspace: Array) -> Cloud:
+def _cloud(mechanism: Mechanism, workspace: ArrayLike) -> Cloud:
     """Return the positions of a workspace, and which are of a fundamental domain."""
     lengths = mechanism.platform.units.count("m")
     given = numbers_of(workspace, "workspace", MeasurementError)
@@ -194,3 +189,46 @@ def _identified(scene: Scene, identified: Mechanism, magnify: float) -> Identifi
     why |= dict(zip(reached.tolist(), at.problems, strict=True))
     everywhere = replace(at, placements=placements, problems=tuple(why.values()))
     return Identified(everywhere, magnify, platform_errors(mechanism, identified, scene.plan))
+
+
+def set_colour(scene: Scene, name: str) -> str:
+    """Return the colour of a set, that of its leg; dark for the poses of every leg."""
+    names = scene.mechanism.leg_names
+    return look(names.index(name)).colour if name in names else EVERY
+
+
+def frame_axes(scene: Scene) -> tuple[Shape, ...]:
+    """Return the axes of a frame, x red, y green, z blue, of a length that suits the scene."""
+    platform = scene.body.parts[scene.body.part("platform/body")]
+    length = 5 * platform.shapes[0].size[0]
+    axes = []
+    for place, colour in enumerate(AXES):
+        T = np.zeros((4, 4))
+        T[:3, :3] = np.roll(np.eye(3), 2 - place, axis=1)  # z of the cylinder along the axis
+        T[3, 3] = 1.0
+        T[place, 3] = length / 2
+        axes.append(Shape("cylinder", (0.03 * length, length), T, colour))
+    return tuple(axes)
+
+
+def grid_step(scene: Scene) -> float:
+    """Return the lines' distance on the ground, 1, 2 or 5 times a power of ten, [m]."""
+    width = float(np.ptp(scene.bounds()[:, :2], axis=0).max())
+    wanted = max(width, 1e-9) / 6
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(s for s in (1.0, 2.0, 5.0) if s <= wanted / decade * (1 + 1e-9)) * decade)
+
+
+def ground(scene: Scene) -> Array:
+    """Return lines on the ground under all that is drawn, shape (n, 2, 3), [m]."""
+    step = grid_step(scene)
+    low, high = scene.bounds()[:, :2]
+    begin, end = np.floor(low / step) * step, np.ceil(high / step) * step
+    lines = []
+    for axis in (0, 1):
+        at = np.arange(begin[axis], end[axis] + step / 2, step)
+        ends = np.zeros((len(at), 2, 3))
+        ends[:, :, axis] = at[:, None]
+        ends[:, :, 1 - axis] = begin[1 - axis], end[1 - axis]
+        lines.append(ends)
+    return np.concatenate(lines)

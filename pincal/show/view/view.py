@@ -2,54 +2,38 @@
 
 from __future__ import annotations
 
-import html
 from functools import cached_property
-from pathlib import Path
 from weakref import finalize
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError, WorkspaceError
+from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.output import writing
 from pincal.kinematics.configurations import home_of
-from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show.page import Page
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
 Array = NDArray[np.float64]
-_SAMPLED = 24
 
 
-class View:
+class View(Page):
     """A view of a mechanism: a page to open, to save, or to see in a notebook."""
+
+    sandbox, height = "allow-scripts allow-downloads", "600px"
 
     def __init__(self, scene: Scene, source: str = "") -> None:
         self.scene = scene
         self._source = source
-
-    def html(self) -> str:
-        """Return the page, which needs no server and no network."""
-        return self._page
 
     @cached_property
     def _page(self) -> str:
         from pincal.show.view.page import page  # imports meshcat: slow
 
         return page(self.scene, self._source)
-
-    def save(self, path: str | Path, *, force: bool = False) -> Path:
-        """Write the page to a file, whole or not at all, and return its path.
-
-        Raises:
-            FileError: the file exists and ``force`` is not set, or cannot be written.
-        """
-        with writing(path, force=force) as scratch:
-            scratch.write_text(self.html(), encoding="utf-8")
-        return Path(path)
 
     @cached_property
     def url(self) -> str:
@@ -64,13 +48,6 @@ class View:
         """Stop serving the page, if it was asked for by ``url``."""
         if self.__dict__.pop("url", None):
             self._close()
-
-    def _repr_html_(self) -> str:
-        """Return the page in a frame of its own, for notebooks."""
-        return (
-            '<iframe sandbox="allow-scripts allow-downloads" style="width: 100%; height: 600px; '
-            f'border: 0" srcdoc="{html.escape(self.html())}"></iframe>'
-        )
 
 
 def view(
@@ -93,7 +70,7 @@ def view(
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
         magnify: Factor on what differs between its parameters and the nominal ones.
-        source: Where it comes from, in words, for the page.
+        source: Where it comes from, for the page.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
@@ -102,10 +79,8 @@ def view(
             shape; a factor that is not positive.
     """
     mechanism = as_mechanism(mechanism)
-    identified = None if identified is None else as_mechanism(identified)
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
-    cloud = None if workspace is None else numbers_of(workspace, "workspace", MeasurementError)
-    return View(scene(mechanism, plan, cloud, identified, magnify), source)
+    return View(scene(mechanism, plan, workspace, identified, magnify), source)
 
 
 def _some_poses(mechanism: Mechanism) -> Plan:
@@ -114,7 +89,7 @@ def _some_poses(mechanism: Mechanism) -> Plan:
 
     home = home_of(mechanism)
     try:
-        more = sample_configurations(mechanism, _SAMPLED)
+        more = sample_configurations(mechanism, 24)
     except WorkspaceError:  # none with the default margins
         return home
     read = [plan.readings for plan in (home, more) if plan.readings is not None]

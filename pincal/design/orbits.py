@@ -1,0 +1,178 @@
+"""Orbits of legs and of poses: what one leg's choice gives the others, no pose counted twice.
+
+An element that carries leg i onto leg j takes the rows of i at a pose to those of j at the carried
+pose, but for one constant change of parameters: C_j(g x) M = C_i(x). Determinants then rank poses
+alike, under any offset of a sensor, whose columns M mixes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import gcd
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from pincal.design.distinct import SAME, places_of
+from pincal.errors import SymmetryError
+from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.singularity import margins
+from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Platform
+from pincal.symmetry.detect import SymmetryGroup, symmetry_group
+from pincal.symmetry.elements import Element
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_MAPPED = 1e-5  # part of rows that a change of parameters may leave: a group found within 1e-6
+
+
+@dataclass(frozen=True)
+class LegOrbit:
+    """Legs that a group carries onto each other."""
+
+    legs: tuple[str, ...]
+    """The reference leg first."""
+    carriers: tuple[Element, ...]
+    """An element that carries the reference leg onto each."""
+
+
+def selection_group(mechanism: Mechanism) -> SymmetryGroup:
+    """Return the elements by which poses can be mapped: sensors do not matter to them.
+
+    Those that take home across a type-2 singularity are left out: it cannot be driven there.
+
+    Raises:
+        SymmetryError: the elements carry no leg onto another one.
+    """
+    group = symmetry_group(mechanism, readings=False)
+    platform = mechanism.platform
+    home = np.array([platform.home])
+    images = np.concatenate([element.poses(platform, home) for element in group.elements])
+    with np.errstate(invalid="ignore"):
+        across = margins(mechanism, images).type2 < 0.0
+    kept = group.part([i for i, beyond in enumerate(across) if not beyond])
+    if len(mechanism.legs) > 1 and len(kept.leg_orbits) == len(mechanism.legs):
+        group.carriers()  # says what breaks it
+        kept.carriers()
+    return kept
+
+
+def leg_orbits(group: SymmetryGroup, poses: Array) -> tuple[LegOrbit, ...]:
+    """Return the orbits of legs whose parameters map too.
+
+    Args:
+        group: The group.
+        poses: Some poses that all legs reach, coordinates of shape (N, dof).
+
+    Raises:
+        SymmetryError: legs of one orbit have other parameters.
+    """
+    found = []
+    for legs in group.leg_orbits:
+        carriers = group.carriers(legs[0])
+        for name, element in zip(legs[1:], carriers[1:], strict=True):
+            rows = [
+                _reading_rows(group.mechanism, leg, where)
+                for leg, where in (
+                    (legs[0], poses),
+                    (name, element.poses(group.mechanism.platform, poses)),
+                )
+            ]
+            if not maps(*rows):
+                raise SymmetryError(
+                    f"{element} carries {legs[0]} onto {name}, but not the parameters of one to "
+                    "those of the other: their columns span other spaces. Give both the same set "
+                    "of parameters, or choose poses for each leg on its own (--independent)"
+                )
+        found.append(LegOrbit(legs, carriers))
+    return tuple(found)
+
+
+def maps(first: Array, second: Array) -> bool:
+    """Return whether rows, shape (N, n), are others times one constant matrix."""
+    if first.shape != second.shape:
+        return False
+    scale = np.linalg.norm(first, axis=0)
+    scale[scale == 0.0] = 1.0
+    M = np.linalg.lstsq(first / scale, second, rcond=1e-12)[0]
+    off = np.linalg.norm(second - (first / scale) @ M, axis=0)
+    return bool((off <= _MAPPED * np.linalg.norm(second, axis=0)).all())
+
+
+def _reading_rows(mechanism: Mechanism, leg: str, poses: Array) -> Array:
+    rows = leg_demand(mechanism, leg, poses).as_joint().parameter
+    return rows.reshape(-1, rows.shape[2])
+
+
+def smallest(group: SymmetryGroup) -> tuple[Element, ...]:
+    """Return the elements of the smallest subgroup with the same orbits of legs."""
+    same = [part for part in group.subgroups() if part.leg_orbits == group.leg_orbits]
+    return min(
+        same, key=lambda part: (len(part.elements), sum(e.reflection for e in part.elements))
+    ).elements
+
+
+def multiplicities(orbits: Sequence[LegOrbit]) -> list[int]:
+    """Return how often each orbit's reference leg counts, so that every leg counts alike."""
+    sizes = [len(orbit.legs) for orbit in orbits]
+    return [size // gcd(*sizes) for size in sizes]
+
+
+def images(
+    platform: Platform, elements: Sequence[Element], poses: Array
+) -> tuple[Array, Mask, Mask]:
+    """Return the orbits of poses, and which images count.
+
+    Args:
+        platform: The platform.
+        elements: Of a group, the identity first.
+        poses: Coordinates, shape (M, dof).
+
+    Returns:
+        Images, shape (E, M, dof); which are not an earlier one of the same pose, shape (E, M): a
+        pose on a mirror has a smaller orbit; and which poses are an image of an earlier pose, (M,).
+    """
+    found = np.stack([g.poses(platform, poses) for g in elements])
+    count = len(elements)
+    places = places_of(platform, found.reshape(-1, platform.dof)).reshape(count, len(poses), -1)
+    own = np.ones((count, len(poses)), dtype=bool)
+    for later in range(1, count):  # some element leaves a pose where it is, or none does
+        own[later] = np.abs(places[later] - places[0]).max(axis=1) > SAME
+    fixed = np.flatnonzero(~own.all(axis=0))
+    for later in range(2, count):
+        for earlier in range(1, later):
+            apart = np.abs(places[later, fixed] - places[earlier, fixed]).max(axis=1)
+            own[later, fixed] &= apart > SAME
+    tree, order = KDTree(places[0]), np.arange(len(poses))
+    repeated = np.zeros(len(poses), dtype=bool)
+    for image in places[1:]:
+        distance, other = tree.query(image, p=np.inf)
+        repeated |= (distance <= SAME) & (other < order)
+    return found, own, repeated
+
+
+def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
+    """Return a plan that holds no pose twice: one that two legs want serves both.
+
+    Args:
+        mechanism: The mechanism.
+        poses: Coordinates, shape (N, dof).
+        legs: For which leg each was chosen, length N.
+    """
+    places = places_of(mechanism.platform, poses)
+    kept: list[int] = []
+    wanted: list[list[str]] = []
+    for row, leg in enumerate(legs):
+        same = np.flatnonzero(np.abs(places[kept] - places[row]).max(axis=1) <= SAME)
+        if len(same):
+            wanted[int(same[0])].append(leg)
+        else:
+            kept.append(row)
+            wanted.append([leg])
+    every = len(mechanism.legs)
+    sets = tuple(EVERY_LEG if len(one) == every > 1 else "+".join(one) for one in wanted)
+    return Plan(poses[kept], sets)

@@ -1,0 +1,83 @@
+"""Which legs an element carries onto which, and by how much these differ."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from pincal.model.leg import Leg
+from pincal.model.mechanism import Mechanism
+from pincal.symmetry.candidates import Points, candidates
+from pincal.symmetry.carry import bare, canonical, carry
+from pincal.symmetry.differences import Difference, differences
+from pincal.symmetry.elements import Element
+
+Array = NDArray[np.float64]
+Permutation = tuple[int, ...]
+NEARLY = 0.1
+"""Of how far leg points are apart: a symmetry meant, though not kept."""
+
+
+@lru_cache(maxsize=64)
+def suggested(mechanism: Mechanism) -> tuple[Element, ...]:
+    """Return the elements that leg points suggest, found once."""
+    return tuple(candidates(Points(mechanism), NEARLY))
+
+
+class Fits:
+    """Which legs of a mechanism elements carry onto which, and by how much these differ."""
+
+    def __init__(self, mechanism: Mechanism, readings: bool) -> None:
+        self.mechanism, self.readings = mechanism, readings
+        self.points = Points(mechanism)
+        self.legs = [canonical(bare(leg)) for leg in mechanism.legs]
+        self._homed = readings and any(s.homed for leg in mechanism.legs for s in leg.sensors)
+
+    @property
+    def centres(self) -> tuple[Array, Array]:
+        """Centres of base points and platform points, shape (3,) each, [m]."""
+        return self.points.base.mean(axis=0), self.points.platform.mean(axis=0)
+
+    def home_moves(self, element: Element) -> float:
+        """Return by how much home moves, [m] and [rad] together."""
+        platform = self.mechanism.platform
+        home = np.array([platform.home])
+        carried = element.poses(platform, home)
+        return float(np.abs(platform.twists_between(home, carried)).max())
+
+    def permutation(self, element: Element, tolerance: float) -> Permutation:
+        """Return onto which leg each one is carried within a tolerance; empty if some is not."""
+        count = len(self.legs)
+        if element.is_identity:
+            return tuple(range(count))
+        if self._homed and self.home_moves(element) > tolerance * max(1.0, self.points.size):
+            return ()
+        fits = np.zeros((count, count), dtype=bool)
+        apart = self.points.distances(element)
+        for index, leg in enumerate(self.legs):
+            carried = carry(leg, element, leg.name, leg.point.name)
+            for other in np.flatnonzero(apart[index] <= 2.0 * NEARLY):
+                fits[index, other] = not any(
+                    d.exceeds(tolerance, self.points.size)
+                    for d in self._differences(carried, self.legs[other])
+                )
+            if not fits[index].any():
+                return ()
+        rows, to = linear_sum_assignment(np.where(fits, apart, 1e6))
+        return tuple(to.tolist()) if fits[rows, to].all() else ()
+
+    def measured(self, element: Element, permutation: Permutation) -> tuple[float, float]:
+        """Return the largest deviation of carried legs in [m] and in [rad]."""
+        worst = {"m": 0.0, "rad": 0.0, "1": 0.0}
+        for leg, index in zip(self.legs, permutation, strict=True):
+            carried = carry(leg, element, leg.name, leg.point.name)
+            for one in self._differences(carried, self.legs[index]):
+                worst[one.unit] = max(worst[one.unit], one.deviation or 0.0)
+        return worst["m"], worst["rad"]
+
+    def _differences(self, carried: Leg, leg: Leg) -> list[Difference]:
+        found = differences(carried, leg, self.mechanism.platform)
+        return [one for one in found if self.readings or not one.of_sensor]

@@ -1,0 +1,191 @@
+"""Finite groups of elements: products, the largest closed subset, exact isometries, names.
+
+Elements that were found one at a time, each within a tolerance, need not be a group. The products
+of what they are meant to be decide which are; averaging over the group then makes their isometries
+exact (K. Grove, H. Karcher, E. Ruh, Math. Annalen 211, 1974).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.symmetry.elements import SAME, Element, Isometry
+
+Array = NDArray[np.float64]
+Table = NDArray[np.intp]
+_NEAREST = 0.25  # how far a product may be from the element that it is meant to be, |Q − Q'|
+_ROUNDS = 8  # of averaging: each squares the error
+
+
+def product_table(elements: Sequence[Element], labels: Sequence[object] | None = None) -> Table:
+    """Return the index of each product, first the column's element, then the row's; −1 if none.
+
+    Args:
+        elements: The elements, perhaps not exact.
+        labels: What tells elements apart that are near each other, such as where they carry legs:
+            ``labels[i]`` is a tuple of indices, and that of a product is known.
+    """
+    count = len(elements)
+    turns = np.array([np.stack((e.base.Q, e.platform.Q)) for e in elements])
+    table = np.full((count, count), -1, dtype=np.intp)
+    for a in range(count):
+        products = turns[a] @ turns
+        apart = np.linalg.norm(products[:, None] - turns, axis=(3, 4)).max(axis=2)
+        for b in range(count):
+            near = apart[b]
+            if labels is not None:
+                first, second = labels[b], labels[a]
+                both = tuple(second[i] for i in first)  # type: ignore[index, attr-defined]
+                near = np.where([label == both for label in labels], near, np.inf)
+            best = int(np.argmin(near))
+            table[a, b] = best if near[best] <= _NEAREST else -1
+    return table
+
+
+def generated(table: Table, seeds: Iterable[int]) -> frozenset[int] | None:
+    """Return the indices that some elements generate, or None if a product is missing."""
+    found = list(dict.fromkeys((0, *seeds)))
+    for a in found:
+        for b in tuple(found):
+            for product in (int(table[a, b]), int(table[b, a])):
+                if product < 0:
+                    return None
+                if product not in found:
+                    found.append(product)
+    return frozenset(found)
+
+
+def subgroups(table: Table) -> list[frozenset[int]]:
+    """Return all closed subsets, the smallest first: joins of what single elements generate."""
+    single = [generated(table, [a]) for a in range(len(table))]
+    found = {one for one in single if one is not None}
+    fresh = set(found)
+    while fresh:
+        joined = {generated(table, a | b) for a in fresh for b in single if b and not b <= a}
+        fresh = {one for one in joined if one is not None} - found
+        found |= fresh
+    return sorted(found, key=lambda one: (len(one), sorted(one)))
+
+
+def largest_closed(table: Table) -> list[int]:
+    """Return the indices of the largest closed subset, in order; the identity is index 0."""
+    every = generated(table, range(len(table)))
+    return sorted(every if every is not None else subgroups(table)[-1])
+
+
+def generators(table: Table) -> list[int]:
+    """Return a few elements whose products are all of a group."""
+    found: list[int] = []
+    reached = frozenset({0})
+    while len(reached) < len(table):
+        larger = {a: generated(table, [*found, a]) or reached for a in range(len(table))}
+        best = max(larger, key=lambda a: (len(larger[a]), -a))
+        found, reached = [*found, best], larger[best]
+    return found
+
+
+def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float) -> list[Element]:
+    """Return the elements of a group with isometries that are a group to rounding errors.
+
+    Args:
+        elements: Of a group, each nearly right; the identity first.
+        centres: A point near the fixed points of the base's isometries, and of the platform's.
+        size: Scale of lengths, [m].
+    """
+    table = product_table(elements)
+    parts = [
+        _exact_part([getattr(e, part) for e in elements], table, centre, size)
+        for part, centre in zip(("base", "platform"), centres, strict=True)
+    ]
+    return [Element.of(base, platform) for base, platform in zip(*parts, strict=True)]
+
+
+def _exact_part(
+    isometries: Sequence[Isometry], table: Table, centre: Array, size: float
+) -> list[Isometry]:
+    """Return isometries of one body made exact: Q by averaging Q(gh) Q(h)ᵀ, t by a fixed point."""
+    turns = np.array([one.Q for one in isometries])
+    for _ in range(_ROUNDS):
+        mean = np.einsum("ghij,hkj->gik", turns[table], turns) / len(turns)
+        U, _, Vt = np.linalg.svd(mean)
+        turns = U @ Vt
+    turns[0] = np.eye(3)
+    for _ in range(2):
+        centre = np.mean([one(centre) for one in isometries], axis=0)
+    centre = centre - (turns @ centre).mean(axis=0)  # less what no element moves
+    if np.linalg.norm(centre) <= SAME * size:
+        centre = np.zeros(3)
+    turns = _upright(turns)
+    return [Isometry.of(Q, centre - Q @ centre) for Q in turns]
+
+
+def _upright(turns: Array) -> Array:
+    """Return matrices without rounding errors where they keep the axis z."""
+    for Q in turns:
+        if np.abs(Q[:2, 2]).max() <= SAME and np.abs(Q[2, :2]).max() <= SAME:
+            Q[:2, 2] = Q[2, :2] = 0.0
+            Q[2, 2] = np.sign(Q[2, 2])
+    return turns
+
+
+def group_name(elements: Sequence[Element]) -> str:
+    """Return the name of a group: C_n of n rotations about an axis, D_2n with n mirrors through it.
+
+    Others have the names of Schoenflies, such as D2h of a box.
+    """
+    order = len(elements)
+    proper = [e for e in elements if not e.reflection]
+    orders = [_order(e) for e in proper]
+    n = max(orders)
+    main = _axis(proper[orders.index(n)].base.Q) if n > 1 else np.zeros(3)
+    mirrors = [e.base.Q for e in elements if e.reflection and abs(np.trace(e.base.Q) - 1.0) < 1e-6]
+    if order == 2 and mirrors:
+        return "D2"
+    inversion = any(np.trace(e.base.Q) < -3.0 + 1e-6 for e in elements)
+    if len(proper) > 1 and sum(o == n for o in orders) > n and n > 2:  # several axes
+        kind = {12: "T", 24: "O", 60: "I"}.get(len(proper), "G")
+        if order == len(proper):
+            return kind
+        return kind + ("d" if kind == "T" and not inversion else "h")
+    if order == len(proper):
+        return f"C{n}" if order == n else f"D{n} of half-turns"
+    if len(proper) == 1:
+        return "Ci"
+    across = any(abs(abs(_normal(Q) @ main) - 1.0) < 1e-6 for Q in mirrors)
+    if len(proper) == n:  # one axis
+        if across:
+            return f"C{n}h"
+        through = [Q for Q in mirrors if abs(_normal(Q) @ main) < 1e-6]
+        return f"D{2 * n}" if len(through) == n else f"S{2 * n}"
+    return f"D{n}{'h' if across else 'd'}"
+
+
+def _order(element: Element) -> int:
+    """Return after how many times a rotation is the identity."""
+    Q, power = element.base.Q, element.base.Q
+    for order in range(1, 1000):
+        if np.abs(power - np.eye(3)).max() < 1e-6:
+            return order
+        power = power @ Q
+    return 0
+
+
+def _axis(Q: Array) -> Array:
+    """Return the unit axis of a rotation that is not the identity, shape (3,)."""
+    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
+    return np.asarray(vectors[:, int(np.argmax(values))])
+
+
+def _normal(Q: Array) -> Array:
+    """Return the unit normal of a mirror, shape (3,)."""
+    return _axis(-Q)
+
+
+def place_of(element: Element) -> tuple[bool, bool, float]:
+    """Return what orders elements: rotations before reflections, about z before others."""
+    angle = float(np.arctan2(element.matrix[1, 0], element.matrix[0, 0])) % (2 * np.pi)
+    tilted = not element.is_identity and abs(element.matrix[2, 2] - 1.0) > 1e-6
+    return element.reflection, tilted, round(angle, 6) % round(2 * np.pi, 6)

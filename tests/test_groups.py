@@ -1,0 +1,305 @@
+"""What is detected is a group: closed, wherever frames stand; regions do not depend on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from measured import workspace
+from moved import box, cable_box, moved, random_motion
+from scipy.spatial.transform import Rotation
+
+import pincal
+from pincal.estimation.observability.indices import indices
+from pincal.symmetry.carry import bare, canonical, carry
+from pincal.symmetry.detect import nearest_group
+from pincal.symmetry.elements import Element, Isometry
+from pincal.symmetry.groups import exact, group_name, largest_closed, product_table, subgroups
+
+NONE = pincal.Margins.none()
+#: Grids that are coarse, and hold part of the workspace.
+GRIDS = {
+    "5R": ("x=-1.2:1.2:0.15", "y=0:1.8:0.15"),
+    "3RRR": ("radius=0.02:0.8:0.1", "bearing [deg]=0:330:30"),
+    "3RPR": ("radius=0.02:0.8:0.1", "bearing [deg]=0:330:30"),
+    "3PRR": ("radius=0.02:0.8:0.1", "bearing [deg]=0:330:30"),
+    "6UPS": ("radius=0.05:1.2:0.2", "bearing [deg]=0:330:30", "z=1.5:2.3:0.2"),
+    "delta": ("radius=0.02:0.5:0.05", "bearing [deg]=0:330:30", "z=-0.8:-0.1:0.1"),
+    "linear_delta": ("radius=0.02:0.3:0.03", "bearing [deg]=0:330:30", "z=0:0.5:0.1"),
+}
+
+
+def is_group(group: pincal.symmetry.detect.SymmetryGroup) -> bool:
+    """Return whether products and inverses of a group's elements, and their legs, are in it."""
+    elements, permutations = group.elements, group.permutations
+    inside = all(any(e.inverse().equals(g) for g in elements) for e in elements)
+    for (a, first), (b, second) in product(zip(elements, permutations, strict=True), repeat=2):
+        both = a.after(b)
+        same = [i for i, e in enumerate(elements) if e.equals(both)]
+        wanted = tuple(first[j] for j in second)
+        inside &= len(same) == 1 and permutations[same[0]] == wanted
+    return inside
+
+
+def changed(name: str, how: str, seed: int) -> pincal.Mechanism:
+    """Return a bundled mechanism disturbed, rounded, mirrored, moved, tilted, or all of it."""
+    mechanism, rng = pincal.load_mechanism(name), np.random.default_rng(seed)
+    if how in ("disturbed", "all"):
+        mechanism = pincal.disturb(mechanism, 10.0 ** rng.uniform(-13, -2), seed=seed)
+    if how in ("mirrored", "all"):
+        turn = Element.mirror(rng.uniform(-3.0, 3.0))
+        legs = tuple(carry(leg, turn, leg.name, leg.point.name) for leg in mechanism.legs)
+        home = turn.poses(mechanism.platform, np.array([mechanism.platform.home]))[0]
+        platform = pincal.Platform(mechanism.platform.kind, tuple(home.tolist()))
+        mechanism = replace(mechanism, legs=legs, platform=platform)
+    if how in ("rounded", "all"):
+        digits = int(rng.integers(3, 13))
+        values = {
+            leg.name: {n: round(v, digits) for n, v in leg.nominal_by_name.items()}
+            for leg in mechanism.legs
+        }
+        mechanism = mechanism.with_parameters(values)
+    if how in ("moved", "tilted", "all"):
+        scale = {"moved": 1e-3, "tilted": 0.0, "all": 0.0}[how]
+        mechanism = moved(mechanism, *random_motion(mechanism.platform, rng, scale))
+    return mechanism
+
+
+def check(name: str, how: str, seed: int) -> None:
+    """Assert that groups are closed, and a region is the same without symmetry."""
+    mechanism = changed(name, how, seed)
+    rng = np.random.default_rng(seed)
+    for readings in (True, False):
+        tolerance = 10.0 ** rng.uniform(-12, -1)
+        assert is_group(pincal.symmetry_group(mechanism, tolerance, readings=readings))
+    grid = pincal.Grid.of(*GRIDS[name])
+    region = [
+        pincal.compute_workspace(
+            mechanism, "constant-orientation", grid, None, NONE, symmetry=symmetry
+        )
+        for symmetry in (True, False)
+    ]
+    np.testing.assert_array_equal(region[0].inside, region[1].inside)
+
+
+HOW = ("disturbed", "rounded", "mirrored", "moved", "tilted", "all")
+CASES = (st.sampled_from(sorted(GRIDS)), st.sampled_from(HOW), st.integers(0, 10**6))
+
+
+@settings(max_examples=25, deadline=None)
+@given(*CASES)
+def test_groups_are_closed_and_regions_need_no_symmetry(name: str, how: str, seed: int) -> None:
+    """Of machines that are nearly symmetric, the group is one, and the region is that of all."""
+    check(name, how, seed)
+
+
+@pytest.mark.slow
+@settings(max_examples=1000, deadline=None)
+@given(*CASES)
+def test_a_thousand_groups_are_closed(name: str, how: str, seed: int) -> None:
+    """The same of 1,000 machines."""
+    check(name, how, seed)
+
+
+def rounded(name: str, digits: int) -> pincal.Mechanism:
+    """Return a bundled mechanism whose parameters are rounded."""
+    mechanism = pincal.load_mechanism(name)
+    values = {
+        leg.name: {n: round(v, digits) for n, v in leg.nominal_by_name.items()}
+        for leg in mechanism.legs
+    }
+    return mechanism.with_parameters(values)
+
+
+@pytest.mark.parametrize(("name", "cells"), [("3RRR", 2754), ("3RPR", 2877), ("3PRR", 2775)])
+def test_rounded_parameters_lose_no_cells(name: str, cells: int) -> None:
+    """Parameters rounded to 9 decimals: version 0.1 lost a third of the cells without a word."""
+    grid = pincal.Grid.of("radius=0.01:0.8:0.02", "bearing=0:6.2308254:0.05235987755982989")
+    found = pincal.compute_workspace(rounded(name, 9), "constant-orientation", grid)
+    assert found.count == cells
+    if name == "3RRR":
+        assert found.measure == pytest.approx(0.681, abs=5e-4)
+
+
+def test_rounded_hexapod_and_disturbed_deltas_have_groups() -> None:
+    """Groups of order 1, 2, 3 or 6, never 4 or 5."""
+    assert pincal.symmetry_group(rounded("6UPS", 6)).name == "D6"
+    for seed in range(40):
+        delta = pincal.disturb(pincal.load_mechanism("delta"), 1e-4, seed=seed)
+        group = pincal.symmetry_group(delta, 5e-4)
+        assert len(group.elements) in (1, 2, 3, 6)
+        assert is_group(group)
+
+
+def test_how_nearly_symmetric_a_machine_is() -> None:
+    """One leg longer by 1 mm: its points are off by that, spread over the legs at most."""
+    mechanism = pincal.load_mechanism("6UPS")
+    near = nearest_group(mechanism)
+    assert (near.group.name, near.displacement < 1e-12, near.turn < 1e-12) == ("D6", True, True)
+    value = mechanism.legs[1].nominal_by_name["OA"] + 1e-3
+    near = nearest_group(mechanism.with_parameters({"leg_2": {"OA": value}}))
+    assert near.group.name == "D6"
+    assert 0.5e-3 <= near.displacement <= 1.1e-3
+    assert near.each[0] == (0.0, 0.0)
+    rough = nearest_group(pincal.disturb(mechanism, 3e-3, seed=1))
+    assert rough.group.name == "D6"
+    assert 1e-3 < rough.displacement < 3e-2
+
+
+def box_poses() -> np.ndarray:
+    """Return poses near the middle of the box."""
+    return np.random.default_rng(0).uniform(-1.0, 1.0, (60, 6)) * [1, 1, 0.5, 3, 0.1, 0.1] + [
+        0,
+        0,
+        0,
+        0,
+        0.1,
+        0,
+    ]
+
+
+@pytest.mark.parametrize("name", ["6UPS", "3RRR", "5R", "delta", "linear_delta", "4cable", "box"])
+def test_frames_may_stand_anywhere(name: str) -> None:
+    """Base and platform frame moved at random: the same group, readings and O₁ at mapped poses."""
+    mechanism = cable_box() if name == "box" else pincal.load_mechanism(name)
+    own = pincal.symmetry_group(mechanism)
+    poses = workspace(name, 60) if name != "box" else box_poses()
+    matrices = mechanism.platform.transforms(poses).as_matrix()
+    for seed in range(3):
+        base, platform = random_motion(mechanism.platform, np.random.default_rng(seed))
+        away = moved(mechanism, base, platform)
+        group = pincal.symmetry_group(away)
+        assert (group.name, len(group.elements)) == (own.name, len(own.elements))
+        assert is_group(group)
+        there = away.platform.from_matrices(base @ matrices @ np.linalg.inv(platform))
+        assert group.equivariance(there) < 1e-11
+        for element, permutation in zip(group.elements, group.permutations, strict=True):
+            carried = element.poses(away.platform, there)
+            for leg, index in zip(away.legs, permutation, strict=True):
+                to = away.leg_names[index]
+                O1 = [
+                    indices(pincal.identification_jacobian(away, who, where)).O1
+                    for who, where in ((leg.name, there), (to, carried))
+                ]
+                assert O1[1] == pytest.approx(O1[0], rel=1e-9)
+
+
+def test_a_hexapod_aside_tilted_or_on_a_wall() -> None:
+    """0.1 m aside, 5° tilted, on a wall: all six elements, about the axis as it stands."""
+    hexapod = pincal.load_mechanism("6UPS")
+    for turn, shift in (
+        ([0, 0, 0], [0.1, 0, 0]),
+        ([0.0873, 0, 0], [0, 0, 0]),
+        ([0, 1.5708, 0], [0, 0, 1]),
+    ):
+        motion = np.eye(4)
+        motion[:3, :3], motion[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+        group = pincal.symmetry_group(moved(hexapod, motion, np.eye(4)))
+        assert group.name == "D6"
+        assert group.leg_orbits == (hexapod.leg_names,)
+    aside = pincal.symmetry_group(moved(hexapod, np.eye(4), motion)).elements[1]
+    assert aside.base.equals(Element(2 * np.pi / 3).base)
+    assert not aside.platform.equals(aside.base)
+
+
+def test_a_five_bar_drawn_from_its_first_joint() -> None:
+    """A frame that stands at A₁: the mirror is where it is."""
+    motion = np.eye(4)
+    motion[0, 3] = 0.5
+    group = pincal.symmetry_group(moved(pincal.load_mechanism("5R"), motion, np.eye(4)))
+    assert [str(e) for e in group.elements] == ["identity", "mirror at azimuth 90°"]
+    np.testing.assert_allclose(group.elements[1].base.t, [1.0, 0.0, 0.0], atol=1e-15)
+
+
+def test_a_cable_box_has_all_eight_elements() -> None:
+    """D_2h: half turns about three axes, three mirrors, the inversion; each keeps a region."""
+    mechanism = cable_box()
+    group = pincal.symmetry_group(mechanism)
+    names = {str(e) for e in group.elements}
+    assert group.name == "D2h"
+    assert {"inversion", "mirror across z", "rotation by 180° about azimuth 0°"} <= names
+    assert len(group.subgroups()) == 16
+    assert len(group.generators) == 3
+    grid = pincal.Grid.of("x=-2:2:0.5", "y=-2:2:0.5", "z=-1.2:1.2:0.4")
+    short, long = (
+        pincal.compute_workspace(mechanism, "reachable", grid, None, NONE, symmetry=symmetry)
+        for symmetry in (True, False)
+    )
+    np.testing.assert_array_equal(short.inside, long.inside)
+    assert 0 < short.count < grid.size
+    assert len(short.elements) == 8
+    assert short.computed < 0.25 * grid.size
+
+
+@pytest.mark.parametrize(
+    ("elements", "name", "count"),
+    [
+        (pincal.cyclic(5), "C5", 2),
+        (pincal.dihedral(3), "D6", 6),
+        (pincal.dihedral(1), "D2", 2),
+        (box(), "D2h", 16),
+        (pincal.dihedral(4, 0.3), "D8", 10),
+    ],
+    ids=lambda value: value if isinstance(value, str) else None,
+)
+def test_tables_and_subgroups(elements: tuple[Element, ...], name: str, count: int) -> None:
+    """Products are those of the isometries, each row a permutation; subgroups divide the order."""
+    table = product_table(elements)
+    assert group_name(elements) == name
+    for a, b in product(range(len(elements)), repeat=2):
+        assert elements[a].after(elements[b]).equals(elements[int(table[a, b])])
+    assert (np.sort(table, axis=1) == np.arange(len(elements))).all()
+    found = subgroups(table)
+    assert len(found) == count
+    assert all(len(elements) % len(one) == 0 for one in found)
+
+
+def test_the_largest_closed_subset() -> None:
+    """Without a rotation by 120° the others are no group; the mirror and the identity are."""
+    elements = [e for i, e in enumerate(pincal.dihedral(3)) if i != 1]
+    kept = [elements[i] for i in largest_closed(product_table(elements))]
+    assert len(kept) == 2
+    assert kept[0].is_identity
+    assert kept[1].reflection
+
+
+def test_averaging_makes_a_group_exact() -> None:
+    """Rotations off by 1e-3, about a centre aside, become a group to 1e-14."""
+    rng, centre = np.random.default_rng(0), np.array([0.3, -0.2, 1.0])
+    rough = []
+    for i, element in enumerate(pincal.dihedral(5)):
+        off = Rotation.from_rotvec(1e-3 * (i > 0) * rng.normal(size=3)).as_matrix()
+        Q = off @ element.matrix
+        one = Isometry.of(Q, centre - Q @ centre)
+        rough.append(Element.of(one, one))
+    found = exact(rough, (centre, centre), 1.0)
+    for a, b in product(found, repeat=2):
+        both = a.after(b)
+        assert min(np.abs(both.base.matrix - e.base.matrix).max() for e in found) < 1e-14
+
+
+def test_an_element_reflects_both_or_none() -> None:
+    """A mirror of the base alone would carry poses to what is no pose."""
+    mirror = Element.mirror(0.0).base
+    with pytest.raises(pincal.SymmetryError, match="reflects the platform too"):
+        Element.of(mirror, Isometry())
+
+
+def test_bare_legs_follow_any_isometry() -> None:
+    """Numbers in the place of parameters: carried and back it is the same leg."""
+    for name in ("3RRR", "6UPS", "delta", "3PRR"):
+        for leg in pincal.load_mechanism(name).legs:
+            planar = name in ("3RRR", "3PRR")
+            turn = [0.0, 0.0, 0.7] if planar else [0.3, -0.4, 0.7]
+            Q = Rotation.from_rotvec(turn).as_matrix() @ Element.mirror(0.4).matrix
+            one = Isometry.of(Q, np.array([0.1, 0.2, 0.0 if planar else 0.3]))
+            element = Element.of(one, one)
+            own = canonical(bare(leg))
+            away = carry(bare(leg), element, leg.name, leg.point.name)
+            back = carry(away, element.inverse(), leg.name, leg.point.name)
+            for a, b in zip((*back.joints, back.point), (*own.joints, own.point), strict=True):
+                np.testing.assert_allclose(a.placement.origin(), b.placement.origin(), atol=1e-12)
