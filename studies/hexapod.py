@@ -53,6 +53,7 @@ def run(study: Study) -> None:
     stay, leave = kept["tilt and torsion"], 1 - kept["Z-Y-X angles"]
     study.claims(
         ("leg lengths, Eqs. 36 to 41", "four decimals", equal, "with θa = π/3 − 0.3"),
+        *_equations(study.mechanism),
         (
             "total orientation workspace by tilt and torsion (Fig. 5)",
             "symmetric as the structure",
@@ -78,6 +79,35 @@ def run(study: Study) -> None:
             verdict,
         ),
     )
+
+
+def _equations(mechanism: pincal.Mechanism) -> list[tuple[str, str, str, str]]:
+    """Return what Eqs. 29 and 39 print, and what holds."""
+    (place,) = mechanism.platform.transforms(POSE)
+    (image,) = mechanism.platform.transforms(
+        Element(0.0, reflection=True).poses(mechanism.platform, POSE)
+    )
+    A = np.array([leg.joints[0].placement.xyz for leg in mechanism.legs])
+    b = np.array([leg.point.placement.xyz for leg in mechanism.legs])
+    mirrored = (image.apply(b) - A)[::-1] * [1.0, -1.0, 1.0]  # legs i and n − i + 1 change places
+    off = {sign: float(np.abs(mirrored - (place.apply(b) + sign * A)).max()) for sign in (-1, 1)}
+    lengths = [np.array(printed) for _, _, printed in PRINTED[:3]]
+    shifts = [float(np.abs(np.roll(lengths[k], 2) - lengths[k + 1]).max()) for k in (0, 1)]
+    return [
+        (
+            "Eqs. 29, 30: leg vectors of the mirrored pose",
+            "+ x_b, + y_b, + z_b",
+            f"off by {off[1]:.2g} m as printed, by {off[-1]:.0e} m with − x_b, − y_b, − z_b",
+            "holds with the sign of Eq. 1: a leg goes from the base point",
+        ),
+        (
+            "Eq. 39: L(u′₁) = P² L(u′₁) = P⁴ L(u₀)",
+            "u′₁ twice",
+            f"lengths of Eqs. 36, 38 shifted by two legs: u₀ to u′₁ off by {shifts[0]:.0e} m, "
+            f"u′₁ to u′₂ by {shifts[1]:.0e} m",
+            "holds with u′₂ on the left: L(u′₂) = P² L(u′₁) = P⁴ L(u₀)",
+        ),
+    ]
 
 
 def _lengths(study: Study, poses: Array) -> str:
@@ -150,8 +180,8 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
     )
     zyx = pincal.Orientations.of(platform, *(f"{n}=-0.6:0.6:0.1" for n in ("yaw", "pitch", "roll")))
     section = pincal.Grid.of(*sides, "z=1.8")
-    coarse = [f"{name}=-1.5:1.5:{0.15 if quick else 0.06}" for name in "xy"]
-    space = pincal.Grid.of(*coarse, f"z=1:2.6:{0.2 if quick else 0.05}")
+    coarse = [f"{name}=-2.1:2.1:{0.15 if quick else 0.06}" for name in "xy"]
+    space = pincal.Grid.of(*coarse, f"z=0:2.6:{0.2 if quick else 0.05}")
     found, clouds = {}, {}
     for name, turns in (("tilt and torsion", tilts), ("Z-Y-X angles", zyx)):
         found[name] = pincal.compute_workspace(mechanism, "total-orientation", section, turns, NONE)
@@ -171,7 +201,8 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
     )
     study.table(
         "figs_5_6_workspaces",
-        "Section at z = 1.8 m, volume, and the share of cells that every element keeps inside.",
+        """Section at z = 1.8 m, volume of the whole workspace with z ≥ 0, and the share of cells
+        that every element keeps inside.""",
         {
             "orientations": list(found),
             "cells": [w.count for w in found.values()],

@@ -11,7 +11,7 @@ import pincal
 
 from . import drawing
 from .study import Study
-from .three_rrr_errors import NOISE, cramer_rao, draw_maps, measure_accuracies
+from .three_rrr_errors import NOISE, asymmetry, cramer_rao, draw_maps, measure_accuracies
 from .trials import Protocol, Way, choose, paired
 
 Array = NDArray[np.float64]
@@ -20,6 +20,7 @@ COMMON = "24 common (traditional)"
 TURNS = (0.0, 0.4, 0.6)
 CHOICES: dict[str, tuple[Protocol, int]] = {
     "symmetric, 24 a leg": ("symmetric", 24),
+    "symmetric, unweighted": ("symmetric", 24),
     "independent, 24 a leg": ("independent", 24),
     "24 common": ("common", 24),
     "72 common": ("common", 72),
@@ -42,6 +43,7 @@ def run(study: Study) -> None:
     after = measure_accuracies(study, ways, poses, machines)
     study.progress("mapping errors")
     draw_maps(study, ways[0], planes)
+    asymmetry(study, selections["symmetric, 24 a leg"].plan, 20 if study.quick else 200)
     study.heading("Cost of choosing")
     ratio = seconds["symmetric, 24 a leg"] / seconds["independent, 24 a leg"]
     title = f"symmetric over independent: {ratio:.2f} (one leg of three: 0.33)"
@@ -90,6 +92,12 @@ def _spaces(study: Study, poses: Array) -> tuple[dict[float, pincal.Workspace], 
         axes.set_title(f"φ = {turn:g} rad, {plane.measure:.3f} m²")
     study.figure(
         "fig_5_workspaces", "Fig. 5: the 3-RRR over its constant orientation workspaces", figure
+    )
+    study.say(
+        """The articular-variables space is as symmetric as the workspace W. The paper conjectures
+        it; it follows from Eq. 5, IK(λ x) = P_λ IK(x): with Q = IK(W) and λ W = W, P_λ Q =
+        P_λ IK(W) = IK(λ W) = IK(W) = Q. Eq. 5 holds to rounding errors, and the forward
+        kinematics of permuted readings is a check that does not use it."""
     )
     checks = pincal.articular_symmetry(mechanism, poses[: len(poses) // 15])
     study.table(
@@ -185,7 +193,26 @@ def _ways(selections: dict[str, pincal.Selection]) -> list[Way]:
         Way("24 orbits, whitened, together", plans["24 orbits"], *joint),
         Way("24 common, whitened, together", plans["24 common"], *joint),
         Way("8 orbits, whitened, together", plans["8 orbits"], *joint),
+        Way("symmetric by unweighted O₁, own 24", plans["symmetric, unweighted"]),
     ]
+
+
+def _equation_10(mechanism: pincal.Mechanism, chosen: pincal.Selection) -> tuple[float, float]:
+    """Return by which part |R_ii| of leg κ and of leg 1 at mapped poses differ: λ_κ, and λ_κ⁻¹."""
+
+    def diagonal(leg: str, poses: Array) -> Array:
+        C = pincal.identification_jacobian(mechanism, leg, poses)
+        return np.abs(np.diagonal(np.linalg.qr(C, mode="r")))
+
+    carriers = pincal.symmetry_group(mechanism).carriers()
+    off = np.zeros((2, len(carriers)))
+    poses = chosen.plan.poses[chosen.plan.serves(mechanism.leg_names[0])]
+    for index, (leg, element) in enumerate(zip(mechanism.leg_names, carriers, strict=True)):
+        own = diagonal(leg, poses)
+        for row, by in enumerate((element, element.inverse())):
+            mapped = diagonal(mechanism.leg_names[0], by.poses(mechanism.platform, poses))
+            off[row, index] = np.abs(mapped / own - 1.0).max()
+    return float(off[0].max()), float(off[1].max())
 
 
 def _against(
@@ -219,6 +246,15 @@ def _against(
             "holds" if np.ptp(index) < 1e-9 * index[0] else "does not hold",
         ),
     ]
+    printed, inverse = _equation_10(study.mechanism, symmetric)
+    claims.append(
+        (
+            "equal R_ii at mapped poses (Eq. 10)",
+            "leg 1 at λ_κ(R) as leg κ at R",
+            f"off by {100 * printed:.2g} % at most with λ_κ, by {inverse:.0e} with λ_κ⁻¹",
+            "holds with the inverse: λ_κ carries leg 1 onto leg κ, so that leg κ's poses go back",
+        )
+    )
     for place, what in enumerate(("position", "orientation")):
         times, verdict = paired(after[PAPERS][:, place], after[COMMON][:, place])
         claims.append(

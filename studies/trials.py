@@ -85,6 +85,10 @@ def machines(
     ]
 
 
+#: Rows by readings alone, all of equal weight: the papers' criterion to the letter.
+UNWEIGHTED = pincal.Noise(position=0.0, orientation=0.0, reading=1e-4)
+
+
 def choose(
     study: Study,
     candidates: Array,
@@ -96,7 +100,8 @@ def choose(
     Args:
         study: Its mechanism, seed and, if quick, few starts.
         candidates: Poses to choose from, coordinates of shape (M, dof).
-        choices: Protocol and count, by name.
+        choices: Protocol and count, by name; a name that ends in "unweighted" looks at O₁ of the
+            papers, rows not weighted.
         noise: Of the measurements to come.
     """
     selections: dict[str, pincal.Selection] = {}
@@ -109,7 +114,7 @@ def choose(
             candidates,
             count,
             protocol,
-            noise=noise,
+            noise=UNWEIGHTED if name.endswith("unweighted") else noise,
             seed=study.seed,
             starts=starts,
         )
@@ -156,6 +161,16 @@ def root_mean_square(errors: Array) -> tuple[float, float]:
     return mean, spread / (2 * mean) if mean else 0.0
 
 
+def medians(first: Array, second: Array) -> str:
+    """Return the ratio of the medians of two ways' errors, of independent draws.
+
+    Args:
+        first: Errors of a first way by draw, shape (n,).
+        second: Errors of a second way, shape (m,).
+    """
+    return f"{float(np.median(second) / np.median(first)):.2f} times as large by medians"
+
+
 def compared(first: tuple[float, float], second: tuple[float, float], draws: int) -> str:
     """Return in a phrase whether a first mean is smaller than a second, by standard errors."""
     apart = (second[0] - first[0]) / np.hypot(first[1], second[1])
@@ -175,6 +190,7 @@ def paired(first: Array, second: Array) -> tuple[str, str]:
     half = 1.96 * float(logs.std(ddof=1)) / np.sqrt(len(logs))
     ratio = float(np.exp(logs.mean()))
     times = f"{ratio:.2f} ± {ratio * half:.2f} times as large"
+    times += f" ({float(np.median(second) / np.median(first)):.2f} by medians)"
     if abs(logs.mean()) <= half:
         return times, f"not clearly different over {len(logs)} machines"
     return times, "better" if logs.mean() > 0 else "worse"

@@ -403,3 +403,17 @@ def test_orbits_of_which_one_has_most_of_the_weight() -> None:
     found = pincal.select_poses(mechanism, poses, 24, "orbits", starts=1)
     assert len(found.plan.poses) == 72
     assert 0.85 < found.efficiency <= 1.0
+
+
+@pytest.mark.parametrize("kind", ["3RRR", "8cable", "linear_delta"])
+def test_default_errors_go_with_the_machines_size(kind: str) -> None:
+    """Without a number lengths are disturbed by 0.001 of the longest leg, all else by 0.001."""
+    mechanism = pincal.load_mechanism(kind)
+    size = max(leg.size for leg in mechanism.legs)
+    usual, alike = pincal.disturb(mechanism, seed=3), pincal.disturb(mechanism, 1e-3, 3)
+    for nominal, first, second in zip(mechanism.legs, usual.legs, alike.legs, strict=True):
+        for name, unit in nominal.units.items():
+            own, other = (leg.nominal_by_name[name] for leg in (first, second))
+            drawn = other - nominal.nominal_by_name[name]
+            factor = size if unit == "m" else 1.0
+            assert np.isclose(own, nominal.nominal_by_name[name] + factor * drawn, atol=1e-12)

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yourdfpy
+from measured import workspace
 
 import pincal
 from pincal.errors import FileError, MechanismError, PincalError
@@ -682,3 +683,27 @@ def test_orientations_said_in_two_ways_are_refused(tmp_path: Path) -> None:
         pincal.MeasurementError, match=r"poses\.csv: the orientation is said in 2 ways"
     ):
         pincal.Plan.from_csv(path, mechanism)
+
+
+def test_corrections_to_the_origin_of_the_urdf(tmp_path: Path) -> None:
+    """Coordinates that are all zero: other values move the origin, and are saved and read back."""
+    folder = pincal.load_mechanism("3RRR").save(tmp_path / "m")
+    text = (folder / YAML).read_text()
+    text = text.replace("    - {polar: [OA, beta]}", "    - {x: dx}\n    - {y: dy}")
+    lines = [line for line in text.splitlines() if not line.startswith("    OA:")]
+    lines = [re.sub("^    beta: .*", "    dx: 0.0\n    dy: 0.0", line) for line in lines]
+    (folder / YAML).write_text("\n".join(lines))
+    mechanism, usual = pincal.load_mechanism(folder), pincal.load_mechanism("3RRR")
+    shift = np.array([0.003, -0.002])
+    base = np.array(usual.legs[0].joints[0].placement.xyz[:2]) + shift
+    own = {"OA": np.hypot(*base), "beta": np.arctan2(base[1], base[0])}
+    usual = usual.with_parameters({"leg_1": own})
+    moved = mechanism.with_parameters({"leg_1": dict(zip(("dx", "dy"), shift, strict=True))})
+    again = pincal.load_mechanism(moved.save(tmp_path / "moved"))
+    assert again == moved
+    assert again.leg("leg_1").nominal_by_name["dx"] == 0.003
+    poses = workspace("3RRR", 20)
+    expected = pincal.inverse(usual, poses).readings
+    assert np.allclose(pincal.inverse(again, poses).readings, expected, atol=1e-12)
+    truth = pincal.disturb(mechanism, 1e-3, 1)  # twice moved
+    assert np.isfinite(pincal.inverse(pincal.disturb(truth, 1e-3, 2), poses).readings).all()

@@ -18,7 +18,10 @@ from pincal.errors import FileError
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
+from pincal.kinematics.closure import largest_size
 from pincal.show.tables import accuracy_table
+
+_NOISE = 5e-5  # of positions, of the machine's size
 
 
 @app.command()
@@ -52,15 +55,15 @@ def demo(
     choice = ("--count", "24", "--candidates", candidates, "--seed", seed)
     _step("select", mech, *choice, "-o", plan)
     select(mech, plan, SelectOptions(count=24, candidates=candidates, seed=seed), force)
-    reading = 1e-4 if mechanism.redundant else 0.0  # readings that are too many cannot be exact
-    read = ("--noise-reading", "1e-4") if reading else ()
-    errors = ("--disturb", "0.002", "--seed", seed, "--truth", truth)
-    _step("simulate", mech, plan, *read, *errors, "-o", measured)
-    disturbed = SimulateOptions(1e-4, 1e-4, reading, disturb=0.002, seed=seed, truth=truth)
+    position = float(f"{_NOISE * largest_size(mechanism.legs):.0e}")
+    reading = position if mechanism.redundant else 0.0  # those that are too many cannot be exact
+    noise: tuple[str, ...] = ("--noise-position", f"{position:g}", "--noise-orientation", "1e-4")
+    noise += ("--noise-reading", f"{reading:g}") if reading else ()
+    _step("simulate", mech, plan, *noise, "--seed", seed, "--truth", truth, "-o", measured)
+    disturbed = SimulateOptions(position, 1e-4, reading, seed=seed, truth=truth)
     simulate(mech, plan, measured, disturbed, force)
-    noise = ("--noise-position", "1e-4", "--noise-orientation", "1e-4", *read)
     _step("calibrate", mech, measured, *noise, "-o", result)
-    known = CalibrateOptions(noise_position=1e-4, noise_orientation=1e-4, noise_reading=reading)
+    known = CalibrateOptions(noise_position=position, noise_orientation=1e-4, noise_reading=reading)
     calibrate(mech, measured, result, known, force)
     _title("true machine driven by the nominal and by the calibrated model")
     poses = read_poses(candidates, mechanism).poses

@@ -44,7 +44,8 @@ class SimulateOptions(NoiseOptions):
     disturb: Annotated[
         float | None,
         typer.Option(
-            help="Standard deviation of the errors of all parameters [m, rad or 1; default: 0.002]."
+            help="Standard deviation of the errors of all parameters [m, rad or 1; default: 0.001 "
+            "of the machine's size for lengths, 0.001 otherwise]."
         ),
     ] = None
     seed: Seed = 0
@@ -86,8 +87,7 @@ def simulate(
                 raise FileError(
                     f"{truth} is named for both the true mechanism and the measurements"
                 )
-        sigma = 0.002 if disturb is None else disturb
-        true_mechanism = disturbed(mechanism, sigma, np.random.default_rng(parts[0]))
+        true_mechanism = disturbed(mechanism, disturb, np.random.default_rng(parts[0]))
     with working("simulating measurements"):
         rng = np.random.default_rng(parts[1])
         simulation = simulated(mechanism, true_mechanism, planned, how.noise(), rng)

@@ -17,6 +17,7 @@ from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.files.given import as_noise, as_plan
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import inverse
@@ -27,32 +28,35 @@ from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
+_ERROR = 1e-3  # of a machine: of its size, rad, or 1
 
 
 def disturb(
-    mechanism: GivenMechanism, sigma: float, seed: int | np.random.Generator = 0
+    mechanism: GivenMechanism, sigma: float | None = None, seed: int | np.random.Generator = 0
 ) -> Mechanism:
     """Return the mechanism with normal errors on every identified parameter.
 
     Args:
         mechanism: The nominal mechanism.
-        sigma: Standard deviation, alike for lengths [m], angles [rad] and gains [1].
+        sigma: Standard deviation, alike for lengths [m], angles [rad] and gains [1]. If not given,
+            0.001 of the machine's size (its longest leg, stretched) for lengths, 0.001 otherwise.
         seed: Seed or generator.
 
     Raises:
         MeasurementError: a negative or infinite sigma.
     """
     mechanism = as_mechanism(mechanism)
-    sigma = number_of(sigma, "sigma", MeasurementError)
+    of_lengths = largest_size(mechanism.legs) if sigma is None else 1.0
+    sigma = _ERROR if sigma is None else number_of(sigma, "sigma", MeasurementError)
     if not (np.isfinite(sigma) and sigma >= 0.0):
         raise MeasurementError(f"the disturbance is {sigma}; expected 0 or more")
     rng = generator_of(seed, MeasurementError)
-    return mechanism.with_parameters(
-        {
-            leg.name: leg.nominal + sigma * rng.standard_normal(len(leg.parameters))
-            for leg in mechanism.legs
-        }
-    )
+    errors = {}
+    for leg in mechanism.legs:
+        lengths = [leg.units[name] == "m" for name in leg.parameter_names]
+        drawn = sigma * rng.standard_normal(len(leg.parameters))
+        errors[leg.name] = leg.nominal + np.where(lengths, of_lengths, 1.0) * drawn
+    return mechanism.with_parameters(errors)
 
 
 @dataclass(frozen=True, repr=False)

@@ -224,12 +224,19 @@ class Placement:
         return self.at(new, self.rest(old, where))
 
     def at(self, parameters: Mapping[str, float], rest: Array) -> Placement:
-        """Return the placement whose origin is ``displacement(parameters) @ rest``."""
+        """Return the placement whose origin is ``displacement(parameters) @ rest``.
+
+        The place of the rest becomes coordinates of its own: corrections that are zero no more
+        would otherwise have to give the whole position.
+        """
         origin = self.displacement(parameters) @ rest
-        rpy = self.rpy
+        rpy, coordinates = self.rpy, self.coordinates
+        if coordinates and any(step.amount(parameters) for step in self.steps):
+            parts = zip("xyz", _floats(rest[:3, 3]), strict=True)
+            coordinates += tuple(Coordinate(axis, (value,)) for axis, value in parts if value)
         if self.turns or not np.array_equal(rest[:3, :3], self.origin()[:3, :3]):
             rpy = _roll_pitch_yaw(origin[:3, :3])
-        return replace(self, xyz=_floats(origin[:3, 3]), rpy=rpy)
+        return replace(self, coordinates=coordinates, xyz=_floats(origin[:3, 3]), rpy=rpy)
 
 
 def _without_rounding(rotation: Array) -> Array:

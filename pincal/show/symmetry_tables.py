@@ -57,7 +57,7 @@ def group_table(group: SymmetryGroup) -> tuple[Table, Table]:
     letters = ["e", *(f"g{i}" for i in range(1, count))]
     products = Table(
         f"{group.name}: products, first the column's element, then the row's",
-        (Column("", align="left"), *(Column(letter) for letter in letters), Column("is")),
+        (Column(""), *(Column(letter) for letter in letters), Column("is")),
         [
             (letters[a], *(letters[int(b)] for b in row), str(group.elements[a]))
             for a, row in enumerate(group.table)

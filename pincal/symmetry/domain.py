@@ -25,10 +25,14 @@ def in_domain(group: SymmetryGroup, positions: Array) -> NDArray[np.bool_]:
     moves = [element.positions(turns) or element.base for element in group.elements]
     points = np.zeros((len(positions), 3))
     points[:, : positions.shape[1]] = positions
-    size = float(np.abs(points).max(initial=0.0)) or 1.0
+    size = max(leg.reach for leg in group.mechanism.legs)
     angles = np.linspace(0.0, 2 * np.pi, 48, endpoint=False) + 0.01
-    ring = size * np.stack((np.cos(angles), np.sin(angles), 0.1 * np.sin(angles + 1.0)), axis=1)
+    centre = np.mean([move.t for move in moves], axis=0)
+    ring = centre + size * np.stack(
+        (np.cos(angles), np.sin(angles), 0.1 * np.sin(angles + 1.0)), axis=1
+    )
     away = [np.linalg.norm(move(ring) - ring, axis=1) for move in moves[1:]]
-    point = ring[np.argmax(np.min(away, axis=0, initial=np.inf))]  # in the middle of a sector
+    least = np.min(away, axis=0, initial=4.0 * size) / size
+    point = ring[np.argmax(least.round(6))]  # in the middle of a sector
     distances = np.stack([np.linalg.norm(move(points) - point, axis=1) for move in moves])
     return np.asarray(distances[0] <= distances.min(axis=0) + SAME * size)

@@ -106,7 +106,7 @@ class Element:
         Raises:
             SymmetryError: one reflects and the other does not: no pose would be carried to a pose.
         """
-        reflection = np.linalg.det(base.Q) < 0.0
+        reflection = bool(np.linalg.det(base.Q) < 0.0)
         if reflection != (np.linalg.det(platform.Q) < 0.0):
             raise SymmetryError(
                 "an element that reflects the base reflects the platform too; only one of the two "
