@@ -123,19 +123,33 @@ def verdicts_of(report: Any, result: Any) -> tuple[list[str], str]:
 
 
 def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
-    """Where χ² contradicts the noise, no answer takes the uncertainties at their word."""
+    """Where χ² contradicts the noise, no limit is promised, and no error is below what was seen."""
     result, _, report = planar
     dof = result.degrees_of_freedom
     larger = finding("chi2-too-large", chi2=4.0, dof=dof, source="given")
-    poor = replace(result, reduced_chi2=4.0, findings=(larger,))
+    poor = replace(
+        result,
+        reduced_chi2=4.0,
+        chi2_p_value=0.0,
+        covariance=4.0 * result.covariance,
+        findings=(larger,),
+    )
+    errors = errors_at(poor, poor.poses)
+    report = Report(replace(report.found, result=poor, errors=errors), report.origin)
     verdicts, text = verdicts_of(report, poor)
-    after = 1e3 * report.found.errors.mean_after()[0]
+    after = 1e3 * errors.mean_after()[0]
+    assert after >= 2e3 * errors_at(result, poor.poses).mean_after()[0]
+    assert 1e-3 * after >= poor.misses[0] * 0.99
     assert verdicts[0] == "Probably"
-    assert verdicts[1].endswith(f"→ {2 * after:.3g} mm or more")
+    assert verdicts[1].endswith(f"→ {after:.3g} mm or more")
     assert verdicts[2] == "Not as it is: one warning above"
     assert "Residuals are 2 times" in text
-    lines = calibration_summary(poor, report.found.errors)
-    assert any(f"by about {2 * after:.3g} mm" in line and "2 times" in line for line in lines)
+    assert "No limit is promised: residuals larger than the noise" in text
+    assert np.isinf(poor.expected_error().limit).all()
+    assert "no limit is promised" in str(poor.expected_error())
+    lines = calibration_summary(poor, errors)
+    assert any(f"by {after:.3g} mm" in line and "no limit is promised" in line for line in lines)
+    report = planar[2]
     sound = page_of(report).get_element_by_id("answers").find_class("verdict")
     assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
     section = Answers(replace(report.found, result=poor), []).__html__()
@@ -149,7 +163,7 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
     """Where rows of the fit miss by hundreds of σ, those held out are not said to be better."""
     result, _, report = planar
     lost = replace(result.validation, fit=316.2, held_out=1361.71, expected=405.02)
-    poor = replace(result, reduced_chi2=1e5, validation=lost)
+    poor = replace(result, reduced_chi2=1e5, chi2_p_value=0.0, validation=lost)
     made = Report(replace(report.found, result=poor), report.origin)
     for text in (made.html(), poor._repr_html_(), " ".join(check_lines(poor))):
         assert "misses even its own rows by 316 σ" in text
@@ -160,7 +174,7 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
 def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
     """Residuals far beyond the noise: no number after; if they hardly fell, it is not better."""
     result, _, report = planar
-    far = replace(result, reduced_chi2=1e4)
+    far = replace(result, reduced_chi2=1e4, chi2_p_value=0.0)
     legs = tuple(replace(leg, residuals=0.9 * leg.residuals_before) for leg in result.legs)
     for poor, verdict in ((far, "Not shown"), (replace(far, legs=legs), "No")):
         verdicts, text = verdicts_of(report, poor)

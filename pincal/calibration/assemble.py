@@ -7,22 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.covariance import covariances
+from pincal.calibration.confidence import Confidence, confidence, exceeded, quantiles
+from pincal.calibration.covariance import chi2_freedoms, covariances
 from pincal.calibration.findings import findings_of
 from pincal.calibration.fits import Fits
-from pincal.calibration.leg_residuals import leg_residuals
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
-from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result import CalibrationResult, excess_of
 from pincal.calibration.ties import tie_tests
+from pincal.estimation.leg_residuals import leg_residuals
 from pincal.estimation.robust import Outlier, Robust
 from pincal.model.measurements import Noise
 from pincal.model.parameter import Parameter
 
 Array = NDArray[np.float64]
-_CONFIDENCE = 0.95
 
 
 def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
@@ -36,26 +35,37 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     mechanism = calibration.mechanism
     fits = [one.fit for one in found.fits]
     covariance, outer = covariances(found)
+    sure = confidence(found)
+    dof = sum(one.degrees_of_freedom for one in fits)
+    chi2 = float(sum(one.chi2 for one in fits) / dof) if dof else np.nan
+    free = float(dof) if found.latent else chi2_freedoms(found.fits)
+    p_value = exceeded(chi2, free, sure.of_chi2) if calibration.noise.known else 1.0
+    by = excess_of(chi2, p_value)
+    covariance, outer = by**2 * covariance, None if outer is None else by**2 * outer
     sizes = [len(leg.parameters) for leg in mechanism.legs]
     variances = np.split(np.diagonal(covariance), np.cumsum(sizes)[:-1])
     std = dict(zip(mechanism.leg_names, map(np.sqrt, variances), strict=True))
-    dof = sum(one.degrees_of_freedom for one in fits)
-    quantile = _quantile(calibration, dof)
-    by_name = {leg.name: leg for one in found.fits for leg in _leg_results(calibration, one, std)}
+    by_name = {
+        leg.name: leg
+        for one, freedoms in zip(found.fits, sure.of_unknowns, strict=True)
+        for leg in _leg_results(calibration, one, std, quantiles(freedoms))
+    }
     legs = tuple(by_name[name] for name in mechanism.leg_names)
-    chi2 = float(sum(one.chi2 for one in fits) / dof) if dof else np.nan
     directions = None if held is None or not held.of_legs.shape[1] else held.of_legs
     shifts = [one.shift for one in found.fits]
     result = CalibrationResult(
         calibration=calibration,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
         legs=legs,
-        external=_external(found, outer, quantile),
+        external=_external(found, outer, sure),
         covariance=covariance,
         noise=_noise(calibration, chi2),
         noise_source=calibration.noise.source,
         degrees_of_freedom=dof,
         reduced_chi2=chi2,
+        chi2_p_value=p_value,
+        chi2_freedoms=free,
+        noise_freedoms=sure.least,
         evaluations=sum(one.evaluations for one in fits),
         left=max(one.left for one in fits),
         converged=all(one.converged for one in fits),
@@ -72,7 +82,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         if found.latent
         else None,
     )
-    return replace(result, findings=findings_of(result, held))
+    return replace(result, findings=findings_of(result, held, found))
 
 
 def _noise(calibration: Calibration, chi2: float) -> Noise | None:
@@ -84,12 +94,6 @@ def _noise(calibration: Calibration, chi2: float) -> Noise | None:
         return model.noise
     scale = float(np.sqrt(chi2)) if np.isfinite(chi2) else 1.0
     return Noise(*(scale * value for value in vars(model.noise).values()))
-
-
-def _quantile(calibration: Calibration, dof: int) -> float:
-    """Return how many standard errors half a 95 % interval is."""
-    half = (1 + _CONFIDENCE) / 2
-    return float(ndtri(half) if calibration.noise.known else stdtrit(dof, half))
 
 
 def _identified(
@@ -109,10 +113,18 @@ def _identified(
     )
 
 
-def _leg_results(calibration: Calibration, one: Robust, std: dict[str, Array]) -> list[LegResult]:
-    """Return the results of the legs of a fit."""
+def _leg_results(
+    calibration: Calibration, one: Robust, std: dict[str, Array], quantile: Array
+) -> list[LegResult]:
+    """Return the results of the legs of a fit.
+
+    Args:
+        calibration: What was calibrated.
+        one: The fit.
+        std: Standard errors, by leg.
+        quantile: How many of them half an interval is, of the fit's unknowns, shape (n,).
+    """
     found, problem = one.fit, one.fit.problem
-    quantile = _quantile(calibration, found.degrees_of_freedom)
     nominal, results = calibration.mechanism.parameters, []
     for index, (leg, columns) in enumerate(zip(problem.legs, problem.columns, strict=True)):
         own = problem.used[:, index] & (found.weights > 0.0)
@@ -125,9 +137,13 @@ def _leg_results(calibration: Calibration, one: Robust, std: dict[str, Array]) -
             LegResult(
                 name=leg.name,
                 parameters=tuple(
-                    _identified(p, value, error, quantile, _given(calibration, p))
-                    for p, value, error in zip(
-                        parameters, found.parameters[columns], std[leg.name], strict=True
+                    _identified(p, value, error, half, _given(calibration, p))
+                    for p, value, error, half in zip(
+                        parameters,
+                        found.parameters[columns],
+                        std[leg.name],
+                        quantile[columns],
+                        strict=True,
                     )
                 ),
                 rank=rank,
@@ -158,13 +174,17 @@ def _rms(values: Array) -> float:
     return float(np.sqrt((values**2).mean())) if len(values) else np.nan
 
 
-def _external(found: Fits, outer: Array | None, quantile: float) -> tuple[IdentifiedParameter, ...]:
+def _external(
+    found: Fits, outer: Array | None, sure: Confidence
+) -> tuple[IdentifiedParameter, ...]:
     """Return frame and targets with their intervals."""
     outside, values = found.calibration.observation.external, found.external
     if values is None or outer is None or not len(outside):
         return ()
     start, there = (outside.coordinates(one) for one in (outside.start, values))
     D = outside.coordinates_by_step(values)
+    freedoms = [one.min(initial=np.inf) for one in sure.of_unknowns]
+    quantile = float(quantiles(np.array(min(freedoms))))
     std = np.sqrt(np.diagonal(D @ outer @ D.T))
     return tuple(
         _identified(_outside(id_, unit, first), value, error, quantile)

@@ -82,12 +82,17 @@ def identify(calibration: Calibration) -> CalibrationResult:
         calibration = replace(calibration, start=_start(calibration))
     try:
         found = fitted(calibration)
-    except PincalError as error:
+    except (PincalError, np.linalg.LinAlgError) as error:
         causes = _causes(calibration, None)
         if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
             causes = tuple(one for one in causes if one.severity == "error")
         if causes:
             raise MeasurementError(said(causes)) from error
+        if isinstance(error, np.linalg.LinAlgError):
+            raise ObservabilityError(
+                "the search went where the parameters are not determined; look for rows that are "
+                "wrong (--robust reject), or give a better nominal mechanism"
+            ) from error
         raise
     result = assemble(found, fitted(calibration, tied=False) if options.tied else None)
     return _explained(result, found)
@@ -111,7 +116,7 @@ def _start(calibration: Calibration) -> Array | None:
 def _explained(result: CalibrationResult, found: Fits) -> CalibrationResult:
     """Return the result with what would explain residuals or changes that are too large, first."""
     first: tuple[Finding, ...] = ()
-    if not (result.promises and result.corrects):
+    if not result.explained:
         first = _causes(result.calibration, found.external)
     elif result.converged and result.options.setup.plain and not result.options.tied:
         changes = np.array([p.change for leg in result.legs for p in leg.parameters])

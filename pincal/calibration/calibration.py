@@ -132,6 +132,25 @@ class Calibration:
             return np.ones((len(data), len(self.mechanism.legs)), dtype=bool)
         return np.stack([data.serves(name) for name in self.mechanism.leg_names], axis=1)
 
+    @cached_property
+    def counts(self) -> Mask:
+        """Rows that the fit follows, shape (N,): neither for verification, nor repeats of equals.
+
+        Of rows that ``pose`` marks as repeats and that are equal in all that was measured, the
+        first: at a sensor's resolution they say no more than one of them.
+        """
+        data = self.measurements
+        found = ~data.verifying
+        if data.places is None:
+            return found
+        measured = np.column_stack([data.poses, data.readings, *data.extra.values()])
+        runs = data.runs or ("",) * len(data)
+        seen: set[tuple[str, str, bytes]] = set()
+        for row, key in enumerate(zip(data.places, runs, map(bytes, measured), strict=True)):
+            found[row] &= not key[0] or key not in seen
+            seen.add(key)
+        return found
+
     def condition(self, leg: int, rows: NDArray[np.intp]) -> LegCondition:
         """Return what a leg demands at some rows of the measurements."""
         mechanism = self.mechanism

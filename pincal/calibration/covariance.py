@@ -48,6 +48,38 @@ def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
     return covariance
 
 
+def chi2_freedoms(fits: Sequence[Robust]) -> float:
+    """Return the degrees of freedom of a χ² with the mean and variance of the fits' sum.
+
+    Residuals M W ν of two fits that share poses are correlated by the poses' noise, A = W Wᵀ: of
+    their χ², 2 tr(M₁ A M₂ Aᵀ) is the covariance. Of fits that share nothing, that of them all.
+    """
+    parts, total = [], 0
+    for robust in fits:
+        one = robust.fit
+        used = np.flatnonzero(one.weights > 0.0)
+        J = one.last.jacobian[used] @ one.unknowns.map
+        _, prior = one.unknowns.prior_rows(one.unknowns.start)
+        flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
+        size = np.linalg.norm(flat, axis=0)
+        R = np.asarray(np.linalg.qr(flat / size, mode="r"))
+        Q = np.linalg.solve(R.T, (J / size).transpose(0, 2, 1)).transpose(0, 2, 1)
+        last = one.problem.reading_columns[-1].stop
+        W = one.last.white.by_noise[used, :, last : last + one.problem.platform.dof]
+        parts.append((robust.rows[used], Q, W))
+        total += one.degrees_of_freedom
+    shared = 0.0
+    for index, (rows, Q, W) in enumerate(parts):
+        for others, P, V in parts[:index]:
+            _, mine, theirs = np.intersect1d(rows, others, return_indices=True)
+            A = W[mine] @ V[theirs].transpose(0, 2, 1)
+            AP = A @ P[theirs]
+            QA = A.transpose(0, 2, 1) @ Q[mine]
+            both = np.einsum("nmi,nmj->ij", Q[mine], AP)
+            shared += (A**2).sum() - (AP**2).sum() - (QA**2).sum() + (both**2).sum()
+    return total**2 / (total + 2.0 * shared) if total else 0.0
+
+
 def nearest_to_nominal(covariance: Array, gauge: Gauge, unknowns: Unknowns) -> tuple[Array, Array]:
     """Return covariances of parameters that were moved along gauge directions, and of the frames.
 

@@ -3,32 +3,46 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammainc
+from scipy.special import chdtrc
 
+from pincal.calibration.fits import Fits
 from pincal.calibration.result import UNEXPLAINED, CalibrationResult
+from pincal.estimation.components import Moments
+from pincal.estimation.curvature import curvature
+from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 from pincal.estimation.observability.unobservable import Held
+from pincal.estimation.score import scores
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.setup import ORIGIN, Setup
 from pincal.words.sentences import finding
 
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
+PROBABLE = 0.01  # of a sound calibration: less, of all tests of a kind, contradicts the model
+_CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
 _FEW = 1.5  # residuals a parameter, below which more poses are advised
 
 
-def findings_of(result: CalibrationResult, held: Held | None) -> tuple[Finding, ...]:
+def findings_of(
+    result: CalibrationResult, held: Held | None, fits: Fits | None = None
+) -> tuple[Finding, ...]:
     """Return what to know first of a result.
 
     Args:
         result: The result.
         held: What the measurements cannot observe, if that was held.
+        fits: The fits, whose residuals are tested for what the model lacks.
     """
     found = []
     if held is not None and (held.groups or held.weak):
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     found += _zeros(result)
-    return (*found, *_noise(result), *_far(result), *_signs(result), *_rows(result), *_legs(result))
+    noise = _noise(result)
+    if fits is not None and result.converged:
+        noise += _proportion(fits) if not noise else []
+        noise += [*_lacking(fits), *_curved(fits)]
+    return (*found, *noise, *_far(result), *_signs(result), *_rows(result), *_legs(result))
 
 
 def _zeros(result: CalibrationResult) -> list[Finding]:
@@ -71,10 +85,70 @@ def _noise(result: CalibrationResult) -> list[Finding]:
                 units=sorted(set(result.nominal.reading_units)),
             )
         ]
-    if not dof or UNEXPLAINED <= gammainc(dof / 2, dof * chi2 / 2) <= 1.0 - UNEXPLAINED:
+    if not dof or UNEXPLAINED <= result.chi2_p_value <= 1.0 - UNEXPLAINED:
         return []
     code = "chi2-too-large" if chi2 > 1.0 else "chi2-too-small"
     return [finding(code, chi2=chi2, dof=dof, source=result.noise_source)]
+
+
+def _proportion(fits: Fits) -> list[Finding]:
+    """Return a finding if some measured quantities are noisier than given, others less.
+
+    Score test of variance components at the noise given: d = q − F 1 has the covariance 2 F, and
+    that of the noise itself where repeated rows show it.
+    """
+    noise = fits.calibration.noise
+    if not noise.known or any(robust.fit.system.loss is not None for robust in fits.fits):
+        return []
+    unit = noise.noise.reading or assumed_noise(fits.calibration.mechanism, exact=False).reading
+    moments = Moments.of([(one.fit, one.fit.problem) for one in fits.fits], unit)
+    exact = not any(one.fit.problem.sigma_readings.any() for one in fits.fits)
+    groups = [g for g in moments.first_pools(exact=exact)[0] if g < 2 or noise.source != "rows"]
+    F = moments.F[np.ix_(groups, groups)]
+    variances, spread = np.linalg.pinv(F) @ moments.q[groups], 2.0 * np.linalg.pinv(F)
+    spread += np.diag([2.0 / noise.freedoms[group] for group in groups])
+    off = variances - 1.0
+    p_value = float(chdtrc(len(groups), off @ np.linalg.pinv(spread) @ off))
+    if p_value >= PROBABLE or not off.max() > 0.0 or len(groups) < 2:
+        return []
+    names = ("positions", "orientations", "readings")
+    ratios = {names[g]: float(np.sqrt(max(v, 0.0))) for g, v in zip(groups, variances, strict=True)}
+    return [finding("noise-in-other-proportion", ratios=ratios, p_value=p_value)]
+
+
+def _lacking(fits: Fits) -> list[Finding]:
+    """Return what residuals follow that the model lacks: the most improbable of all tests (Holm).
+
+    Of the tests of all readings and measured quantities together, one in a hundred sound
+    calibrations has such a finding.
+    """
+    found = [(score, robust) for robust in fits.fits for score in scores(robust.fit)]
+    if not found:
+        return []
+    worst, robust = min(found, key=lambda pair: pair[0].p_value)
+    p_value = worst.p_value * len(found)
+    if p_value >= PROBABLE:
+        return []
+    if worst.term == "step":
+        row = int(robust.rows[worst.row])
+        unit = robust.fit.problem.unit_of(worst.quantity)
+        return [
+            finding(
+                "step",
+                (row,),
+                quantity=worst.quantity,
+                size=worst.size,
+                unit=unit,
+                p_value=p_value,
+            )
+        ]
+    return [finding("model-lacks", quantity=worst.quantity, term=worst.term, p_value=p_value)]
+
+
+def _curved(fits: Fits) -> list[Finding]:
+    """Return a finding if intervals of a linearised problem mean little."""
+    most = max((curvature(one.fit) for one in fits.fits if one.fit.problem.weighted), default=0.0)
+    return [finding("curved", curvature=most)] if most > _CURVED else []
 
 
 def _far(result: CalibrationResult) -> list[Finding]:

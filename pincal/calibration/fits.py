@@ -66,6 +66,8 @@ class Fits:
     """Of legs and what is outside, of which the gauge speaks."""
     held: Held | None = None
     """What the measurements cannot observe, if that was held."""
+    pools: Pools | None = None
+    """Groups of measured quantities whose noise was estimated, those of one variance together."""
 
     @property
     def latent(self) -> bool:
@@ -99,11 +101,12 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
     if calibration.fixed_noise or calibration.options.residual == "joint":
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
+    pools: Pools | None = None
     for _ in range(_BY.refits):
         fits = [robust.fit for robust in one.fits]
         if not all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits):
             break
-        then = _noise_of(one, noise, unit)
+        then, pools = _noise_of(one, noise, unit)
         if _alike(noise, then):
             break
         noise, unit = then, then.reading or unit
@@ -112,11 +115,11 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
         if abs(scale - 1.0) > _BY.off and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
             one = search(calibration.with_noise(noise), tied, one)
-    return one
+    return replace(one, pools=pools)
 
 
-def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
-    """Return the noise that the residuals of fits show, group by group.
+def _noise_of(one: Fits, noise: Noise, unit: float) -> tuple[Noise, Pools | None]:
+    """Return the noise that the residuals of fits show, and which groups share a variance.
 
     Args:
         one: The fits.
@@ -129,16 +132,17 @@ def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
         problems = _problems(calibration.with_noise(noise), one)
         moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)
         if moments.rounding:
-            return noise
+            return noise, None
         pools = pools or moments.first_pools(exact=noise.reading == 0.0)
         then = _floored(estimated_noise(moments, noise, noise.reading or unit, pools), calibration)
         if _alike(noise, then):
-            pools = moments.split(pools)
-            if pools is None:
+            more = moments.split(pools)
+            if more is None:
                 break
+            pools = more
             then = estimated_noise(moments, noise, noise.reading or unit, pools)
         noise = then
-    return noise
+    return noise, pools
 
 
 def _floored(noise: Noise, calibration: Calibration) -> Noise:
@@ -195,7 +199,8 @@ def _all_legs(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     held = hold_unobservable(mechanism, problem, free) if options.hold_undetermined else None
     free = free if held is None else held.unknowns
     options.report("identifying all legs and poses")
-    system = System(problem, free, calibration.noise.known)
+    kept = calibration.counts
+    system = System(problem, free, calibration.noise.known, kept=None if kept.all() else kept)
     every = np.arange(len(calibration.measurements))
     start = None if before is None else before.fits[0].fit.last.state
     found = robust_fit(
@@ -257,7 +262,9 @@ def _fit_groups(
         names = [mechanism.leg_names[i] for i in group]
         options.report(f"identifying {', '.join(names)}")
         problem, rows = calibration.measured_problem(group, poses, roots)
-        system = System(problem, unknowns.part(names), calibration.noise.known)
+        kept = calibration.counts[rows]
+        known = calibration.noise.known
+        system = System(problem, unknowns.part(names), known, kept=None if kept.all() else kept)
         fits.append(
             robust_fit(mechanism, system, rows, _loss(calibration), progress=options.progress)
         )

@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
 from pincal.calibration.options import Options
-from pincal.design.platform_error import PlatformError, Unidentified, platform_error
+from pincal.design.platform_error import (
+    PlatformError,
+    Unidentified,
+    closing_twists,
+    platform_error,
+    root_mean_squares,
+    sizes,
+)
 from pincal.estimation.conditions.external import External
 from pincal.estimation.observability.weak import WeakPair, weak_pairs
 from pincal.estimation.robust import Outlier
@@ -33,6 +39,21 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 _PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
+#: Findings that contradict the model or its noise.
+CONTRADICT = frozenset(
+    {
+        "chi2-too-large",
+        "curved",
+        "noise-in-other-proportion",
+        "model-lacks",
+        "many-outliers",
+        "tie-contradicted",
+        "held-out-worse",
+        "drift",
+        "step",
+        "runs-differ",
+    }
+)
 _MISSED = 0.01  # standard deviations, below which a leg misses nothing
 _FELL = 0.5  # of the residuals: less must be left of them if anything was corrected
 
@@ -41,6 +62,11 @@ def _whitened(parts: list[tuple[Array, Array, Array]]) -> tuple[Array, Array]:
     before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
     noisy = sigma > 0.0
     return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]
+
+
+def excess_of(chi2: float, p_value: float) -> float:
+    """Return how many times larger residuals are than the noise makes them; 1 if it may be."""
+    return float(np.sqrt(chi2)) if p_value < UNEXPLAINED else 1.0
 
 
 class Page(Protocol):
@@ -72,6 +98,13 @@ class CalibrationResult:
     degrees_of_freedom: int
     reduced_chi2: float
     """χ² over degrees of freedom, near 1 if the noise is as given or was estimated."""
+    chi2_p_value: float
+    """Probability of such a χ², or a larger one, by the noise: χ², or F where repeated rows show
+    the noise."""
+    chi2_freedoms: float
+    """Degrees of freedom of that test; fewer than of χ² where legs alone share the poses' noise."""
+    noise_freedoms: float | None
+    """Fewest degrees of freedom of the noise in a standard error; None if the noise is known."""
     evaluations: int
     """Evaluations of the conditions."""
     left: float
@@ -169,17 +202,31 @@ class CalibrationResult:
     def excess(self) -> float:
         """How many times larger residuals are than the noise given makes them.
 
-        1 if that noise explains them, or was estimated from them.
+        1 if that noise explains them, or was estimated from them. Standard errors are as many
+        times larger.
         """
-        dof, chi2 = self.degrees_of_freedom, self.reduced_chi2
-        if self.noise_source == "estimated" or not dof:
-            return 1.0
-        return float(np.sqrt(chi2)) if chdtrc(dof, dof * chi2) < UNEXPLAINED else 1.0
+        return excess_of(self.reduced_chi2, self.chi2_p_value)
+
+    @property
+    def explained(self) -> bool:
+        """Whether residuals fell, and so near to the noise that uncertainties mean anything."""
+        return self.excess <= _PROMISED and self.corrects
+
+    @property
+    def contradictions(self) -> tuple[Finding, ...]:
+        """What contradicts the model or its noise: χ², residuals, held-out rows, runs, ties.
+
+        While there are any, no limit is promised for the platform's error, anywhere.
+        """
+        found = list(self.findings)
+        found += self.validation.findings if self.validation is not None else ()
+        found += self.runs.findings if self.runs is not None else ()
+        return tuple(one for one in found if one.code in CONTRADICT)
 
     @property
     def promises(self) -> bool:
-        """Whether residuals are near enough to the noise that uncertainties mean anything."""
-        return self.excess <= _PROMISED
+        """Whether uncertainties are a promise: nothing contradicts the model or its noise."""
+        return self.explained and not self.contradictions
 
     @property
     def whitened(self) -> tuple[Array, Array]:
@@ -213,7 +260,9 @@ class CalibrationResult:
         """Return the platform error to expect of the calibrated mechanism.
 
         Where frames were fixed by choice, less what a motion of these frames explains. Infinite
-        where what was held, being undetermined, moves the platform at one of the poses.
+        where what was held, being undetermined, moves the platform at one of the poses. While
+        something contradicts the model, no limit is promised, and no error is smaller than that
+        with which the platform misses the measured poses.
 
         Args:
             poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan;
@@ -222,15 +271,47 @@ class CalibrationResult:
         Raises:
             MechanismError: poses of a wrong shape, or not finite.
         """
+        found = self._by_covariance(self.poses if poses is None else poses)
+        return found if self.promises else found.without_limit(self._seen)
+
+    def _by_covariance(self, poses: Plan | Array) -> PlatformError:
         lost = self.undetermined_directions
         return platform_error(
             self.identified,
             self.covariance,
-            self.poses if poses is None else poses,
+            poses,
             None if lost is None else Unidentified(lost, self.nominal),
             self.frames_moved,
-            None if self.noise_source != "estimated" else self.degrees_of_freedom,
+            self.noise_freedoms,
         )
+
+    @cached_property
+    def _seen(self) -> float:
+        """How many times farther measured poses are missed than uncertainties say; 1 at least."""
+        read = self.measurements.readings if self.nominal.by_readings else None
+        expected = self._by_covariance(Plan(self.poses, readings=read)).where_determined
+        pairs = zip(self.misses, expected, strict=True)
+        return max([1.0, *(seen / one for seen, one in pairs if seen > one > 0.0)])
+
+    @property
+    def misses(self) -> tuple[float, float]:
+        """By how much the platform misses poses that were measured in full, [m] and [rad].
+
+        Root mean squares, measuring noise included; of held-out rows where these were asked for.
+        NaN where no pose was measured in full, or something else than poses.
+        """
+        held = self.validation
+        if held is not None and held.position is not None:
+            return held.position[1], 0.0 if held.orientation is None else held.orientation[1]
+        setup, data = self.options.setup, self.measurements
+        if setup.distances or len(setup.targets) > 1:
+            return np.nan, np.nan
+        whole = data.rows(np.flatnonzero(np.isfinite(data.poses).all(axis=1)))
+        if not len(whole):
+            return np.nan, np.nan
+        poses, _ = replace(self.calibration, measurements=whole).given_poses(self.outside)
+        twists = closing_twists(self.identified, Plan(poses, readings=whole.readings))
+        return root_mean_squares(sizes(self.nominal.platform.units, twists))
 
     @property
     def poses(self) -> Array:

@@ -81,6 +81,8 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "evaluations": result.evaluations,
         "reduced_chi2": _number(result.reduced_chi2),
         "degrees_of_freedom": result.degrees_of_freedom,
+        "promised": result.promises,
+        "contradicted_by": [one.code for one in result.contradictions],
         "noise": {
             "source": result.noise_source,
             **({} if result.noise is None else asdict(result.noise)),

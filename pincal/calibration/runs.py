@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc
 
 from pincal.calibration.calibrate import identify, prepared
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.confidence import exceeded
 from pincal.calibration.options import Options
 from pincal.calibration.validation import UNLIKELY
 from pincal.errors import MeasurementError
@@ -99,15 +99,14 @@ def runs_compared(calibration: Calibration) -> RunComparison:
     if len(names) < 2:
         raise MeasurementError("runs are compared by a column 'run' with at least two runs in it")
     of_rows = np.array(measurements.runs)
-    values, covariances, freedoms, known = [], [], 0, True
+    values, covariances, freedoms = [], [], 0.0
     for name in names:
         result = identify(calibration.rows(of_rows == name))
         if not result.converged:
             raise MeasurementError(f"run {name!r}: {result.message}")
         values.append(np.concatenate([leg.identified for leg in result.legs]))
         covariances.append(result.covariance)
-        freedoms += result.degrees_of_freedom
-        known = known and result.noise_source != "estimated"
+        freedoms += result.noise_freedoms or np.inf
     found, C = np.array(values), np.array(covariances)
     scale = np.sqrt(np.einsum("rii->ri", C).mean(axis=0))
     scale[scale == 0.0] = 1.0
@@ -127,7 +126,5 @@ def runs_compared(calibration: Calibration) -> RunComparison:
         spread=found.std(axis=0, ddof=1),
         predicted=np.sqrt(np.einsum("rii->ri", C).mean(axis=0)),
         ratio=float(np.sqrt(statistic / dof)),
-        p_value=float(
-            chdtrc(dof, statistic) if known else fdtrc(dof, max(freedoms, 1), statistic / dof)
-        ),
+        p_value=exceeded(statistic / dof, dof, freedoms),
     )

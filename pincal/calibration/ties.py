@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
 
+from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import covariances
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import TieTest
@@ -38,7 +38,5 @@ def tie_tests(free: Fits) -> tuple[TieTest, ...]:
         return ()
     off = R @ values
     statistic = float(off @ np.linalg.solve(R @ covariance @ R.T, off)) / len(R)
-    dof = sum(one.fit.degrees_of_freedom for one in free.fits)
-    known = calibration.noise.known
-    p = chdtrc(len(R), statistic * len(R)) if known else fdtrc(len(R), dof, statistic)
-    return (TieTest(", ".join(calibration.options.tied), len(R), statistic, float(p)),)
+    p = exceeded(statistic, len(R), confidence(free).least or np.inf)
+    return (TieTest(", ".join(calibration.options.tied), len(R), statistic, p),)

@@ -10,20 +10,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
 
 from pincal.calibration.calibrate import prepared
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.confidence import confidence, exceeded
+from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.leg_residuals import leg_residuals
 from pincal.calibration.options import Options
 from pincal.design.platform_error import closing_twists
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
+from pincal.estimation.leg_residuals import leg_residuals
 from pincal.estimation.linear import Linear
 from pincal.estimation.solve import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
@@ -35,6 +36,7 @@ from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+By = Literal["region", "turn", "run"]
 FOLDS = 5
 UNLIKELY = 1e-3  # probability at which fit and held-out rows part, rows drift, runs differ
 _ENOUGH = 10  # rows from which a trend is asked for
@@ -91,28 +93,33 @@ def validate(
     options: Options | None = None,
     *,
     folds: int = FOLDS,
+    by: By = "region",
     **more: Any,
 ) -> Validation:
-    """Return the errors at rows that a calibration has not seen, by cross-validation.
+    """Return the errors at rows that a calibration has not seen.
 
-    Rows are dealt to the folds in turn, those of each ``set`` alike; rows of one ``pose`` stay
-    together. Rows that a robust loss finds outlying are left out.
+    Rows whose ``set`` is ``verify`` are those, if there are any. Else each fold is left out in
+    turn: neighbours in the space of readings, so that an error of the model cannot hide in rows
+    nearby; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
+    finds outlying are left out.
 
     Args:
         mechanism: The nominal mechanism; or its name or folder.
         measurements: What was measured; or a CSV file or a DataFrame of it.
         options: How to calibrate.
         folds: How many times a share of the rows is held out.
+        by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run of
+            the experiment is a fold).
         **more: Single options by name: see ``Options``.
 
     Raises:
         MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
         ObservabilityError: what is left does not determine the parameters.
     """
-    return held_out(prepared(mechanism, measurements, options, **more), folds)
+    return held_out(prepared(mechanism, measurements, options, **more), folds, by)
 
 
-def held_out(calibration: Calibration, folds: int = FOLDS) -> Validation:
+def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") -> Validation:
     """Return the errors of a calibration at held-out rows; errors are those of ``validate``."""
     whole = fitted(calibration)
     calibration = whole.calibration
@@ -122,24 +129,28 @@ def held_out(calibration: Calibration, folds: int = FOLDS) -> Validation:
         calibration = calibration.rows(kept).with_options(loss="none")
         whole = fitted(calibration)
         calibration = whole.calibration
-    groups = _folds(calibration.measurements, folds)
+    groups = _folds(calibration.measurements, folds, by)
+    count = int(groups.max()) + 1
     parts: list[_Predicted] = []
     misfits: list[Array] = []
-    for fold in range(folds):
-        calibration.options.report(f"held-out rows, fold {fold + 1} of {folds}")
-        found = fitted(calibration.rows(groups != fold).at_this_noise())
+    chances = []
+    for fold in range(count):
+        calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
+        seen = calibration.rows(groups != fold).at_this_noise()
+        found = fitted(seen)
         unseen = calibration.rows(groups == fold)
-        parts += [_Predicted.of(one, linear) for one, linear in _predictions(found, unseen)]
+        own = [_Predicted.of(one, linear) for one, linear in _predictions(found, unseen)]
+        chances.append(_chance(found, own))
+        parts += own
         misfits.append(_misfit(unseen, found))
     equations = sum(one.equations for one in parts)
     dof = sum(one.fit.degrees_of_freedom for one in whole.fits)
-    own = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
-    unit = 1.0 if calibration.noise.known else max(own, 1e-300)  # noise that was estimated
+    fit = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
+    unit = 1.0 if calibration.noise.known else max(fit, 1e-300)  # noise that was estimated
     growth = sum(one.unknown for one in parts) / equations
     held = np.sqrt(sum(one.squares for one in parts) / equations / unit)
-    expected = np.sqrt(own / unit * (1.0 + growth))
-    ratio = sum(one.statistic for one in parts) / equations
-    p_value = float(fdtrc(equations, dof, ratio / own)) if own > 0 else 1.0
+    expected = np.sqrt(fit / unit * (1.0 + growth))
+    p_value = float(-np.expm1(count * np.log1p(-min(min(chances), 1.0 - 1e-16))))
     more = []
     if p_value < UNLIKELY:
         more.append(
@@ -147,12 +158,12 @@ def held_out(calibration: Calibration, folds: int = FOLDS) -> Validation:
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
             )
         )
-    fit_misfits = _misfit(calibration, whole)
+    fit_misfits = _misfit(calibration.rows(calibration.counts), whole)
     lengths = np.array([one == "m" for one in calibration.mechanism.platform.units])
     return Validation(
-        folds=folds,
-        rows=len(calibration.measurements),
-        fit=float(np.sqrt(own / unit)),
+        folds=count,
+        rows=int((groups >= 0).sum()),
+        fit=float(np.sqrt(fit / unit)),
         held_out=float(held),
         expected=float(expected),
         p_value=p_value,
@@ -162,27 +173,72 @@ def held_out(calibration: Calibration, folds: int = FOLDS) -> Validation:
     )
 
 
-def _folds(data: Measurements, folds: int) -> NDArray[np.intp]:
-    """Return the fold of each row, shape (N,).
+def _chance(found: Fits, parts: Sequence[_Predicted]) -> float:
+    """Return the probability that rows miss a fit so far, or farther, if the model is right.
+
+    By Σ rᵀ (1 + J C Jᵀ)⁻¹ r, χ² of all rows is larger than that of the rows seen: χ² too, and
+    independent of theirs. An F test where the scale of the noise was estimated (G. C. Chow 1960).
+    """
+    equations = sum(one.equations for one in parts)
+    fits = [one.fit for one in found.fits]
+    dof = sum(one.degrees_of_freedom for one in fits)
+    share = 1.0 if found.latent else chi2_freedoms(found.fits) / max(dof, 1)
+    ratio = sum(one.statistic for one in parts) / equations
+    if found.calibration.noise.known:
+        return exceeded(ratio, share * equations, confidence(found).of_chi2)
+    own = sum(one.chi2 for one in fits) / max(dof, 1)
+    return exceeded(ratio / own, share * equations, share * dof) if own > 0.0 else 1.0
+
+
+def _folds(data: Measurements, folds: int, by: By = "turn") -> NDArray[np.intp]:
+    """Return the fold of each row, shape (N,); -1 of rows that are seen by every fit.
 
     Raises:
-        MeasurementError: too few rows, or fewer than two folds.
+        MeasurementError: too few rows, or fewer than two folds or runs.
     """
+    if data.verifying.any():
+        return np.where(data.verifying, 0, -1)
+    if by == "run":
+        names = tuple(dict.fromkeys(data.runs or ()))
+        if len(names) < 2:
+            raise MeasurementError("runs are left out by a column 'run' with at least two in it")
+        return np.array([names.index(one) for one in data.runs or ()])
     places = [row.tobytes() for row in data.readings] if data.places is None else data.places
     places = [place or str(row) for row, place in enumerate(places)]  # an empty one is its own
     sets = data.sets or ("",) * len(data)
-    first: dict[tuple[str, str | bytes], int] = {}
-    counts: dict[str, int] = {}
-    for key in zip(sets, places, strict=True):
-        if key not in first:
-            first[key] = counts.setdefault(key[0], 0)
-            counts[key[0]] += 1
-    if not 2 <= folds <= max(counts.values()):
+    groups: dict[str, dict[str | bytes, list[int]]] = {}
+    for row, (chosen, place) in enumerate(zip(sets, places, strict=True)):
+        groups.setdefault(chosen, {}).setdefault(place, []).append(row)
+    most = max(len(one) for one in groups.values())
+    if not 2 <= folds <= most:
         raise MeasurementError(
-            f"{folds} folds of {max(counts.values())} poses; expected at least two folds, and no "
-            "more than there are poses"
+            f"{folds} folds of {most} poses; expected at least two folds, and no more than there "
+            "are poses"
         )
-    return np.array([first[key] % folds for key in zip(sets, places, strict=True)])
+    found = np.zeros(len(data), dtype=np.intp)
+    for poses in groups.values():
+        firsts = np.array([rows[0] for rows in poses.values()])
+        own = np.arange(len(poses)) % folds
+        if by == "region":
+            own = _regions(data.readings[firsts], min(folds, len(poses)))
+        for rows, fold in zip(poses.values(), own, strict=True):
+            found[rows] = fold
+    return found
+
+
+def _regions(readings: Array, count: int) -> NDArray[np.intp]:
+    """Return the region of each row, shape (N,): halves of halves along the widest reading."""
+    if count == 1:
+        return np.zeros(len(readings), dtype=np.intp)
+    known = np.where(np.isfinite(readings), readings, np.nanmedian(readings))
+    spread = np.ptp(known, axis=0)
+    order = np.argsort(known[:, int(np.argmax(spread))], kind="stable")
+    first = count // 2
+    low, high = np.split(order, [round(len(order) * first / count)])
+    found = np.empty(len(readings), dtype=np.intp)
+    found[low] = _regions(readings[low], first)
+    found[high] = first + _regions(readings[high], count - first)
+    return found
 
 
 @dataclass(frozen=True)

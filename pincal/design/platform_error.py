@@ -6,7 +6,7 @@ known together. Where frames are not measured, motions of these frames are left 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -56,8 +56,21 @@ class PlatformError:
     """``"m"`` or ``"rad"`` of each freedom."""
     weights: Array = field(default_factory=lambda: np.zeros((2, 0)))
     """Eigenvalues of the mean squares of position and orientation, shape (2, n)."""
-    degrees_of_freedom: int | None = None
+    degrees_of_freedom: float | None = None
     """Of the noise, where its scale was estimated; None where it is known."""
+    promised: bool = True
+    """Whether a limit is promised: not where something contradicts the model or its noise."""
+
+    def without_limit(self, by: float) -> PlatformError:
+        """Return errors so many times as large, which are no promise."""
+        return replace(
+            self,
+            position=by * self.position,
+            orientation=by * self.orientation,
+            std=by * self.std,
+            weights=by**2 * self.weights,
+            promised=False,
+        )
 
     @cached_property
     def sizes(self) -> Array:
@@ -80,8 +93,10 @@ class PlatformError:
 
         With errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal
         numbers, weighted by the eigenvalues of MC: drawn, with the scale of the noise if that was
-        estimated.
+        estimated. Infinite where nothing is promised.
         """
+        if not self.promised:
+            return np.inf, np.inf
         if not self.determined.any():
             return np.nan, np.nan
         rng = np.random.default_rng(0)
@@ -98,7 +113,10 @@ class PlatformError:
     def __str__(self) -> str:
         lines = [f"platform error over {self.poses} poses, root mean square"]
         lines.append(f"  expected          {self._said(self.position, self.orientation)}")
-        lines.append(f"  95 of 100 below   {self._said(*self.limit)}")
+        if self.promised:
+            lines.append(f"  95 of 100 below   {self._said(*self.limit)}")
+        else:
+            lines.append("  no limit is promised: something contradicts the model or its noise")
         if missing := len(self.std) - int(self.determined.sum()):
             lines.append(f"  out of reach or not determined at {missing} of {len(self.std)} poses")
         return "\n".join(lines)
@@ -114,7 +132,7 @@ def platform_error(
     planned: Plan | Array,
     lost: Array | Unidentified | None = None,
     frames: Array | None = None,
-    degrees_of_freedom: int | None = None,
+    degrees_of_freedom: float | None = None,
 ) -> PlatformError:
     """Return what the covariance of the parameters means for the platform.
 

@@ -29,6 +29,22 @@ Pools = tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True)
+class Normal:
+    """What one fit says of the variances of groups; parameters projected out by Q R = J."""
+
+    F: Array
+    """Shape (3, 3): positions, orientations, readings."""
+    q: Array
+    """rᵀ M V_g M r, shape (3,)."""
+    chi2: float
+    """rᵀ M r."""
+    P: Array
+    """Qᵀ V_g Q, shape (3, n_free, n_free)."""
+    back: Array
+    """R⁻ᵀ Tᵀ: its columns squared are the variances of the unknowns, shape (n_free, n)."""
+
+
+@dataclass(frozen=True)
 class Moments:
     """What the residuals of fits say of the variances of groups, relative to the assumed ones."""
 
@@ -38,6 +54,8 @@ class Moments:
     """Shape (3,)."""
     scale: float
     """χ² over degrees of freedom."""
+    parts: tuple[Normal, ...]
+    """Of each fit."""
 
     @classmethod
     def of(cls, fits: Sequence[tuple[Fit, Problem]], reading: float) -> Moments:
@@ -49,10 +67,10 @@ class Moments:
             fits: Of groups of legs, each with its problem at the noise in question.
             reading: Standard deviation to which that of readings is relative, [rad] or [m].
         """
-        parts = [_normal(one, problem, reading) for one, problem in fits]
-        F, q, chi2 = (sum(part) for part in zip(*parts, strict=True))
+        parts = tuple(_normal(one, problem, reading) for one, problem in fits)
+        F, q = (np.sum([getattr(one, name) for one in parts], axis=0) for name in ("F", "q"))
         dof = max(sum(one.degrees_of_freedom for one, _ in fits), 1)
-        return cls(np.asarray(F), np.asarray(q), float(chi2) / dof)
+        return cls(F, q, sum(one.chi2 for one in parts) / dof, parts)
 
     @property
     def rounding(self) -> bool:
@@ -67,6 +85,11 @@ class Moments:
         inverse /= np.outer(size, size)
         std = self.scale * np.sqrt(2.0 * np.diagonal(inverse))
         return np.asarray(inverse @ (P.T @ self.q)), std
+
+    def covariance(self, pools: Pools) -> Array:
+        """Return that of the pools' variances, relative to these, shape (k, k)."""
+        P = _columns(pools)
+        return np.asarray(2.0 * np.linalg.pinv(P.T @ self.F @ P, rcond=1e-10, hermitian=True))
 
     def first_pools(self, *, exact: bool) -> Pools:
         """Return one pool of all groups that were measured; without readings if they are exact."""
@@ -101,6 +124,23 @@ def _columns(pools: Pools) -> Array:
     return P
 
 
+def freedoms(one: Normal, pools: Pools, covariance: Array) -> Array:
+    """Return the degrees of freedom of the unknowns' variances (Satterthwaite 1946), shape (n,).
+
+    A variance is v = Σ_g s_g v_g, v_g the part of pool g: 2 v² / var(v), var(v) = vᵀ cov(s) v.
+
+    Args:
+        one: Of the fit.
+        pools: Which groups share a variance.
+        covariance: Of the pools' relative variances, shape (k, k).
+    """
+    by_group = np.einsum("in,gij,jn->gn", one.back, one.P, one.back)
+    parts = _columns(pools).T @ by_group
+    spread = np.einsum("gn,gh,hn->n", parts, covariance, parts)
+    total = (one.back**2).sum(axis=0)
+    return np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
+
+
 def estimated_noise(moments: Moments, noise: Noise, reading: float, pools: Pools) -> Noise:
     """Return the noise that residuals show.
 
@@ -121,8 +161,8 @@ def estimated_noise(moments: Moments, noise: Noise, reading: float, pools: Pools
     )
 
 
-def _normal(one: Fit, problem: Problem, readings: float) -> tuple[Array, Array, float]:
-    """Return F, shape (3, 3), rᵀ M V_g M r, shape (3,), and rᵀ M r, of one fit."""
+def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
+    """Return what a fit says of the variances of groups, at a problem's noise."""
     linear = problem.with_this_noise(one.last)
     rows = one.weights > 0.0
     if one.system.loss is not None:
@@ -156,5 +196,6 @@ def _normal(one: Fit, problem: Problem, readings: float) -> tuple[Array, Array, 
             for g in range(3)
         ]
     )
-    q = [float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U]
-    return F, np.array(q), float((left**2).sum())
+    q = np.array([float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U])
+    back = np.linalg.solve(R.T, (one.unknowns.map / size).T)
+    return Normal(F, q, float((left**2).sum()), np.array(P), back)

@@ -15,14 +15,15 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtr, chdtri, gammaincinv
+from scipy.special import chdtr, chdtrc, chdtri, gammaincinv
 
 from pincal.errors import MeasurementError
 
 Array = NDArray[np.float64]
 LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
 _DRAWS = 20_000  # points of a mean over χ²
-OUTLYING = 1e-3  # probability that a good row is listed
+OUTLYING = 1e-3  # probability that a good row is left out
+SUSPECTED = 0.01  # probability that any row of good data is listed
 
 
 def _huber(u: Array) -> Array:
@@ -88,6 +89,19 @@ LOSSES: dict[str, Loss] = {
 def outlying(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return which rows have a χ² that one good row in a thousand exceeds, shape (N,)."""
     return np.asarray(squares > chdtri(np.maximum(equations, 1), OUTLYING))
+
+
+def suspected(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return which rows are outliers however many there are (S. Holm 1979), shape (N,).
+
+    Of good data, one set of rows in a hundred has any.
+    """
+    p = chdtrc(np.maximum(equations, 1), squares)
+    order = np.argsort(p)
+    clear = p[order] <= SUSPECTED / (len(p) - np.arange(len(p)))
+    found = np.zeros(len(p), dtype=bool)
+    found[order[: len(p) if clear.all() else int(np.argmin(clear))]] = True
+    return found
 
 
 def robust_scale(squares: Array, equations: NDArray[np.intp], share: float) -> float:

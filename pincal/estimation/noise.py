@@ -16,8 +16,9 @@ from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+Freedoms = tuple[float, float, float]
 Source = Literal["given", "rows", "repeats", "estimated"]
-_ENOUGH = 10  # degrees of freedom of a standard deviation from repeated rows
+_ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
 
 
@@ -32,6 +33,8 @@ class NoiseModel:
     readings: Array
     """Shape (N, n_readings)."""
     source: Source
+    freedoms: Freedoms = (np.inf, np.inf, np.inf)
+    """Degrees of freedom with which variances of positions, orientations and readings are known."""
 
     @property
     def known(self) -> bool:
@@ -62,13 +65,14 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
             "well; leave out one of them"
         )
     source: Source = "given"
+    freedoms: Freedoms = (np.inf, np.inf, np.inf)
     if rows or data.sigma_readings is not None:
         _check_sigmas(mechanism, data)
         source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
     elif noise is not None:
         one = noise
     elif (repeated := noise_of_repeats(mechanism, data)) is not None:
-        source, one = "repeats", repeated
+        source, (one, freedoms) = "repeats", repeated
     else:
         source, one = "estimated", assumed_noise(mechanism, exact=full)
     poses = np.tile(one.of_poses(mechanism), (len(data), 1))
@@ -76,7 +80,11 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
         poses = np.where(np.isfinite(data.sigma_poses), data.sigma_poses, poses)
     readings = np.full(data.readings.shape, one.reading)
     return NoiseModel(
-        one, poses, readings if data.sigma_readings is None else data.sigma_readings, source
+        one,
+        poses,
+        readings if data.sigma_readings is None else data.sigma_readings,
+        source,
+        freedoms,
     )
 
 
@@ -129,11 +137,12 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
         )
 
 
-def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
-    """Return the noise that repeated rows show, or None if there are too few.
+def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, Freedoms] | None:
+    """Return the noise that repeated rows show and its degrees of freedom, or None if too few.
 
     Rows repeat each other if their ``pose`` is the same, or, without such a column, if all
-    readings are equal to the last digit, which says nothing about the noise of readings.
+    readings are equal to the last digit. Values that are equal say nothing about their noise:
+    readings are exact then, and poses that repeat at their resolution leave it to the residuals.
     """
     groups: dict[Hashable, list[int]] = defaultdict(list)
     whole = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
@@ -144,24 +153,30 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> Noise | None:
         run = None if data.runs is None else data.runs[row]
         groups[run, data.readings[row].tobytes() if name is None else name].append(int(row))
     several = [np.array(rows) for rows in groups.values() if len(rows) > 1]
-    if not several:
+    dof = sum(len(rows) - 1 for rows in several)
+    if dof < _ENOUGH:
         return None
-    platform = mechanism.platform
-    linear = np.array([unit == "m" for unit in platform.units])
-    twists, readings, dof = [], [], 0
+    platform, twists = mechanism.platform, []
+    turns = np.array([unit == "rad" for unit in platform.units], dtype=bool)
     for rows in several:
         first = np.tile(data.poses[rows[0]], (len(rows), 1))
-        own = platform.twists_between(first, data.poses[rows])
-        twists.append(own - own.mean(axis=0))
-        readings.append(data.readings[rows] - data.readings[rows].mean(axis=0))
-        dof += len(rows) - 1
-    squares = np.concatenate(twists) ** 2
-    position = squares[:, linear].sum() / (dof * linear.sum())
-    turns = (~linear).sum()
-    orientation = squares[:, ~linear].sum() / (dof * turns) if turns else 0.0
-    reading = (np.concatenate(readings) ** 2).sum() / (dof * data.readings.shape[1])
-    if reading <= (ROUNDING * np.abs(data.readings[whole]).max(initial=0.0)) ** 2:
-        reading = 0.0
-    if dof * linear.sum() < _ENOUGH or not position > 0.0 or (turns and not orientation > 0.0):
+        twists.append(platform.twists_between(first, data.poses[rows]))
+    position = _variance([one[:, ~turns] for one in twists])
+    orientation = _variance([one[:, turns] for one in twists])
+    reading = _variance([data.readings[rows] for rows in several])
+    if not position > 0.0 or (turns.any() and not orientation > 0.0):
         return None
-    return Noise(*(float(np.sqrt(value)) for value in (position, orientation, reading)))
+    noise = Noise(*(float(np.sqrt(value)) for value in (position, orientation, reading)))
+    counts = ((~turns).sum(), turns.sum(), data.readings.shape[1] if reading else 0)
+    p, o, r = (float(dof * n) if n else np.inf for n in counts)
+    return noise, (p, o, r)
+
+
+def _variance(groups: list[Array]) -> float:
+    """Return the variance within groups of rows, each of shape (n, k); 0 if most are equal."""
+    within = np.concatenate([one - one.mean(axis=0) for one in groups])
+    rounding = ROUNDING * max(float(np.abs(one).max(initial=0.0)) for one in groups)
+    if not within.size or not np.median(np.abs(within)) > rounding:
+        return 0.0
+    dof = sum(len(one) - 1 for one in groups) * within.shape[1]
+    return float((within**2).sum() / dof)

@@ -114,6 +114,12 @@ class Problem:
             return (*readings, *(f"measured {name}" for name in self.observation.names))
         return (*readings, *(f"measured {name}" for name in self.platform.freedoms))
 
+    def unit_of(self, quantity: str) -> str:
+        """Return the unit of one of the quantities, ``"m"`` or ``"rad"``."""
+        readings = [unit for leg in self.legs for unit in leg.reading_units]
+        own = self.observation.units if self.latent else self.platform.units
+        return (*readings, *own)[self.quantities.index(quantity)]
+
     @cached_property
     def _leg_rows_used(self) -> Mask:
         return np.repeat(self.used, [one.width for one in self.conditions], axis=1)

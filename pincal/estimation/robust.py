@@ -13,7 +13,7 @@ from scipy.special import chdtrc, ndtri
 from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
 from pincal.estimation.linear import State
-from pincal.estimation.losses import LOSSES, Loss, outlying
+from pincal.estimation.losses import LOSSES, Loss, outlying, suspected
 from pincal.estimation.observability.unobservable import check_covariance, check_weakly_determined
 from pincal.estimation.system import System
 from pincal.model.mechanism import Mechanism
@@ -117,7 +117,7 @@ def _fitted(
         one = _without_outliers(one, search)
     try:
         plain = search(system)
-    except PincalError:
+    except (PincalError, np.linalg.LinAlgError):
         plain = None
     return Robust(
         replace(one, first=coarse.first),
@@ -130,9 +130,10 @@ def _fitted(
 def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
     """Return the least-squares fit of the rows that fit each other."""
     one, kept = robust, np.ones(len(robust.weights), dtype=bool)
+    counts = kept if robust.system.kept is None else robust.system.kept
     for _ in range(_ROUNDS):
         linear = one.last
-        now = ~outlying(linear.squares / robust.scale**2, linear.equations)
+        now = counts & ~outlying(linear.squares / robust.scale**2, linear.equations)
         if one is not robust and (now == kept).all():
             break
         kept = now
@@ -147,7 +148,9 @@ def _outliers(one: Fit, scale: float, rows: NDArray[np.intp]) -> tuple[Outlier, 
         return ()
     equations = np.maximum(linear.equations, 1)
     relative = linear.squares / scale**2
-    listed = np.flatnonzero(outlying(relative, equations) & (linear.equations > 0))
+    left_out = outlying(relative, equations) & (one.weights == 0.0)
+    far = suspected(np.where(linear.equations > 0, relative, 0.0), equations)
+    listed = np.flatnonzero((left_out | far) & (linear.equations > 0))
     legs = tuple(leg.name for leg in one.problem.legs)
     noise = np.abs(linear.noise[:, : len(one.problem.quantities)]) / scale
     worst = noise.argmax(axis=1)

@@ -19,6 +19,7 @@ from pincal.model.setup import Setup
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 EVERY_LEG = "all"
+VERIFY = "verify"
 SMALLEST_SIGMA = 1e-50
 """Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
 
@@ -57,8 +58,8 @@ class Plan:
     poses: Array
     """Coordinates, shape (N, dof), [m] and [rad]."""
     sets: tuple[str, ...] | None = None
-    """Leg for which each pose was chosen, ``"leg_1+leg_2"`` for several, ``"all"`` for every leg;
-    None if not said."""
+    """Leg for which each pose was chosen, ``"leg_1+leg_2"`` for several, ``"all"`` for every leg,
+    ``"verify"`` for none: to see how the calibrated mechanism does there; None if not said."""
     readings: Array | None = None
     """Readings to command, shape (N, n_readings), where poses do not determine them."""
     lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
@@ -173,6 +174,13 @@ class Plan:
     def place(self, row: int) -> str:
         """Return where a row is: the line of its file, else its number."""
         return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+
+    @property
+    def verifying(self) -> Mask:
+        """Which rows no fit follows, ``set`` being ``verify``, shape (N,)."""
+        if self.sets is None:
+            return np.zeros(len(self.poses), dtype=bool)
+        return np.array([one == VERIFY for one in self.sets], dtype=bool)
 
     def serves(self, leg: str) -> Mask:
         """Return which poses were chosen for a leg, shape (N,)."""

@@ -25,7 +25,7 @@ from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.results import noisy_series, parameters, promised
+from pincal.show.results import noisy_series, parameters
 from pincal.show.style import PAGE, look
 from pincal.show.workspace_errors import error_maps
 
@@ -81,7 +81,7 @@ class Plots:
             WorkspaceError: no workspace was found with the default margins.
         """
         name = self.result.nominal.name
-        if promised(self.result) is None:
+        if not self.result.explained:
             raise MeasurementError(
                 f"{name}: residuals are {self.result.excess:.3g} times as large as the noise given "
                 "makes them, so no accuracy can be promised and none is drawn"

@@ -12,7 +12,7 @@ from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observ
 from pincal.calibration.result import CalibrationResult
 from pincal.model.measurements import Noise
 from pincal.words.results import noise
-from pincal.words.sentences import sentence
+from pincal.words.sentences import WORDINGS, sentence
 
 Array = NDArray[np.float64]
 
@@ -76,11 +76,6 @@ def readings_exact(result: CalibrationResult) -> bool:
     return bool(result.observed) and not any((leg.sigma > 0.0).any() for leg in result.legs)
 
 
-def promised(result: CalibrationResult) -> float | None:
-    """Return by what errors to expect are multiplied; None if no accuracy can be promised."""
-    return result.excess if result.promises and result.corrects else None
-
-
 def noise_said(result: CalibrationResult, sizes: Noise) -> str:
     """Return standard deviations of what was measured, each in its unit."""
     observed = result.calibration.observation
@@ -123,11 +118,7 @@ def gauge(result: CalibrationResult) -> list[str]:
     return [sentence(one) for one in result.gauge]
 
 
-def contradicted(result: CalibrationResult) -> bool:
-    """Return whether noise, held-out rows, runs or ties contradict the model."""
-    return (
-        result.excess > 1.0
-        or (result.validation is not None and bool(result.validation.findings))
-        or (result.runs is not None and not result.runs.agree)
-        or not all(tie.holds for tie in result.ties)
-    )
+def unpromised(result: CalibrationResult) -> str:
+    """Return why no limit is promised, in titles of findings; empty if one is."""
+    titles = dict.fromkeys(WORDINGS[one.code].title for one in result.contradictions)
+    return ", ".join(title[:1].lower() + title[1:] for title in titles)

@@ -12,7 +12,7 @@ from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
-from pincal.show.results import gauge, noise_said, promised, turns
+from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import amount, listed, shown_in, size
 from pincal.words.sentences import finding, sentence
@@ -109,30 +109,33 @@ def tie_lines(result: CalibrationResult) -> list[str]:
 
 def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     """Return by how much the platform was off, and by about how much it should be now."""
-    turning, more = turns(result), promised(result)
+    turning = turns(result)
     before = platform_size(errors.mean_before(), turning)
     text = f"platform, root mean square {errors.where}: "
-    if more is None:
+    if not result.explained:
         return (
             f"{text}the calibrated model differs from the nominal one by {before}, but no accuracy "
             f"can be promised of it: residuals are {result.excess:.3g} times as large as the noise "
             f"given makes them{'' if result.corrects else ', and hardly fell'}"
         )
     frames = FRAMES if result.moves_frames else ""
-    after = platform_size(errors.mean_after(), turning, more)
-    limit = platform_size(errors.limit, turning, more)
-    scaled = f", {more:.2g} times as large as the noise given says, as residuals are"
+    after = platform_size(errors.mean_after(), turning)
+    if not result.promises:
+        return (
+            f"{text}the nominal model was off by {before}, the calibrated one by {after} or "
+            f"more{frames}; no limit is promised: {unpromised(result)}"
+        )
+    limit = platform_size(errors.limit, turning)
     return (
         f"{text}the nominal model was off by {before}, the calibrated one by about {after}{frames} "
-        f"(expected by the parameters' uncertainties{scaled if more > 1.0 else ''}; 95 of 100 such "
-        f"calibrations stay below {limit}; ± of single parameters may be larger where they "
-        "compensate each other)"
+        "(expected by the parameters' uncertainties; 95 of 100 such calibrations stay below "
+        f"{limit}; ± of single parameters may be larger where they compensate each other)"
     )
 
 
-def platform_size(sizes: tuple[float, float], turns: bool, by: float = 1.0) -> str:
-    """Return errors of the platform, [m] and [rad], times a factor."""
-    return size(by * sizes[0], by * sizes[1] if turns else None)
+def platform_size(sizes: tuple[float, float], turns: bool) -> str:
+    """Return errors of the platform, [m] and [rad]."""
+    return size(sizes[0], sizes[1] if turns else None)
 
 
 def check_lines(result: CalibrationResult) -> list[str]:

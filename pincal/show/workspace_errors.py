@@ -18,7 +18,6 @@ from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.kinematics.configurations import as_plan
 from pincal.model.measurements import Plan
-from pincal.show.results import promised
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
@@ -101,7 +100,7 @@ def error_maps(
         errors: Those at samples of the workspace, computed if not given.
     """
     nominal, platform = result.nominal, result.nominal.platform
-    if (more := promised(result)) is None:
+    if not result.explained:
         return None
     if errors is None:
         errors = workspace_errors(result)
@@ -124,7 +123,7 @@ def error_maps(
         return None
     found = errors_at(result, flat[inside])
     both = np.full((2, len(flat), 2), np.nan)
-    both[:, inside] = found.before, more * found.after
+    both[:, inside] = found.before, found.after
     before, after = both.reshape(2, len(heights), n, n, 2)
     return ErrorMaps(x, y, heights, before, after)
 

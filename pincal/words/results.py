@@ -69,6 +69,40 @@ def _outliers_remedy(found: Finding) -> str:
     return f"Look at {them}, or use a robust loss (--robust reject)"
 
 
+def _proportion(found: Finding) -> str:
+    v = found.values
+    parts = (f"{100 * ratio:.0f} % of it in {name}" for name, ratio in v["ratios"].items())
+    return (
+        f"the noise is not in the proportion given (p = {v['p_value']:.1g}): residuals "
+        f"show {', '.join(parts)}"
+    )
+
+
+_TERMS = {
+    "angle": ("its own value", "an eccentric disc, a gear or a lead that is not even is likely"),
+    "pose": ("the pose", "legs or base that bend, or an error of the tracker over its volume"),
+    "order": ("the order of the rows", "drift, of temperature or of a reference, is likely"),
+    "approach": ("the side from which it was approached", "play or friction is likely"),
+}
+
+
+def _lacks(found: Finding) -> str:
+    v = found.values
+    what, cause = _TERMS[v["term"]]
+    return (
+        f"{v['quantity']}: residuals follow {what} (p = {v['p_value']:.1g}), and the model has "
+        f"nothing for that: {cause}"
+    )
+
+
+def _step(found: Finding) -> str:
+    v = found.values
+    return (
+        f"{v['quantity']} is off by {amount(v['size'], v['unit'])} from data row "
+        f"{found.rows[0] + 1} on (p = {v['p_value']:.1g})"
+    )
+
+
 _EXCESS = (
     "no accuracy can be promised: residuals are {excess:.3g} times as large as the noise given "
     "makes them"
@@ -127,6 +161,55 @@ RESULTS: dict[str, Wording] = {
         "Residuals are smaller than the noise given makes them: intervals are too wide.",
         "Correct the noise, if it is known to be smaller",
     ),
+    "noise-in-other-proportion": Wording(
+        "Noise in another proportion",
+        {
+            "ratios": "standard deviations seen over those given, by positions, orientations, "
+            "readings",
+            "p_value": P_VALUE,
+        },
+        _proportion,
+        "Some measured quantities are noisier than given, others less (p below 0.01): weights and "
+        "intervals are wrong though χ² may look right.",
+        "Leave the noise out: it is then estimated by group",
+    ),
+    "model-lacks": Wording(
+        "Residuals follow something",
+        {
+            "quantity": "the reading or measured quantity that is off",
+            "term": 'what its error follows: "angle", "pose", "order" or "approach"',
+            "p_value": "the probability of the most improbable of all such tests, by chance",
+        },
+        _lacks,
+        "Residuals follow what the model lacks, more than chance explains (p below 0.01, all tests "
+        "together): intervals and platform errors are too small by nobody knows how much.",
+        "Model it or remove its cause; measure in a mixed order",
+    ),
+    "curved": Wording(
+        "Intervals of a curved problem",
+        {"curvature": "curved part of the residuals over the straight one, at one standard error"},
+        lambda f: (
+            "within one standard error the problem is curved: the curved part of the "
+            f"residuals' change is {f.values['curvature']:.2g} of the straight one"
+        ),
+        "Standard errors come from a straight line through a curve, and joint intervals are too "
+        "small where it bends by half or more.",
+        "Measure more poses, or with less noise",
+    ),
+    "step": Wording(
+        "A step",
+        {
+            "quantity": "the reading or measured quantity that is off",
+            "size": "by how much, after the step [m or rad]",
+            "unit": '"m" or "rad"',
+            "p_value": "the probability of such a step anywhere, by chance",
+        },
+        _step,
+        "A sensor, target or frame changed its place during the experiment. The finding's row is "
+        "the first after it.",
+        "Look for an encoder that slipped, or a target that was hit; name runs in a column run, or "
+        "leave the shorter part out",
+    ),
     "outliers": Wording(
         "Outliers",
         {
@@ -136,8 +219,8 @@ RESULTS: dict[str, Wording] = {
             "off": "size of that residual [standard deviations]",
         },
         _outliers,
-        "Rows miss by more than one good row in a thousand does. The finding's rows are those, the "
-        "worst first.",
+        "Rows miss by more than chance explains, however many there are (one sound calibration in "
+        "a hundred has any). The finding's rows are those, the worst first.",
         _outliers_remedy,
         general="Look at them: a slip, a lost beam, a wrong set. --robust reject leaves them out "
         "and lists them",

@@ -207,7 +207,7 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
     Rows chosen for several legs may be copies of each other: each leg has its own. But if
     ``every_pose`` serves every leg, whatever its set, copies would count as so many measurements.
     Where equal readings come with different poses, measurements were repeated, and poses
-    written with few digits may be equal by chance.
+    written with few digits may be equal by chance; rows of one ``pose`` are repeats, not copies.
 
     Raises:
         MeasurementError: rows that are copies.
@@ -222,7 +222,8 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
             continue
         if not np.array_equal(measured[other], measured[row], equal_nan=True):
             return
-        copies.append((other, row))
+        if data.places is None or not data.places[row] or data.places[row] != data.places[other]:
+            copies.append((other, row))
     if copies:
         rows = tuple(sorted({row for pair in copies for row in pair}))
         found = finding("rows-copied", rows, first=copies[0], pairs=len(copies))

@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 from pincal.calibration.result import CalibrationResult
 from pincal.show import summary
 from pincal.show.report.findings import Findings
-from pincal.show.results import contradicted, noisy_series, promised, warnings
+from pincal.show.results import noisy_series, unpromised, warnings
 from pincal.words.numbers import SMALL, amount, capital, counted, rounded, shown_in
 from pincal.words.pages import rendered
 from pincal.words.sentences import WORDINGS
@@ -40,7 +40,7 @@ class Answers:
             answers=self,
             result=self.found.result,
             errors=self.found.errors,
-            more=promised(self.found.result),
+            unpromised=unpromised(self.found.result),
             wordings=WORDINGS,
             summary=summary,
             amount=amount,
@@ -55,8 +55,7 @@ class Answers:
             return {}
         both = errors.mean_before(), errors.mean_after(), errors.limit
         before, after, limit = np.array(both)[:, : 1 + self.found.turns]
-        more = self.found.result.excess
-        ratios = {"expected": before / after / more, "sure": before / limit / more}
+        ratios = {"expected": before / after, "sure": before / limit}
         return {name: own.tolist() for name, own in ratios.items()}
 
     def times(self, name: str) -> str:
@@ -70,10 +69,10 @@ class Answers:
     def better(self) -> tuple[str, str]:
         """Whether it is better, and the look of that: ``"good"``, ``"care"`` or ``"bad"``."""
         result, ratios = self.found.result, self._ratios["expected"]
-        if not (result.corrects and result.promises):
+        if not result.explained:
             return "Not shown" if result.corrects else "No", "bad"
         if min(ratios) >= 2.0:
-            checked = bool(result.degrees_of_freedom) and not contradicted(result)
+            checked = bool(result.degrees_of_freedom) and result.promises
             return ("Yes", "good") if checked else ("Probably", "care")
         return "Hardly" if max(ratios) > 1.0 else "No sign of it", "bad"
 
@@ -103,8 +102,8 @@ class Answers:
         result = self.found.result
         if count := len(warnings(result)):
             warned = f"{'one warning' if count == 1 else f'{count} warnings'} above"
-            poor = contradicted(result)
-            return (f"Not as it is: {warned}", "bad") if poor else (f"With care: {warned}", "care")
+            sound = result.promises
+            return (f"With care: {warned}", "care") if sound else (f"Not as it is: {warned}", "bad")
         if result.validation is None:
             return "Not tested on rows left out", "care"
         return "Nothing speaks against it", "good"
@@ -120,6 +119,7 @@ class Answers:
             return f"{line}."
         text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
         if result.loss == "none":
-            low, high = 2.0 * gammaincinv(dof / 2.0, (0.025, 0.975)) / dof
+            free = result.chi2_freedoms
+            low, high = 2.0 * gammaincinv(free / 2.0, (0.025, 0.975)) / free
             text += f"; {low:.2f} to {high:.2f} is expected by the noise"
         return text + "."

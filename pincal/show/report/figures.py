@@ -23,7 +23,7 @@ from pincal.show.plots import (
     name_places,
 )
 from pincal.show.report.findings import Findings
-from pincal.show.results import Series, noisy_series, parameters, promised, whose
+from pincal.show.results import Series, noisy_series, parameters, whose
 from pincal.show.style import COLOURS, PAGE, look
 from pincal.words.numbers import FACTORS, SMALL, shown_in
 
@@ -108,8 +108,8 @@ def platform_figure(found: Findings) -> Drawn:
         return None
     parts: dict[str, dict[str, Array]] = {}
     caption = "Root mean square errors before and after: "
-    if (more := promised(found.result)) is not None:
-        both = 1e3 * np.array([errors.mean_before(), more * np.array(errors.mean_after())])
+    if found.result.explained:
+        both = 1e3 * np.array([errors.mean_before(), errors.mean_after()])
         titles = ("platform: position [mm]", "orientation [mrad]")[: 1 + found.turns]
         parts = {title: {errors.where: own} for title, own in zip(titles, both.T, strict=False)}
         caption += f"the platform's {errors.where} (after: as expected), and "

@@ -1,0 +1,35 @@
+"""How curved a problem is over its own uncertainty: where standard errors stop meaning much.
+
+Along draws δ of the covariance, poses following, residuals are r + J δ + c(δ): the root mean square
+of c over that of J δ is the relative curvature at one standard error (D. M. Bates and D. G. Watts
+1980, their intrinsic and parameter effects together, as seen in the rows).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.estimation.fit import Fit
+from pincal.estimation.solve import solve_poses
+
+_PAIRS = 3
+
+
+def curvature(one: Fit) -> float:
+    """Return the relative curvature of a fit; infinite where its poses get lost so near to it."""
+    problem, here = one.problem, one.last
+    n = len(one.covariance)
+    values, axes = np.linalg.eigh(one.covariance)
+    root = axes * np.sqrt(values.clip(0.0))
+    used = one.weights > 0.0
+    bent, straight = 0.0, 0.0
+    for draw in np.random.default_rng(0).standard_normal((_PAIRS, n)):
+        step = root @ draw
+        ends = []
+        for sign in (1.0, -1.0):
+            there = problem.linearise(problem.moved(here, sign * step))
+            ends.append(here.frozen(solve_poses(problem, there)[0]))
+        bent += float(((0.5 * (ends[0] + ends[1]) - here.value)[used] ** 2).sum())
+        straight += float(((here.jacobian[used] @ step) ** 2).sum())
+    found = np.sqrt(bent / straight) if straight > 0.0 else 0.0
+    return float(found) if np.isfinite(found) else np.inf

@@ -1,0 +1,161 @@
+"""What a model lacks, seen in its residuals: score tests of terms, and steps from one row on.
+
+An error b(n) of one measured quantity appears in the white rows as w = L⁻¹Nᵀ s b, s how the
+conditions follow that quantity. With M the projection on what parameters do not take up, the part
+of the residuals that lies in M w is, if the model lacks nothing, a share of χ² like any other: an F
+test without a new fit (C. R. Rao's score test).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from pincal.estimation.fit import Fit
+
+Array = NDArray[np.float64]
+_HARMONICS = (1, 2, 3)
+_ALIKE = 1e-8  # singular value of terms, columns of unit length, below which they say the same
+
+
+@dataclass(frozen=True)
+class Score:
+    """One test: which quantity, which term, and how probable by chance."""
+
+    quantity: str
+    """Reading or measured quantity, as ``Problem.quantities`` names it."""
+    term: str
+    """``"angle"``, ``"pose"``, ``"order"``, ``"approach"`` or ``"step"``."""
+    p_value: float
+    """Of so much of the residuals, or more, in this term; of a step, anywhere."""
+    row: int = 0
+    """Of a step: the first row after it, among those of the fit."""
+    size: float = 0.0
+    """Of a step: by how much the quantity is off after it, [rad] or [m]."""
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """White residuals and derivatives of rows that count, flat; parameters projected out."""
+
+    used: NDArray[np.intp]
+    left: Array
+    """M r, shape (n_used, m)."""
+    Q: Array
+    """Shape (n_used, m, n_free)."""
+    chi2: float
+    degrees_of_freedom: int
+
+    @classmethod
+    def of(cls, one: Fit) -> _Residuals:
+        used = np.flatnonzero(one.weights > 0.0)
+        r, J = one.last.value[used], one.last.jacobian[used] @ one.unknowns.map
+        _, prior = one.unknowns.prior_rows(one.unknowns.start)
+        flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
+        size = np.linalg.norm(flat, axis=0)
+        R = np.asarray(np.linalg.qr(flat / size, mode="r"))
+        Q = np.linalg.solve(R.T, (J / size).transpose(0, 2, 1)).transpose(0, 2, 1)
+        left = r - Q @ np.einsum("nmi,nm->i", Q, r)
+        return cls(used, left, Q, float((left**2).sum()), one.degrees_of_freedom)
+
+    def chance(self, inside: Array | float, rank: int) -> Array:
+        """Return the probability of a part of χ² of some rank, or of a larger one."""
+        free = self.degrees_of_freedom - rank
+        ratio = inside / rank / (np.maximum(self.chi2 - inside, 1e-300) / free)
+        return np.asarray(fdtrc(rank, free, ratio))
+
+    def term(self, w: Array, b: Array) -> float:
+        """Return the probability of residuals so far along terms b, shape (n_used, f).
+
+        Args:
+            w: White rows of a unit error of the quantity, shape (n_used, m).
+            b: The terms.
+        """
+        W = w[:, :, None] * b[:, None]
+        W = W - self.Q @ np.einsum("nmi,nmf->if", self.Q, W)
+        flat = W.reshape(-1, W.shape[2])
+        lengths = np.linalg.norm(w[:, :, None] * b[:, None], axis=(0, 1))
+        flat = flat[:, lengths > 0.0] / lengths[lengths > 0.0]
+        U, s, _ = np.linalg.svd(flat, full_matrices=False)
+        U = U[:, s > _ALIKE]
+        if not 0 < U.shape[1] < self.degrees_of_freedom:
+            return 1.0
+        return float(self.chance(float(((U.T @ self.left.ravel()) ** 2).sum()), U.shape[1]))
+
+    def step(self, w: Array) -> tuple[float, int, float]:
+        """Return the probability of the clearest step anywhere, its first row and its size."""
+        if len(w) < 2 or self.degrees_of_freedom < 2:
+            return 1.0, 0, 0.0
+        own = np.einsum("nm,nm->n", w, w)
+        by = np.einsum("nmi,nm->ni", self.Q, w)
+        along = np.einsum("nm,nm->n", w, self.left)
+        after, squares, taken = (np.cumsum(one[::-1], axis=0)[::-1][1:] for one in (along, own, by))
+        length = squares - (taken**2).sum(axis=1)
+        known = length > _ALIKE * max(float(squares[0]), 1e-300)
+        inside = np.where(known, after**2 / np.where(known, length, 1.0), 0.0)
+        best = int(np.argmax(inside))
+        if not known.any():
+            return 1.0, 0, 0.0
+        chance = min(1.0, float(self.chance(float(inside[best]), 1)) * int(known.sum()))
+        return chance, int(self.used[best + 1]), float(after[best] / length[best])
+
+
+def scores(one: Fit) -> Iterator[Score]:
+    """Yield the score tests of a fit: each reading by each term, and each quantity by steps."""
+    if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
+        return
+    left, problem = _Residuals.of(one), one.problem
+    n_readings = problem.reading_columns[-1].stop
+    for column, (name, w) in enumerate(_errors(one, left.used)):
+        yield Score(name, "order", left.term(w, np.linspace(-1.0, 1.0, len(w))[:, None]))
+        yield Score(name, "step", *left.step(w))
+        if column < n_readings:
+            for term, b in _terms(one, column, left.used):
+                yield Score(name, term, left.term(w, b))
+
+
+def _errors(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
+    """Yield each measured quantity and the white rows of its unit error, shape (n_used, m)."""
+    problem, stack = one.problem, one.last.stack
+    names = iter(problem.quantities)
+    for index, (demand, rows, columns) in enumerate(
+        zip(stack.demands, problem.leg_rows, problem.reading_columns, strict=True)
+    ):
+        for place in range(columns.stop - columns.start):
+            error = np.zeros((*stack.value.shape, 1))
+            error[:, rows, 0] = np.where(
+                problem.used[:, index, None], demand.reading[:, :, place], 0.0
+            )
+            yield next(names), one.last.white(error)[used, :, 0]
+    if problem.latent:
+        n_legs = problem.leg_rows[-1].stop
+        for column in range(problem.observation.measured.shape[1]):
+            error = np.zeros((*stack.value.shape, 1))
+            error[:, n_legs + column, 0] = problem.observation.measured[:, column]
+            yield next(names), one.last.white(error)[used, :, 0]
+
+
+def _terms(one: Fit, column: int, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
+    """Yield what an error of a reading may follow: its angle, the pose, the side of approach."""
+    problem = one.problem
+    reading = problem.readings[used, column]
+    spread = float(np.ptp(reading)) or 1.0
+    leg = next(i for i, own in enumerate(problem.reading_columns) if own.start <= column < own.stop)
+    unit = problem.legs[leg].reading_units[column - problem.reading_columns[leg].start]
+    if unit == "rad":
+        turns = [k * reading for k in _HARMONICS]
+        yield "angle", np.stack([f(turn) for turn in turns for f in (np.sin, np.cos)], axis=1)
+    else:
+        along = (reading - reading.mean()) / spread
+        yield "angle", np.stack([along**2, along**3], axis=1)
+    poses = problem.platform.from_matrices(one.last.state.matrices[used])
+    scale = np.ptp(poses, axis=0)
+    x = (poses - poses.mean(axis=0)) / np.where(scale > 0.0, scale, 1.0)
+    i, j = np.triu_indices(x.shape[1])
+    yield "pose", np.concatenate((x, x[:, i] * x[:, j]), axis=1)
+    side = np.sign(np.diff(problem.readings[:, column], prepend=np.nan))[used]
+    yield "approach", np.nan_to_num(side)[:, None]

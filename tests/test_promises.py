@@ -1,0 +1,186 @@
+"""Promises are withdrawn where the model is contradicted; false alarms are as rare as stated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cramer_rao import Machine, machine, values_of
+from numpy.typing import NDArray
+from resized import scaled
+from scipy.stats import kstest
+
+import pincal
+from pincal.estimation.losses import suspected
+
+Array = NDArray[np.float64]
+NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
+
+
+def drawn(one: Machine, noise: pincal.Noise, seed: int, more: Array | float) -> pincal.Measurements:
+    """Return measurements with noise, and with more in the readings than the model knows."""
+    rng = np.random.default_rng(seed)
+    still = np.zeros((len(one.positions), one.dof))
+    readings = one.readings(one.parameters, still) + more
+    readings = readings + noise.reading * rng.standard_normal(readings.shape)
+    twists = noise.of_poses(one.nominal) * rng.standard_normal(still.shape)
+    return pincal.Measurements(poses=one.coordinates(twists), readings=readings)
+
+
+def waves(one: Machine) -> Array:
+    """Return an eccentric disc's error of the readings."""
+    psi = one.readings(one.parameters, np.zeros((len(one.positions), one.dof)))
+    return np.asarray(3e-4 * np.sin(3.0 * psi))
+
+
+def drift(one: Machine) -> Array:
+    """Return readings that drift over the rows."""
+    return np.linspace(-3e-4, 3e-4, len(one.positions))[:, None] * np.ones((1, 3))
+
+
+def slip(one: Machine) -> Array:
+    """Return an encoder of leg 2 that slips halfway."""
+    found = np.zeros((len(one.positions), 3))
+    found[len(found) // 2 :, 1] = 5e-4
+    return found
+
+
+@pytest.mark.parametrize("noise", [NOISE, None])
+@pytest.mark.parametrize("fault", [waves, drift, slip])
+def test_no_limit_is_promised_where_the_model_lacks_something(
+    fault: Callable[[Machine], Array], noise: pincal.Noise | None
+) -> None:
+    """Expected error, result and JSON agree, and no error is below what was seen."""
+    one = machine("3RRR", 60)
+    result = pincal.calibrate(one.nominal, drawn(one, NOISE, 0, fault(one)), noise=noise)
+    assert result.contradictions
+    assert not result.promises
+    expected = result.expected_error()
+    assert np.isinf(expected.limit).all()
+    assert expected.position >= 0.99 * result.misses[0]
+    if fault is slip:
+        (found,) = (one for one in result.contradictions if one.code == "step")
+        assert found.values["quantity"] == "reading of leg_2"
+        assert abs(found.rows[0] - len(result.measurements) // 2) <= 2
+        assert found.values["size"] == pytest.approx(5e-4, rel=0.3)
+
+
+def test_sound_data_are_promised() -> None:
+    """Nothing contradicts sound data, noise given or not: 20 data sets, one false alarm allowed."""
+    one, alarms = machine("3RRR", 60), 0
+    for seed in range(20):
+        result = pincal.calibrate(
+            one.nominal, drawn(one, NOISE, seed, 0.0), noise=NOISE if seed % 2 else None
+        )
+        alarms += not result.promises
+        assert not result.promises or np.isfinite(result.expected_error().limit).all()
+    assert alarms <= 1
+
+
+def test_standard_errors_grow_with_residuals() -> None:
+    """Noise said half as large as it is: standard errors are those of the truth, and so is JSON."""
+    one = machine("3RRR", 60)
+    data = drawn(one, NOISE, 0, 0.0)
+    half = pincal.Noise(*(0.5 * value for value in vars(NOISE).values()))
+    low, right = (pincal.calibrate(one.nominal, data, noise=noise) for noise in (half, NOISE))
+    assert low.excess == pytest.approx(2.0 * np.sqrt(right.reduced_chi2), rel=1e-6)
+    np.testing.assert_allclose(
+        values_of(low)[1], np.sqrt(right.reduced_chi2) * values_of(right)[1], rtol=1e-3
+    )
+    assert not low.promises
+
+
+def test_noise_in_another_proportion_is_seen() -> None:
+    """(1, 1) said and (1.4, 0.4) true leaves χ² at one; the proportion is tested."""
+    one = machine("3RRR", 60)
+    said = pincal.Noise(1e-4, 1e-4, 0.0)
+    data = drawn(one, pincal.Noise(1.4e-4, 0.4e-4, 0.0), 0, 0.0)
+    result = pincal.calibrate(one.nominal, data, noise=said)
+    codes = {one.code for one in result.contradictions}
+    assert codes & {"noise-in-other-proportion", "chi2-too-large"}
+
+
+@pytest.mark.parametrize("count", [100, 10_000])
+def test_rows_are_suspected_together(count: int) -> None:
+    """One set of good rows in a hundred has any that is suspected: 300 sets, to three errors."""
+    rng = np.random.default_rng(0)
+    squares = rng.chisquare(3, (300, count))
+    equations = np.full(count, 3)
+    share = np.mean([suspected(one, equations).any() for one in squares])
+    assert share <= 0.01 + 3 * np.sqrt(0.01 / 300)
+    squares[0, 7] = 60.0
+    assert np.flatnonzero(suspected(squares[0], equations)).tolist() == [7]
+
+
+@pytest.mark.slow
+def test_held_out_p_values_are_uniform() -> None:
+    """60 sound data sets: Kolmogorov–Smirnov above 0.01, noise given or estimated."""
+    one = machine("3RRR", 60)
+    for noise in (NOISE, None):
+        p = [
+            pincal.validate(one.nominal, drawn(one, NOISE, seed, 0.0), noise=noise).p_value
+            for seed in range(60)
+        ]
+        assert kstest(p, "uniform").pvalue > 0.01
+
+
+def test_rows_to_verify_are_not_followed() -> None:
+    """Rows of the set verify change nothing in the fit, and are what validation predicts."""
+    one = machine("3RRR", 60)
+    data = drawn(one, NOISE, 0, 0.0)
+    last = np.arange(len(data)) >= len(data) - 8
+    marked = replace(data, sets=tuple("verify" if one else "all" for one in last))
+    with_them = pincal.calibrate(one.nominal, marked, noise=NOISE)
+    without = pincal.calibrate(one.nominal, data.rows(~last), noise=NOISE)
+    assert with_them.degrees_of_freedom == without.degrees_of_freedom
+    np.testing.assert_allclose(values_of(with_them)[0], values_of(without)[0], atol=1e-9)
+    found = pincal.validate(one.nominal, marked, noise=NOISE)
+    assert (found.folds, found.rows) == (1, 8)
+    assert found.p_value > 1e-3
+    moved = marked.readings.copy()
+    moved[last] += 1e-3
+    wrong = pincal.validate(one.nominal, replace(marked, readings=moved), noise=NOISE)
+    assert wrong.findings
+
+
+def test_legs_alone_that_share_poses_have_fewer_freedoms() -> None:
+    """A 6-UPS, each leg by all poses: χ² varies more than its degrees of freedom say."""
+    one = machine("6UPS", 40)
+    noise = pincal.Noise(1e-4, 1e-4, 5e-5)
+    rng = np.random.default_rng(0)
+    twists = 1e-4 * rng.standard_normal((len(one.positions), 6))
+    readings = one.readings(one.parameters, 0.0 * twists)
+    readings = readings + 5e-5 * rng.standard_normal(readings.shape)
+    data = pincal.Measurements(poses=one.coordinates(twists), readings=readings)
+    result = pincal.calibrate(one.nominal, data, noise=noise, method="per-leg", poses="all")
+    assert 2.0 < result.degrees_of_freedom / result.chi2_freedoms < 6.0
+
+
+@pytest.mark.parametrize(("noise", "curved"), [(1e-3, True), (5e-5, False)])
+def test_curved_problems_are_said_to_be(noise: float, *, curved: bool) -> None:
+    """24 poses of a 3-RRR: at 1 mm standard errors mean little, at 0.05 mm they hold."""
+    one = machine("3RRR", 24)
+    given = pincal.Noise(noise, noise, 0.0)
+    result = pincal.calibrate(one.nominal, drawn(one, given, 0, 0.0), noise=given)
+    assert ("curved" in {one.code for one in result.findings}) == curved
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e2])
+def test_size_changes_nothing(factor: float) -> None:
+    """A 3-RRR of another size, noise not given: the same findings, the same numbers in σ."""
+    one = machine("3RRR", 40)
+    nominal, _ = scaled(one.nominal, factor)
+    by = np.array([factor if p.unit == "m" else 1.0 for p in one.nominal.parameters])
+    other = replace(
+        one, nominal=nominal, parameters=one.parameters * by, positions=one.positions * factor
+    )
+    results = []
+    for at, size in ((one, 1.0), (other, factor)):
+        noise = pincal.Noise(1e-4 * size, 1e-4, 0.0)
+        results.append(pincal.calibrate(at.nominal, drawn(at, noise, 0, 0.0)))
+    first, again = (values_of(result) for result in results)
+    np.testing.assert_allclose(again[1] / by, first[1], rtol=1e-5)
+    assert np.abs((again[0] / by - first[0]) / first[1]).max() < 1e-4
+    assert [f.code for f in results[0].findings] == [f.code for f in results[1].findings]
