@@ -226,10 +226,11 @@ def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
 def test_tables_on_stdout_name_what_was_found(
     kind: str, chains: dict[str, Path], tmp_path: Path
 ) -> None:
-    """Calibrate prints each leg and parameter on stdout, and the file written on stderr."""
+    """With --verbose each leg and parameter is printed on stdout, and the file on stderr."""
     output = tmp_path / "result"
     noise = [*NOISE, *READ.get(kind, [])]
-    outcome = done("calibrate", kind, chains[kind] / "measured.csv", *noise, "-o", output)
+    line = ["calibrate", kind, chains[kind] / "measured.csv", *noise, "--verbose"]
+    outcome = done(*line, "-o", output)
     for leg in pincal.load_mechanism(kind).legs:
         assert leg.name in outcome.out
         assert all(name in outcome.out for name in leg.parameter_names)
@@ -402,11 +403,6 @@ BAD = {
         "calibrate 3RRR measured.csv",
         ["measured.csv", "line 2", "'x'"],
         edited("measured.csv", "leg_3 [rad]\nleg_1,", "leg_3 [rad]\nleg_1,?"),
-    ),
-    "semicolons": Case(
-        "calibrate 3RRR measured.csv",
-        ["measured.csv", "semicolons"],
-        edited("measured.csv", ",", ";"),
     ),
     "other-mechanisms-table": Case(
         "calibrate 3RRR 5R-files/measured.csv", ["5R-files/measured.csv", "'leg_3'"]
@@ -798,3 +794,36 @@ def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
     assert "exit code 1: residuals are" in outcome.err
     assert Path("doubted/mechanism/mechanism.yaml").is_file()
     assert run(*line, "-o", "taken", "--accept").code == 0
+
+
+def test_the_verdict_comes_first(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the platform's error is, in the first of about ten lines of 80 characters."""
+    monkeypatch.setattr(pincal.cli.app.stdout, "width", 80)
+    line = ["calibrate", "3RRR", "measured.csv", *NOISE, "--folds", 0]
+    said = done(*line, "-o", "short").out.splitlines()
+    assert said[0].startswith("platform, root mean square")
+    assert len(said) <= 14
+    assert max(map(len, said)) <= 80
+
+
+def test_nothing_is_lost_at_80_columns(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names and numbers that do not fit go on in the next line: none ends in dots."""
+    monkeypatch.setattr(pincal.cli.app.stdout, "width", 80)
+    line = ["calibrate", "3RRR", "measured.csv", *NOISE, "--folds", 0, "--verbose"]
+    said = done(*line, "-o", "long").out
+    assert said.startswith("platform, root mean square")
+    assert "…" not in said
+    for leg in ("leg_1", "leg_2", "leg_3"):
+        assert f"{leg} " in said
+
+
+def test_noise_may_have_a_unit(work: Path) -> None:
+    """20um is 2e-5; a unit of another dimension, or none that there is, is refused."""
+    for name, noise in (("a", ["2e-5", "1e-3"]), ("b", ["20um", "1 mrad"])):
+        given = ["--noise-position", noise[0], "--noise-orientation", noise[1]]
+        done("simulate", "3RRR", "plan.csv", *given, "-o", f"{name}.csv")
+    assert Path("a.csv").read_bytes() == Path("b.csv").read_bytes()
+    for wrong in ("20mrad", "20 parsec", "about 3"):
+        outcome = run("simulate", "3RRR", "plan.csv", "--noise-position", wrong, "-o", "c.csv")
+        assert outcome.code == 2
+        assert "um" in outcome.err

@@ -20,9 +20,9 @@ from pincal.calibration.hypotheses.plausibility import (
     implausible,
     said,
 )
+from pincal.calibration.hypotheses.zeros import zeros_found, zeros_measured
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.zeros import zeros_found, zeros_measured
 from pincal.errors import MeasurementError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism

@@ -25,6 +25,7 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
 
 from pincal.errors import FileError
 
@@ -210,7 +211,7 @@ def answer(found: Mapping[str, Any]) -> None:
     if _asked["json"]:
         text = json.dumps(_plain(found), indent=2, allow_nan=False)
         answers = _Console(file=sys.stdout, soft_wrap=True, markup=False, emoji=False)
-        answers.out(text, highlight=False)
+        answers.print(Text(text))  # whole, whatever its length
 
 
 def _plain(value: Any) -> Any:

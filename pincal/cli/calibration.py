@@ -31,7 +31,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.options import SetupOptions
+from pincal.cli.options import SetupOptions, with_unit
 from pincal.errors import MeasurementError, PincalError
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import load_mechanism, mechanism_files
@@ -42,7 +42,8 @@ from pincal.model.orientation import SINGLE_ANGLES
 from pincal.show.report.report import report
 from pincal.show.result_tables import calibration_tables
 from pincal.show.results import warnings
-from pincal.show.summary import calibration_summary
+from pincal.show.summary import calibration_summary, verdict_lines, weak_lines
+from pincal.show.workspace_errors import WorkspaceErrors
 
 
 class Method(StrEnum):
@@ -114,13 +115,13 @@ class GivenNoise:
     """How well was measured, where that is known."""
 
     noise_position: Annotated[
-        float | None, typer.Option(help="Standard deviation of measured positions [m].")
+        float | None, with_unit("m", "Standard deviation of measured positions [m], or as 20um.")
     ] = None
     noise_orientation: Annotated[
-        float | None, typer.Option(help="Standard deviation of measured angles [rad].")
+        float | None, with_unit("rad", "Standard deviation of measured angles [rad], or as 5mrad.")
     ] = None
     noise_reading: Annotated[
-        float | None, typer.Option(help="Standard deviation of readings [rad or m].")
+        float | None, with_unit("m rad", "Standard deviation of readings [rad or m].")
     ] = None
 
     def of(self, mechanism: Mechanism, data: Measurements) -> Noise | None:
@@ -175,6 +176,9 @@ class CalibrateOptions(SetupOptions, GivenNoise, MethodOptions):
             "--hold-undetermined",
             help="Hold what the measurements do not determine as near to nominal as can be.",
         ),
+    ] = False
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Print all tables, and all that was found.")
     ] = False
     accept: Annotated[
         bool,
@@ -241,12 +245,9 @@ def calibrate(
         page = report(result, command=typed(), files=files, notes=said)
         progress("drawing the report")
         result.save(output, force=force, report=page)
-    for table in calibration_tables(result):
-        stdout.print(table)
-    for line in (*calibration_summary(result, page.found.errors), *said):
-        stdout.print(line, markup=False)
     for text in warnings(result):
         warn(text)
+    _say(result, page.found.errors, said, verbose=how.verbose)
     wrote(output)
     answer(as_json(result))
     if not result.converged:
@@ -258,6 +259,26 @@ def calibrate(
             "the result as it is by --accept"
         )
         raise typer.Exit(1)
+
+
+def _say(
+    result: CalibrationResult, errors: WorkspaceErrors | None, said: list[str], *, verbose: bool
+) -> None:
+    """Print what was found, the accuracy first; with ``verbose`` all of it, with its tables."""
+    first = verdict_lines(result, errors)
+    more = [line for line in calibration_summary(result, errors) if line not in first]
+    weak = weak_lines(result.weak, result.nominal) if result.converged else []
+    if not verbose:
+        more = [line for line in more[1:] if line not in weak]
+        more += [f"{len(result.weak)} pairs of parameters are weakly determined"] * bool(weak)
+    for line in first:
+        stdout.print(line, markup=False)
+    for table in calibration_tables(result) if verbose else []:
+        stdout.print(table)
+    for line in (*more, *said):
+        stdout.print(line, markup=False)
+    if not verbose:
+        stdout.print("parameters and residuals: report.html in the result's folder, or --verbose")
 
 
 def _checked(result: CalibrationResult, folds: int) -> tuple[CalibrationResult, list[str]]:

@@ -172,7 +172,7 @@ def _parsed(group: str) -> tuple[int, bool]:
 def _claim(wanted: tuple[int, bool], found: SymmetryGroup) -> None:
     """Raise if elements of a claimed group are missing.
 
-    The axis is that of the mechanism's own group, wherever it stands.
+    The axis is that of the mechanism's own group, wherever it is.
     """
     n, mirrored = wanted
     name = f"D{2 * n}" if mirrored else f"C{n}"

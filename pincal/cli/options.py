@@ -2,17 +2,47 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
+from math import isnan
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pincal.cli.app import Seed
+from pincal.files.input import plain_number
 from pincal.files.setups import read_setup
+from pincal.files.tables import UNITS
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup
+
+_NUMBER = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf))\s*\[?([^\d\s\]]*)\]?\s*")
+
+
+def with_unit(dimensions: str, what: str) -> typer.models.OptionInfo:
+    """Return an option for a number that may have a unit: 2e-5, 20um, '20 µm', 5mrad.
+
+    Args:
+        dimensions: Those of the units that it may have: ``"m"``, ``"rad"``, or both with a blank.
+        what: Help.
+    """
+
+    def parse(text: str | float) -> float:
+        if isinstance(text, float):
+            return text
+        found = _NUMBER.fullmatch(text)
+        number, unit = found.groups() if found else (text, "")
+        value = plain_number(number)
+        dimension, factor = UNITS.get(unit, ("", 1.0))
+        if (isnan(value) and "nan" not in number) or (unit and dimension not in dimensions.split()):
+            some = [one for one, (kind, _) in UNITS.items() if kind in dimensions.split()]
+            raise typer.BadParameter(f"{text!r}: expected a number, with one of {', '.join(some)}")
+        return value * factor
+
+    option: typer.models.OptionInfo = typer.Option(parser=parse, metavar="NUMBER[UNIT]", help=what)
+    return option
 
 
 @dataclass(frozen=True)
@@ -52,14 +82,14 @@ class SetupOptions:
 class NoiseOptions:
     """How well is measured."""
 
-    noise_position: Annotated[float, typer.Option(help="Standard deviation of positions [m].")] = (
-        1e-4
-    )
+    noise_position: Annotated[
+        float, with_unit("m", "Standard deviation of positions [m], or as 20um.")
+    ] = 1e-4
     noise_orientation: Annotated[
-        float, typer.Option(help="Standard deviation of angles [rad].")
+        float, with_unit("rad", "Standard deviation of angles [rad], or as 5mrad.")
     ] = 1e-4
     noise_reading: Annotated[
-        float, typer.Option(help="Standard deviation of readings [rad or m].")
+        float, with_unit("m rad", "Standard deviation of readings [rad or m].")
     ] = 0.0
 
     def noise(self) -> Noise:

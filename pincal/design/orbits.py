@@ -54,7 +54,7 @@ def selection_group(mechanism: Mechanism) -> SymmetryGroup:
     images = np.concatenate([element.poses(platform, home) for element in group.elements])
     with np.errstate(invalid="ignore"):
         across = margins(mechanism, images).type2 < 0.0
-    kept = group.part([i for i, beyond in enumerate(across) if not beyond])
+    kept = group.part([i for i, crosses in enumerate(across) if not crosses])
     if len(mechanism.legs) > 1 and len(kept.leg_orbits) == len(mechanism.legs):
         group.carriers()  # says what breaks it
         kept.carriers()

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from pincal.estimation.conditions.external import External
 from pincal.estimation.rows import WhiteRows
 from pincal.kinematics.derivatives import Demand
+from pincal.kinematics.inverse import CHUNK
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_AT_ONCE = 4096  # poses
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class Linear:
 
     def parts(self) -> Iterator[slice]:
         """Yield poses, so many as memory holds well."""
-        for begin in range(0, len(self.value), _AT_ONCE):
-            yield slice(begin, min(begin + _AT_ONCE, len(self.value)))
+        for begin in range(0, len(self.value), CHUNK):
+            yield slice(begin, min(begin + CHUNK, len(self.value)))
 
     @property
     def triangle(self) -> Array:

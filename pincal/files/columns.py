@@ -18,22 +18,32 @@ _LISTED = 12  # names in a message
 
 
 def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
-    """Return a table; a column whose header is nearly that of a known one is refused.
+    """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
 
-    Columns without a meaning are logged.
+    That is logged, as are columns without a meaning. A header that is nearly a known one and says
+    no unit is refused.
     """
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     table = read_table(path)
     units = _known(mechanism, more or {})
+    other: dict[str, str] = {}
     for column, own in table.units.items():
         meant = [name for name in units if name not in table and _nearly(column, name, units[name])]
         if column not in units and meant:
-            name, unit = meant[0], own or _unit_in(column, meant[0], units[meant[0]])
+            name, said = meant[0], own or _said_in(column, meant[0], units[meant[0]])
+            if said and len(meant) == 1 and meant[0] not in other.values():
+                other[column] = name
+                _log.info("%s: column %r is read as '%s [%s]'", table.path, column, name, said)
+                continue
+            unit = own or _unit_in(column, meant[0], units[meant[0]])
             written = f"{column} [{own}]" if own else column
             raise MeasurementError(
                 f"{table.path}: column {written!r} is not understood; write "
                 f"{f'{name} [{unit}]' if unit else name!r}"
             )
+    for column, name in other.items():
+        table.units[name] = table.units.pop(column) or _said_in(column, name, units[name])
+        table.text[name] = table.text.pop(column)
     unused = [name for name in table.units if name not in units]
     if unused:
         names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
@@ -60,6 +70,12 @@ def _nearly(column: str, name: str, unit: str) -> bool:
     return bare == name.lower() or (
         bare.startswith(name.lower()) and _unit_in(column, name, unit) is not None
     )
+
+
+def _said_in(column: str, name: str, dimension: str) -> str:
+    """Return the unit that a header says after a name, nothing if it says none of the dimension."""
+    inner = column[len(name) :].strip(" _/-(){}<>")
+    return inner if inner in UNITS and UNITS[inner][0] == dimension else ""
 
 
 def _unit_in(column: str, name: str, dimension: str) -> str | None:

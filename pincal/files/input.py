@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import stat
+from contextlib import suppress
 from math import nan
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from pincal.model.checks import LARGEST
 
 LARGEST_FILE = {"table": 2**28, "result": 2**28, "XML": 2**24, "printer": 2**22, "YAML": 2**20}
 """Sizes up to which files are read, [bytes], by what they hold."""
+_log = logging.getLogger(__name__)
 _CHUNK = 64 * 1024  # bytes
 _UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)
 _BEGUN = re.compile(r"\s*[-+.]?[0-9].*[^-+.0-9eE\s]")  # 0,02 and 0.02mm
@@ -55,9 +58,21 @@ def read_bytes(
 
 
 def read_text(
-    path: Path, largest: int, error_type: type[PincalError], *, pipe: bool = False
+    path: Path,
+    largest: int,
+    error_type: type[PincalError],
+    *,
+    pipe: bool = False,
+    otherwise: str = "",
 ) -> str:
     """Return a file's text without its byte order mark; line ends stay: see ``read_bytes``.
+
+    Args:
+        path: The file.
+        largest: Size up to which it is read, [bytes].
+        error_type: Raised if it is no text.
+        pipe: Whether it may be a pipe or a device.
+        otherwise: Encoding of a file in which nothing beyond ASCII is UTF-8; said if it is used.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -73,6 +88,11 @@ def read_text(
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if otherwise and data.decode("utf-8", "ignore").isascii():
+            with suppress(UnicodeDecodeError):
+                text = data.decode(otherwise)
+                _log.info("%s: not UTF-8; read as %s", path, otherwise)
+                return text
         line = len(_LINE.findall(data[: error.start].decode("latin-1"))) + 1
         raise error_type(
             f"{path}: not UTF-8 text ({error.reason} in line {line}); save it as UTF-8{excel}"

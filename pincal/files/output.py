@@ -158,14 +158,14 @@ def _carry(old: Path, new: Path, own: set[Path]) -> None:
     """Give a new folder the files of an old one that are not pincal's.
 
     Raises:
-        FileError: a folder stands where a file is to be written.
+        FileError: a folder is where a file is to be written.
     """
     for one in _below(old):
         there, is_folder = new / one.relative_to(old), stat.S_ISDIR(one.lstat().st_mode)
         if one in own or (os.path.lexists(there) and not is_folder):
             continue
         if any(part.is_file() for part in (there, *there.parents)):
-            raise FileError(f"{one} stands where a file is to be written; move it")
+            raise FileError(f"{one} is where a file is to be written; move it")
         if is_folder:
             there.mkdir(exist_ok=True)
             shutil.copystat(one, there)

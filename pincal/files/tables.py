@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 import math
 import re
 import sys
@@ -42,6 +43,10 @@ UNITS: dict[str, tuple[str, float]] = {
 }
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _MOST_COLUMNS = 1000
+_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
+_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -132,8 +137,10 @@ def read_table(source: str | Path | Any) -> Table:
     if is_dataframe(source):
         return _of_dataframe(source)
     path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
-    text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True)
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    largest = LARGEST_FILE["table"]
+    text = read_text(path, largest, MeasurementError, pipe=True, otherwise="cp1252")
+    separator = _separator(text)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     rows, lines = [], []
     try:
         header = next((row for row in reader if any(cell.strip() for cell in row)), None)
@@ -152,8 +159,34 @@ def read_table(source: str | Path | Any) -> Table:
         raise MeasurementError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
     if not rows:
         raise MeasurementError(f"{path}: a header but no rows")
+    if separator != ",":
+        named = _SEPARATORS[separator]
+        decimals = _with_points(rows)
+        _log.info("%s: cells separated by %s%s", path, named, ", decimal commas" * decimals)
     columns = zip(*rows, strict=True)
     return Table(path, units, dict(zip(units, map(list, columns), strict=True)), lines)
+
+
+def _separator(text: str) -> str:
+    """Return what separates cells: commas, unless the header has none but semicolons or tabs."""
+    header = next((line for line in text.splitlines() if line.strip()), "")
+    if "," in header:
+        return ","
+    return next((one for one in _SEPARATORS if one in header), ",")
+
+
+def _with_points(rows: list[list[str]]) -> bool:
+    """Write decimal points for decimal commas if no cell has points; return whether it was so."""
+    cells = [cell for row in rows for cell in row]
+    commas = any(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in cells)
+    if not commas or any(_DECIMAL_POINT.fullmatch(cell.strip()) for cell in cells):
+        return False
+    for row in rows:
+        row[:] = [
+            cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
+            for cell in row
+        ]
+    return True
 
 
 def is_dataframe(value: object) -> bool:
@@ -216,11 +249,6 @@ def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
 def _header(path: Path, header: Sequence[str], line: int) -> dict[str, str | None]:
     if len(header) > _MOST_COLUMNS:
         raise MeasurementError(f"{path}: {len(header)} columns; more than {_MOST_COLUMNS}")
-    for name, separator in (("semicolons", ";"), ("tabs", "\t")):
-        if len(header) == 1 and separator in header[0]:
-            raise MeasurementError(
-                f"{path}: cells are separated by {name}; separate them by commas"
-            )
     units: dict[str, str | None] = {}
     if nameless := [index + 1 for index, cell in enumerate(header) if not cell.strip()]:
         raise MeasurementError(

@@ -28,6 +28,15 @@ _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 _ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
 
 
+def verdict_lines(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
+    """Return what to read first: how accurate the machine is, and whether that is so.
+
+    Arguments are those of ``calibration_summary``, which has these lines too.
+    """
+    first = [result.message] if errors is None else [_platform(result, errors)]
+    return [*first, *check_lines(result), noise_line(result)]
+
+
 def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
     """Return what a calibration means.
 

@@ -172,7 +172,7 @@ class Table:
         drawn = RichTable(box=style, pad_edge=False, show_header=self.heads)
         for place, (column, side) in enumerate(zip(self.columns, self.aligned, strict=True)):
             fold = self.wrap and side == "left" and not (place and self.grouped)
-            drawn.add_column(Text(column.head), justify=side, no_wrap=not fold)
+            drawn.add_column(Text(column.head), justify=side, no_wrap=not fold, overflow="fold")
         cells = self.cells()
         for row, after in zip(cells, [*cells[1:], [""]], strict=False):
             drawn.add_row(*map(Text, row), end_section=self.grouped and bool(after[0]))
