@@ -17,6 +17,7 @@ import pincal
 from pincal.estimation.observability.indices import indices
 from pincal.symmetry.carry import bare, canonical, carry
 from pincal.symmetry.detect import nearest_group
+from pincal.symmetry.differences import Traits
 from pincal.symmetry.elements import Element, Isometry
 from pincal.symmetry.groups import exact, group_name, largest_closed, product_table, subgroups
 
@@ -303,3 +304,22 @@ def test_bare_legs_follow_any_isometry() -> None:
             back = carry(away, element.inverse(), leg.name, leg.point.name)
             for a, b in zip((*back.joints, back.point), (*own.joints, own.point), strict=True):
                 np.testing.assert_allclose(a.placement.origin(), b.placement.origin(), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["5R", "3RRR", "3PRR", "6UPS", "6RUS", "linear_delta", "4cable"])
+def test_traits_of_carried_legs_follow(name: str) -> None:
+    """Working mode and barred directions of a carried leg are those read off it anew."""
+    mechanism = pincal.load_mechanism(name)
+    platform = mechanism.platform
+    for leg, element in product(mechanism.legs[:2], pincal.dihedral(3, 0.2)):
+        own = canonical(bare(leg))
+        away = carry(own, element, leg.name, leg.point.name)
+        there = element.poses(platform, np.array([platform.home]))[0]
+        fresh = Traits.of(away, pincal.Platform(platform.kind, tuple(there.tolist())))
+        found = Traits.of(own, platform).carried(own, element, platform)
+        assert found.mode == fresh.mode
+        assert (found.barred is None) == (fresh.barred is None)
+        if found.barred is not None and fresh.barred is not None:
+            np.testing.assert_allclose(
+                np.sort(found.barred, axis=0), np.sort(fresh.barred, axis=0), atol=1e-9
+            )

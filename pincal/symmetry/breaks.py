@@ -12,7 +12,6 @@ from pincal.errors import SymmetryError
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import canonical, carry
-from pincal.symmetry.differences import differences
 from pincal.symmetry.elements import Element, Isometry
 from pincal.symmetry.fits import NEARLY, Fits, suggested
 from pincal.symmetry.groups import exact, largest_closed, place_of, product_table
@@ -123,15 +122,16 @@ def _leg_break(
     element: Element,
 ) -> Break | None:
     """Return the first quantity in which a carried leg differs from another one."""
-    platform, size = fits.mechanism.platform, fits.points.size
+    size = fits.points.size
     pairs = [(fits.legs[index], fits.legs[other])]
     try:
         named = carry(legs[0], element, legs[0].name, legs[0].point.name)
         pairs = [(named, legs[1])]
     except SymmetryError:  # its coordinates cannot say it
         pairs = [(carry(pairs[0][0], element, "leg", "point"), pairs[0][1])]
+    own = fits.carried_traits(index, element)
     for carried, leg in pairs:
-        for one in differences(carried, leg, platform):
-            if (fits.readings or not one.of_sensor) and one.exceeds(tolerance, size):
+        for one in fits.differences(carried, leg, own, other):
+            if one.exceeds(tolerance, size):
                 return Break(element, legs[1].name, one.quantity, one.deviation)
     return None

@@ -14,7 +14,7 @@ from pincal.kinematics.reach import reach_of
 from pincal.kinematics.starts import home_mode
 from pincal.model.leg import Joint, Leg
 from pincal.model.platform import Platform
-from pincal.symmetry.elements import wrapped
+from pincal.symmetry.elements import Element, wrapped
 
 Array = NDArray[np.float64]
 
@@ -37,8 +37,49 @@ class Difference:
         return self.deviation is None or not self.deviation <= tolerance * scale
 
 
-def differences(carried: Leg, leg: Leg, platform: Platform) -> Iterator[Difference]:
-    """Yield every quantity in which a carried leg and another one differ, and by how much."""
+@dataclass(frozen=True)
+class Traits:
+    """What is read off a leg's loop; of a carried leg it follows from that of the leg."""
+
+    mode: float
+    """Working mode: sign of the determinant of the closure by its joints, at home."""
+    barred: Array | None
+    """Unit normals of half-spaces that bound a leg which is a line, shape (k, 3); else None."""
+
+    @classmethod
+    def of(cls, leg: Leg, platform: Platform) -> Traits:
+        """Return the traits of a leg in canonical form."""
+        closure = LegClosure(leg, platform)
+        reach = reach_of(closure) if is_line(closure) else None
+        barred = reach.normals if reach is not None and reach.exact else None
+        return cls(home_mode(leg, platform), barred)
+
+    def carried(self, leg: Leg, element: Element, platform: Platform) -> Traits:
+        """Return the traits of the leg carried by an element, in canonical form.
+
+        Columns of the closure turn by Q; a joint whose axis is turned over changes its sign.
+        """
+        barred = None if self.barred is None else self.barred @ element.matrix.T
+        if not element.reflection:
+            return Traits(self.mode, barred)
+        sign = -1.0 if leg.closes == "point" or platform.space == 3 else 1.0
+        for joint in leg.moving:
+            along = int(np.argmax(np.abs(joint.axis)))  # the local mirror turns y over
+            if (along == 1) != joint.turns:
+                sign = -sign
+        square = len(platform.closing(leg.closes)) == len(leg.moving) and leg.passive
+        return Traits(self.mode * (sign if square else 1.0), barred)
+
+
+def differences(carried: Leg, leg: Leg, own: Traits, its: Traits) -> Iterator[Difference]:
+    """Yield every quantity in which a carried leg and another one differ, and by how much.
+
+    Args:
+        carried: The carried leg.
+        leg: The other one.
+        own: Traits of the carried leg.
+        its: Of the other one.
+    """
     kinds = [[joint.kind for joint in one.joints] for one in (carried, leg)]
     if kinds[0] != kinds[1]:
         yield Difference("sequence of joints", None)
@@ -50,7 +91,7 @@ def differences(carried: Leg, leg: Leg, platform: Platform) -> Iterator[Differen
         unit = leg.units[name]
         off = abs(wrapped(a - b)) if unit == "rad" else abs(float(a - b))
         yield Difference(f"parameter {name!r}", off, unit)
-    barred = _barred_apart(carried, leg, platform)
+    barred = _barred_apart(own.barred, its.barred)
     meets = (leg.joints[-1], leg.point) if leg.closes == "point" else ()  # points have no axes
     both = zip((*carried.joints, carried.point), (*leg.joints, leg.point), strict=True)
     for a, b in both:
@@ -59,7 +100,7 @@ def differences(carried: Leg, leg: Leg, platform: Platform) -> Iterator[Differen
     if barred is not None:
         seen = barred if np.isfinite(barred) else None
         yield Difference(f"orientation of joint {leg.moving[0].name!r}", seen, "rad")
-    elif home_mode(carried, platform) != home_mode(leg, platform):
+    elif own.mode != its.mode:
         yield Difference("working mode (the side on which the leg bends)", None)
     if carried.active != leg.active or carried.closes != leg.closes:
         yield Difference("active joint" if carried.active != leg.active else "end", None)
@@ -119,20 +160,14 @@ def _sensors_differ(carried: Leg, leg: Leg, index: int) -> Iterator[Difference]:
         yield of(f"{what} of the sensor", off, unit)
 
 
-def _barred_apart(carried: Leg, leg: Leg, platform: Platform) -> float | None:
+def _barred_apart(first: Array | None, second: Array | None) -> float | None:
     """Return how far apart are the directions that two legs bar which are lines, [rad].
 
     Such a leg is the same however its universal joint is turned about it. None if the legs are no
     lines, infinite if they bar other directions.
     """
-    normals = []
-    for one in (carried, leg):
-        closure = LegClosure(one, platform)
-        reach = reach_of(closure) if is_line(closure) else None
-        if reach is None or not reach.exact:
-            return None
-        normals.append(np.sign(one.home[2]) * reach.normals)
-    first, second = normals
+    if first is None or second is None:
+        return None
     if len(first) != len(second):
         return float("inf")
     apart = np.linalg.norm(first[:, None] - second, axis=2)

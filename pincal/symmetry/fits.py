@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -12,7 +13,7 @@ from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.candidates import Points, candidates
 from pincal.symmetry.carry import bare, canonical, carry
-from pincal.symmetry.differences import Difference, differences
+from pincal.symmetry.differences import Difference, Traits, differences
 from pincal.symmetry.elements import Element
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ class Fits:
         self.mechanism, self.readings = mechanism, readings
         self.points = Points(mechanism)
         self.legs = [canonical(bare(leg)) for leg in mechanism.legs]
+        self.traits = [Traits.of(leg, mechanism.platform) for leg in self.legs]
         self._homed = readings and any(s.homed for leg in mechanism.legs for s in leg.sensors)
 
     @property
@@ -59,10 +61,11 @@ class Fits:
         apart = self.points.distances(element)
         for index, leg in enumerate(self.legs):
             carried = carry(leg, element, leg.name, leg.point.name)
+            own = self.carried_traits(index, element)
             for other in np.flatnonzero(apart[index] <= 2.0 * NEARLY):
                 fits[index, other] = not any(
                     d.exceeds(tolerance, self.points.size)
-                    for d in self._differences(carried, self.legs[other])
+                    for d in self.differences(carried, self.legs[other], own, int(other))
                 )
             if not fits[index].any():
                 return ()
@@ -72,12 +75,20 @@ class Fits:
     def measured(self, element: Element, permutation: Permutation) -> tuple[float, float]:
         """Return the largest deviation of carried legs in [m] and in [rad]."""
         worst = {"m": 0.0, "rad": 0.0, "1": 0.0}
-        for leg, index in zip(self.legs, permutation, strict=True):
+        for index, (leg, other) in enumerate(zip(self.legs, permutation, strict=True)):
             carried = carry(leg, element, leg.name, leg.point.name)
-            for one in self._differences(carried, self.legs[index]):
+            for one in self.differences(
+                carried, self.legs[other], self.carried_traits(index, element), other
+            ):
                 worst[one.unit] = max(worst[one.unit], one.deviation or 0.0)
         return worst["m"], worst["rad"]
 
-    def _differences(self, carried: Leg, leg: Leg) -> list[Difference]:
-        found = differences(carried, leg, self.mechanism.platform)
-        return [one for one in found if self.readings or not one.of_sensor]
+    def carried_traits(self, index: int, element: Element) -> Traits:
+        """Return the traits of a leg, by index, carried by an element."""
+        return self.traits[index].carried(self.legs[index], element, self.mechanism.platform)
+
+    def differences(self, carried: Leg, leg: Leg, own: Traits, other: int) -> Iterator[Difference]:
+        """Yield in what a carried leg differs from another one, given by its index too."""
+        for one in differences(carried, leg, own, self.traits[other]):
+            if self.readings or not one.of_sensor:
+                yield one
