@@ -100,9 +100,8 @@ def carried_poses_are_read_by_carried_legs(draw: Draw, folder: Path) -> None:
     before = pincal.inverse(mechanism, poses)
     T = platform.transforms(poses).as_matrix()
     for element, permutation in zip(group.elements, group.permutations, strict=True):
-        Q = np.eye(4)
-        Q[:3, :3] = element.matrix
-        after = pincal.inverse(mechanism, platform.from_matrices(Q @ T @ Q.T))
+        there = element.base.matrix @ T @ np.linalg.inv(element.platform.matrix)
+        after = pincal.inverse(mechanism, platform.from_matrices(there))
         order = list(permutation)
         assert (after.reached[:, order] == before.reached).all()
         difference = after.readings[:, order] - before.readings

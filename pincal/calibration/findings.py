@@ -41,8 +41,10 @@ def findings_of(
     noise = _noise(result)
     if fits is not None and result.converged:
         noise += _proportion(fits) if not noise else []
-        noise += [*_lacking(fits), *_curved(fits)]
-    return (*found, *noise, *_far(result), *_signs(result), *_rows(result), *_legs(result))
+        noise += _lacking(fits)
+    curved = _curved(fits) if fits is not None and result.converged else []
+    far = [*_far(result), *_signs(result)]
+    return (*found, *noise, *far, *curved, *_rows(result), *_legs(result))
 
 
 def _zeros(result: CalibrationResult) -> list[Finding]:
@@ -109,7 +111,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     spread += np.diag([2.0 / noise.freedoms[group] for group in groups])
     off = variances - 1.0
     p_value = float(chdtrc(len(groups), off @ np.linalg.pinv(spread) @ off))
-    if p_value >= PROBABLE or not off.max() > 0.0 or len(groups) < 2:
+    if p_value >= PROBABLE or len(groups) < 2 or not off.max() > 0.0:
         return []
     names = ("positions", "orientations", "readings")
     ratios = {names[g]: float(np.sqrt(max(v, 0.0))) for g, v in zip(groups, variances, strict=True)}

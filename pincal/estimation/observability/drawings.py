@@ -28,9 +28,9 @@ def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -
 def changes_of(leg: Leg, size: float) -> Array:
     """Return by how much a leg's parameters may differ, shape (n_params,).
 
-    Lengths by a share of ``size``, gains of themselves, angles of a radian.
+    Lengths by a share of ``size``, gains of themselves, angles of a radian, numbers of 1.
     """
-    scales = {"m": size, "rad": 1.0}
-    return DIFFER * np.array(
-        [scales.get(leg.units[name], abs(value) or 1.0) for name, value in leg.parameters]
-    )
+    scales = {name: size if leg.units[name] == "m" else 1.0 for name, _ in leg.parameters}
+    gains = {sensor.gain for sensor in leg.sensors}
+    scales |= {name: abs(value) or 1.0 for name, value in leg.parameters if name in gains}
+    return DIFFER * np.array(list(scales.values()))
