@@ -23,8 +23,8 @@ from pincal.errors import (
     SymmetryError,
     WorkspaceError,
 )
-from pincal.estimation.losses import Loss
 from pincal.estimation.observability.indices import indices
+from pincal.estimation.residuals.losses import Loss
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.derivatives import identification_jacobian
 from pincal.kinematics.forward import forward

@@ -25,7 +25,7 @@ from rich.console import Console
 
 import pincal
 from pincal.calibration.result_files import as_json
-from pincal.estimation.robust import Outlier
+from pincal.estimation.residuals.robust import Outlier
 from pincal.show.report.answers import Answers
 from pincal.show.report.findings import Findings
 from pincal.show.report.report import Origin, Report

@@ -16,8 +16,8 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
 from pincal.calibration.result import CalibrationResult, excess_of
 from pincal.calibration.ties import tie_tests
-from pincal.estimation.leg_residuals import leg_residuals
-from pincal.estimation.robust import Outlier, Robust
+from pincal.estimation.residuals.leg_residuals import leg_residuals
+from pincal.estimation.residuals.robust import Outlier, Robust
 from pincal.model.measurements import Noise
 from pincal.model.parameter import Parameter
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pincal.calibration.fits import Fits
 from pincal.estimation.fit import influence
 from pincal.estimation.observability.gauge import Gauge
-from pincal.estimation.robust import Robust
+from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
 from pincal.model.mechanism import Mechanism
 

@@ -12,7 +12,7 @@ from pincal.estimation.curvature import curvature
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 from pincal.estimation.observability.unobservable import Held
-from pincal.estimation.score import scores
+from pincal.estimation.residuals.score import scores
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.setup import ORIGIN, Setup

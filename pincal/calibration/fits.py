@@ -16,12 +16,12 @@ from pincal.calibration.calibration import Calibration
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.components import Moments, Pools, estimated_noise
 from pincal.estimation.conditions.external import External
-from pincal.estimation.losses import Loss, loss_of
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.unobservable import Held, hold_unobservable
 from pincal.estimation.problem import Problem
-from pincal.estimation.robust import Robust, robust_fit
+from pincal.estimation.residuals.losses import Loss, loss_of
+from pincal.estimation.residuals.robust import Robust, robust_fit
 from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
 from pincal.model.measurements import Noise

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.leg_condition import Residual
-from pincal.estimation.losses import Loss, LossName, loss_of
+from pincal.estimation.residuals.losses import Loss, LossName, loss_of
 from pincal.model.measurements import Noise
 from pincal.model.setup import Setup
 

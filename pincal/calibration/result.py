@@ -23,7 +23,7 @@ from pincal.design.platform_error import (
 )
 from pincal.estimation.conditions.external import External
 from pincal.estimation.observability.weak import WeakPair, weak_pairs
-from pincal.estimation.robust import Outlier
+from pincal.estimation.residuals.robust import Outlier
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism

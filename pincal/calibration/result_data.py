@@ -16,7 +16,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.runs import RunComparison
 from pincal.calibration.validation import Validation
 from pincal.errors import MeasurementError
-from pincal.estimation.losses import LOSSES, Loss, LossName
+from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
 from pincal.model.instrument import Instrument
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.losses import outlying
 from pincal.estimation.problem import Problem
+from pincal.estimation.residuals.losses import outlying
 from pincal.model.measurements import Noise
 
 Array = NDArray[np.float64]

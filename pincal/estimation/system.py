@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.linear import Linear, State, joined
-from pincal.estimation.losses import Loss, robust_scale
 from pincal.estimation.problem import Problem
+from pincal.estimation.residuals.losses import Loss, robust_scale
 from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from scipy.special import chdtrc, ndtri
 from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
 from pincal.estimation.linear import State
-from pincal.estimation.losses import LOSSES, Loss, outlying, suspected
 from pincal.estimation.observability.unobservable import check_covariance, check_weakly_determined
+from pincal.estimation.residuals.losses import LOSSES, Loss, outlying, suspected
 from pincal.estimation.system import System
 from pincal.model.mechanism import Mechanism
 

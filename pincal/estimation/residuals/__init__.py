@@ -1,0 +1,1 @@
+"""What residuals say: losses, outliers, and tests for what the model lacks."""
