@@ -149,7 +149,8 @@ def _lacking(fits: Fits) -> list[Finding]:
 
 def _curved(fits: Fits) -> list[Finding]:
     """Return a finding if intervals of a linearised problem mean little."""
-    most = max((curvature(one.fit) for one in fits.fits if one.fit.problem.weighted), default=0.0)
+    own = (one.fit for one in fits.fits if one.fit.problem.weighted)
+    most = max((curvature(one, _CURVED) for one in own), default=0.0)
     return [finding("curved", curvature=most)] if most > _CURVED else []
 
 

@@ -12,11 +12,16 @@ import numpy as np
 from pincal.estimation.fit import Fit
 from pincal.estimation.solve import solve_poses
 
-_PAIRS = 3
+_PAIRS, _CLEARLY = 3, 0.1
 
 
-def curvature(one: Fit) -> float:
-    """Return the relative curvature of a fit; infinite where its poses get lost so near to it."""
+def curvature(one: Fit, asked: float = 0.0) -> float:
+    """Return the relative curvature of a fit; infinite where its poses get lost so near to it.
+
+    Args:
+        one: The fit.
+        asked: Where it is clear that the curvature is far below this, one pair of draws will do.
+    """
     problem, here = one.problem, one.last
     n = len(one.covariance)
     values, axes = np.linalg.eigh(one.covariance)
@@ -31,5 +36,7 @@ def curvature(one: Fit) -> float:
             ends.append(here.frozen(solve_poses(problem, there)[0]))
         bent += float(((0.5 * (ends[0] + ends[1]) - here.value)[used] ** 2).sum())
         straight += float(((here.jacobian[used] @ step) ** 2).sum())
+        if bent <= (_CLEARLY * asked) ** 2 * straight:
+            break
     found = np.sqrt(bent / straight) if straight > 0.0 else 0.0
     return float(found) if np.isfinite(found) else np.inf
