@@ -162,6 +162,7 @@ def _far(result: CalibrationResult) -> list[Finding]:
     std, half = (
         np.array(v) for v in zip(*((p.std, (p.high - p.low) / 2) for p in found), strict=True)
     )
+    std, half = std / result.excess, half / result.excess  # by poses and noise, not by misfit
     if (weak := np.flatnonzero(std > plausible)).size:
         worst = found[int(np.argmax(std / plausible))]
         return [
