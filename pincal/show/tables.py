@@ -72,21 +72,25 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
     )
 
 
-def accuracy_table(before: Accuracy, after: Accuracy, turns: bool) -> Table:
-    """Return platform errors with nominal and with identified parameters."""
+def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
+    """Return platform errors by model, the nominal one first, and by what the others are better."""
     keep = slice(None, None if turns else 2)
-    sizes = [[one.position, one.worst_position, one.orientation][keep] for one in (before, after)]
-    ratio = [old / new for old, new in zip(*sizes, strict=True)]
+    rows: list[list[Value]] = []
+    better: list[list[Value]] = []
+    before: list[float] = []
+    for name, one in errors.items():
+        sizes = [one.position, one.worst_position, one.orientation][keep]
+        rows.append([name, *sizes, one.unreachable])
+        ratios = [old / new for old, new in zip(before, sizes, strict=False)]
+        times: list[Value] = [Cell(ratio, f"{ratio:.1f} times") for ratio in ratios]
+        better += [[f"{name}: better by", *times, None]] if before else []
+        before = before or sizes
     names = {"position rms": "m", "worst": "m", "orientation rms": "rad"}
     shown = [Column(name, unit, ".4f") for name, unit in names.items()]
     return Table(
-        f"platform error over the workspace, {before.poses} poses",
+        f"platform error over the workspace, {next(iter(errors.values())).poses} poses",
         (Column("model"), *shown[keep], Column("not reached")),
-        [
-            ("nominal (before)", *sizes[0], before.unreachable),
-            ("identified (after)", *sizes[1], after.unreachable),
-            ("better by", *(Cell(one, f"{one:.1f} times") for one in ratio), None),
-        ],
+        [*rows, *better],
     )
 
 
