@@ -27,7 +27,7 @@ import pincal
 from pincal.calibration.result_files import as_json
 from pincal.estimation.residuals.robust import Outlier
 from pincal.show.report.answers import Answers
-from pincal.show.report.findings import Findings
+from pincal.show.report.findings import Findings, findings
 from pincal.show.report.report import Origin, Report
 from pincal.show.result_tables import legs_table, parameters_table
 from pincal.show.results import noisy_series
@@ -201,9 +201,10 @@ def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
 
 @pytest.mark.slow
 def test_errors_are_as_large_on_maps_as_on_cards(planar: Any) -> None:
-    """Where residuals are larger than the noise, maps and bars are scaled as the answer is."""
+    """Where residuals are larger than the noise, maps and bars are as large as the answer."""
     result, _, report = planar
-    poor = replace(report.found, result=replace(result, reduced_chi2=4.0))
+    worse = replace(result, reduced_chi2=4.0, covariance=4.0 * result.covariance)
+    poor = findings(worse)
     np.testing.assert_allclose(poor.maps.after, 2 * report.found.maps.after)
     bars = page_of(Report(poor, report.origin)).get_element_by_id("figure-rms").text_content()
     assert f"{2e3 * report.found.errors.mean_after()[0]:.2g}" in bars
