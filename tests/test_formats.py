@@ -404,7 +404,7 @@ def test_a_printer_is_calibrated_from_its_configuration(tmp_path: Path) -> None:
     assert pincal.load_mechanism(printer).leg_names == ("tower_a", "tower_b", "tower_c")
     said = done(
         *("calibrate", printer, printer / "probing.csv", "-o", result),
-        *("--noise-position", 5e-6, "--folds", 0),
+        *("--noise-position", 5e-6, "--folds", 0, "--verbose"),
     )
     flat = " ".join(said.out.split())
     assert "radius and arm of every leg are weakly determined together" in flat

@@ -58,6 +58,25 @@ def cost(mechanism: Mechanism, data: pincal.Measurements, noise: pincal.Noise) -
     return float(best.sum())
 
 
+def cost_alone(mechanism: Mechanism, data: pincal.Measurements, noise: pincal.Noise) -> float:
+    """Return χ² of each leg alone at a mechanism's parameters, poses as measured.
+
+    Readings predicted at measured poses less those measured, over their noise and that of the pose,
+    by central differences. Infinite if out of reach.
+    """
+    platform, h = mechanism.platform, 1e-6
+    off = pincal.inverse(mechanism, data.poses).readings - data.readings
+    variance = np.full(off.shape, noise.reading**2)
+    for twist, sigma in zip(np.eye(platform.dof), noise.of_poses(mechanism), strict=True):
+        around = [
+            platform.moved(data.poses, np.tile(s * h * twist, (len(off), 1))) for s in (1, -1)
+        ]
+        more, less = (pincal.inverse(mechanism, poses).readings for poses in around)
+        variance += (sigma * (more - less) / (2 * h)) ** 2
+    squares = off**2 / variance
+    return float(squares.sum()) if np.isfinite(squares).all() else np.inf
+
+
 def rough(truth: Mechanism, share: float, rng: np.random.Generator) -> Mechanism:
     """Return a start off by up to a share: of the size for lengths, and of 1 for the rest."""
     values = {}
@@ -76,8 +95,8 @@ def _units(leg: Leg) -> list[str]:
 
 
 @cache
-def posed(kind: str, seed: int) -> tuple[Mechanism, pincal.Measurements, float, float]:
-    """Return a start, measurements, and the costs of start and truth."""
+def posed(kind: str, seed: int) -> tuple[Mechanism, pincal.Measurements, dict[str, list[float]]]:
+    """Return a start, measurements, and the costs of start and truth by method."""
     rng = np.random.default_rng(seed)
     truth = random_mechanism(kind, KINDS[kind][0][seed % len(KINDS[kind][0])], seed)
     n = max(len(leg.parameters) for leg in truth.legs)
@@ -87,12 +106,15 @@ def posed(kind: str, seed: int) -> tuple[Mechanism, pincal.Measurements, float, 
     shaken = truth.platform.moved(poses, 1e-4 * rng.standard_normal(poses.shape))
     data = pincal.Measurements(poses=shaken, readings=readings)
     start = rough(truth, rng.uniform(0.005, 0.05), rng)
-    return start, data, cost(start, data, NOISE), cost(truth, data, NOISE)
+    ways = {"all-legs": cost, "per-leg": cost_alone}
+    costs = {name: [way(one, data, NOISE) for one in (start, truth)] for name, way in ways.items()}
+    return start, data, costs
 
 
 def searched(kind: str, seed: int, options: dict[str, object]) -> tuple[float, ...] | str:
     """Return the costs of the result, the start and the truth, or why there is none."""
-    start, data, *costs = posed(kind, seed)
+    start, data, both = posed(kind, seed)
+    costs = both[str(options.get("method", "all-legs"))]
     try:
         result = pincal.calibrate(start, data, noise=NOISE, rough=True, **options)  # type: ignore[arg-type]
     except pincal.PincalError as error:
