@@ -17,7 +17,7 @@ from pincal.model.checks import number_of
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.fits import NEARLY, Fits, suggested
 from pincal.symmetry.group import SymmetryGroup
-from pincal.symmetry.groups import exact, largest_closed, place_of, product_table
+from pincal.symmetry.groups import distinct, exact, largest_closed, place_of, product_table
 
 __all__ = ["NearestGroup", "SymmetryGroup", "nearest_group", "symmetry_group"]
 
@@ -57,14 +57,15 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
     """Return the symmetry group of a mechanism, found once."""
     fits = Fits(mechanism, readings)
     left = [(e, p) for e in suggested(mechanism) if (p := fits.permutation(e, tolerance))]
+    left = [left[i] for i in distinct([e for e, _ in left], [p for _, p in left])]
     while True:
         table = product_table([e for e, _ in left], [p for _, p in left])
         left = [left[i] for i in largest_closed(table)]
         elements = exact([e for e, _ in left], fits.centres, fits.points.size)
         found = [fits.permutation(element, tolerance) for element in elements]
-        if all(found):
+        if all(found) and (product_table(elements, found) >= 0).all():
             break
-        left = [one for one, ok in zip(left, found, strict=True) if ok]  # the identity always
+        left = [(e, p) for e, p in zip(elements, found, strict=True) if p]  # the identity always
     order = sorted(range(len(elements)), key=lambda i: place_of(elements[i]))
     permutations = tuple(found[i] or () for i in order)
     return SymmetryGroup(

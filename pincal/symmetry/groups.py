@@ -45,6 +45,23 @@ def product_table(elements: Sequence[Element], labels: Sequence[object] | None =
     return table
 
 
+def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]:
+    """Return the indices of elements that are meant to be different, the first of each.
+
+    Args:
+        elements: The elements, perhaps not exact.
+        labels: As in ``product_table``.
+    """
+    turns = np.array([np.stack((e.base.Q, e.platform.Q)) for e in elements])
+    kept: list[int] = []
+    for index, label in enumerate(labels):
+        same = [i for i in kept if labels[i] == label]
+        apart = np.linalg.norm(turns[same] - turns[index], axis=(2, 3)).max(axis=1)
+        if not (apart <= _NEAREST).any():
+            kept.append(index)
+    return kept
+
+
 def generated(table: Table, seeds: Iterable[int]) -> frozenset[int] | None:
     """Return the indices that some elements generate, or None if a product is missing."""
     found = list(dict.fromkeys((0, *seeds)))
