@@ -48,7 +48,14 @@ def test_held_out_rows_of_an_unknown_frame() -> None:
     moved = seen_from_elsewhere(mechanism, data)
     for method in ("all-legs", "per-leg"):
         found = pincal.validate(
-            mechanism, moved, method=method, poses="all", noise=NOISE, setup=FRAME, folds=3
+            mechanism,
+            moved,
+            method=method,
+            poses="all",
+            noise=NOISE,
+            setup=FRAME,
+            folds=3,
+            by="turn",  # regions are few and far: what is expected of them spreads more
         )
         assert found.held_out == pytest.approx(found.expected, rel=0.15)
         assert found.position is not None
