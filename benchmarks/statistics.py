@@ -20,6 +20,7 @@ from scipy.stats import chi2, kstest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import cramer_rao
+from cramer_rao import drawn
 from resized import scaled
 
 import pincal
@@ -51,18 +52,6 @@ def machine(
 def part(one: cramer_rao.Machine, rows: Array) -> cramer_rao.Machine:
     """Return a machine at some of its poses."""
     return replace(one, positions=one.positions[rows], rotations=one.rotations[rows])
-
-
-def drawn(
-    one: cramer_rao.Machine, noise: pincal.Noise, seed: int, more: Array | float = 0.0
-) -> pincal.Measurements:
-    """Return measurements with noise, and with more in the readings than the model knows."""
-    rng = np.random.default_rng(seed)
-    still = np.zeros((len(one.positions), one.dof))
-    readings = one.readings(one.parameters, still) + more
-    readings = readings + noise.reading * rng.standard_normal(readings.shape)
-    twists = noise.of_poses(one.nominal) * rng.standard_normal(still.shape)
-    return pincal.Measurements(poses=one.coordinates(twists), readings=readings)
 
 
 def repeated(one: cramer_rao.Machine, times: int) -> tuple[cramer_rao.Machine, tuple[str, ...]]:

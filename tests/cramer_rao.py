@@ -208,3 +208,15 @@ def statistics(kind: str, sets: int = 300, **options: object) -> Statistics:
         chi2=float(np.mean(chi2)),
         unconverged=lost,
     )
+
+
+def drawn(
+    one: Machine, noise: pincal.Noise, seed: int, more: Array | float = 0.0
+) -> pincal.Measurements:
+    """Return measurements with noise, and with more in the readings than the model knows."""
+    rng = np.random.default_rng(seed)
+    still = np.zeros((len(one.positions), one.dof))
+    readings = one.readings(one.parameters, still) + more
+    readings = readings + noise.reading * rng.standard_normal(readings.shape)
+    twists = noise.of_poses(one.nominal) * rng.standard_normal(still.shape)
+    return pincal.Measurements(poses=one.coordinates(twists), readings=readings)

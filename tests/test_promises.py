@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cramer_rao import Machine, machine, values_of
+from cramer_rao import Machine, drawn, machine, values_of
 from numpy.typing import NDArray
 from resized import scaled
 from scipy.stats import kstest
@@ -17,16 +17,6 @@ from pincal.estimation.residuals.losses import suspected
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
-
-
-def drawn(one: Machine, noise: pincal.Noise, seed: int, more: Array | float) -> pincal.Measurements:
-    """Return measurements with noise, and with more in the readings than the model knows."""
-    rng = np.random.default_rng(seed)
-    still = np.zeros((len(one.positions), one.dof))
-    readings = one.readings(one.parameters, still) + more
-    readings = readings + noise.reading * rng.standard_normal(readings.shape)
-    twists = noise.of_poses(one.nominal) * rng.standard_normal(still.shape)
-    return pincal.Measurements(poses=one.coordinates(twists), readings=readings)
 
 
 def waves(one: Machine) -> Array:

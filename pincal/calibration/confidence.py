@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, ndtri, stdtrit
 
 from pincal.calibration.fits import Fits
+from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.components import Moments, Pools, freedoms
 from pincal.estimation.noise import assumed_noise
 
 Array = NDArray[np.float64]
-_CONFIDENCE = 0.95
 _EACH: Pools = ((0,), (1,), (2,))
 
 
@@ -67,7 +67,7 @@ def confidence(found: Fits) -> Confidence:
 
 def quantiles(degrees_of_freedom: Array) -> Array:
     """Return how many standard errors half a 95 % interval is, of the same shape."""
-    half = (1 + _CONFIDENCE) / 2
+    half = (1 + CONFIDENCE) / 2
     known = ~np.isfinite(degrees_of_freedom)
     return np.where(known, ndtri(half), stdtrit(np.where(known, 1.0, degrees_of_freedom), half))
 

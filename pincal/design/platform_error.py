@@ -22,7 +22,7 @@ from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_CONFIDENCE = 0.95
+CONFIDENCE = 0.95
 _DRAWS = 10_000
 
 
@@ -104,7 +104,7 @@ class PlatformError:
         if self.degrees_of_freedom is not None:
             dof = max(self.degrees_of_freedom, 1)
             squares *= dof / rng.chisquare(dof, (_DRAWS, 1))
-        position, orientation = np.sqrt(np.quantile(squares @ self.weights.T, _CONFIDENCE, axis=0))
+        position, orientation = np.sqrt(np.quantile(squares @ self.weights.T, CONFIDENCE, axis=0))
         return float(position), float(orientation)
 
     def __repr__(self) -> str:
