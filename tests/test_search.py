@@ -14,6 +14,8 @@ from scipy.optimize import least_squares
 
 import pincal
 from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor
+from pincal.estimation.residuals.losses import LOSSES
+from pincal.estimation.system import bent
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
@@ -252,21 +254,15 @@ def spoiled(kind: str, seed: int) -> tuple[Mechanism, pincal.Measurements]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey", "reject"])
 @pytest.mark.parametrize("kind", ["5R", "3RRR", "6UPS"])
-def test_gross_errors_do_not_break_the_search(kind: str, loss: str) -> None:
-    """A fifth of the rows off by 10 mm to 3 m, 20 sets: a result, or a refusal with its cause."""
+def test_gross_errors_do_not_break_the_search(kind: str) -> None:
+    """A fifth of the rows off by 10 mm to 3 m, 20 sets, losses in turn: all converge but one."""
     broken, refused, lost = [], [], []
     for seed in range(20):
         mechanism, data = spoiled(kind, seed)
+        loss = ("huber", "cauchy", "tukey", "reject")[seed % 4]
         try:
-            result = pincal.calibrate(
-                mechanism,
-                data,
-                noise=NOISE,
-                loss=loss,  # type: ignore[arg-type]
-                rough=True,
-            )
+            result = pincal.calibrate(mechanism, data, noise=NOISE, loss=loss, rough=True)  # type: ignore[arg-type]
         except pincal.PincalError as error:
             refused.append((seed, str(error)))
         except Exception as error:  # whatever else leaves the search is what this looks for
@@ -274,9 +270,33 @@ def test_gross_errors_do_not_break_the_search(kind: str, loss: str) -> None:
         else:
             assert np.isfinite(result.reduced_chi2)
             if not result.converged:
-                lost.append((seed, result.message))
-    print(f"{kind} {loss}: {len(refused)} refused, {len(lost)} not converged")
+                lost.append((seed, loss, result.message))
+    print(f"{kind}: {len(refused)} refused, {len(lost)} not converged")
     print(*refused, *lost, sep="\n")
     assert not broken
-    if len(lost) > 1:  # a known defect: of 5R with huber 11 of 20
-        pytest.xfail(f"{len(lost)} of 20 searches do not converge: poses of gross rows jump")
+    assert len(refused) + len(lost) <= 1, (refused, lost)
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_curvature_of_a_loss_is_its_own(loss: str) -> None:
+    """The Hessian of what a loss minimises, by central differences of its gradient."""
+    rng, own = np.random.default_rng(0), LOSSES[loss]
+    J, k = rng.standard_normal((3, 2)), np.array([3])
+    near, far = 0.4 * rng.standard_normal(3), 1.5 * rng.standard_normal(3)
+
+    def gradient(z: Array, r: Array) -> Array:
+        row = r + J @ z
+        return float(own.weights(np.array([row @ row]), k)[0]) * J.T @ row
+
+    for r in (near, far):
+        h = 1e-5
+        steps = h * np.eye(2)
+        hessian = np.array([(gradient(z, r) - gradient(-z, r)) / (2 * h) for z in steps])
+        weight, bend = (f(np.array([r @ r]), k) for f in (own.weights, own.bend))
+        root = np.sqrt(weight)
+        rows, value = bent(root[:, None, None] * J, root[:, None] * r, np.sqrt(bend))
+        least = 0.0101 * float(weight[0]) * np.linalg.norm(J, 2) ** 2  # curvature is kept above
+        np.testing.assert_allclose(
+            rows[0].T @ rows[0], hessian, rtol=1e-6, atol=least if bend[0] < 0.011 else 1e-7
+        )
+        np.testing.assert_allclose(rows[0].T @ value[0], gradient(np.zeros(2), r), rtol=1e-12)

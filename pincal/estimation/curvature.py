@@ -33,7 +33,7 @@ def curvature(one: Fit, asked: float = 0.0) -> float:
         ends = []
         for sign in (1.0, -1.0):
             there = problem.linearise(problem.moved(here, sign * step))
-            ends.append(here.frozen(solve_poses(problem, there)[0]))
+            ends.append(here.frozen(solve_poses(problem, there, ~used)[0]))
         bent += float(((0.5 * (ends[0] + ends[1]) - here.value)[used] ** 2).sum())
         straight += float(((here.jacobian[used] @ step) ** 2).sum())
         if bent <= (_CLEARLY * asked) ** 2 * straight:

@@ -80,6 +80,7 @@ def fit(
     start: State | None = None,
     progress: Callable[[str], None] | None = None,
     ran_away: Callable[[ObservabilityError], None] | None = None,
+    most: int | None = None,
 ) -> Fit:
     """Return the least-squares fit of a problem.
 
@@ -88,6 +89,7 @@ def fit(
         start: Where the search starts; the nominal parameters if not given.
         progress: Called with what is being done.
         ran_away: Called if the rank is lost where the search ended; may raise what says more.
+        most: Evaluations of the conditions after which to stop searching.
 
     Raises:
         ObservabilityError: parameters are not determined, or by the noise only.
@@ -102,7 +104,7 @@ def fit(
     weights, _ = system.weights(first)
     highest = system.cost(system.residuals(first), weights, first.state)
     near, more = near_start(system, first, progress) if start is None else (first, 0)
-    found = search(system, near, progress, highest=highest)
+    found = search(system, near, progress, highest=highest, most=most)
     linear, weights = found.linear, found.weights
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, linear))

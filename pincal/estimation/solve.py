@@ -48,6 +48,8 @@ class Settings:
     """Of the cost: falls that are predicted smaller cannot be judged by it."""
     shortest: float = 1e-2
     """Of a step: poses that need shorter ones stay where they are."""
+    astray: float = 1e-3
+    """Of the machine's size, or [rad]: a pose that wants to move farther is not solved."""
 
 
 _BY = Settings()
@@ -76,6 +78,7 @@ def search(
     *,
     highest: float = np.inf,
     enough: float = 0.0,
+    most: int | None = None,
 ) -> Found:
     """Return the optimum near a start, or the best state on the way to it.
 
@@ -85,17 +88,20 @@ def search(
         progress: Called with what is being done.
         highest: Cost above which no step is taken, if that at the start is not lower.
         enough: Distance from the optimum in standard deviations of residuals at which to stop.
+        most: Evaluations of the conditions after which to stop; those of the settings if not given.
     """
     problem, T = system.problem, system.unknowns.map
     here, damping, growth, evaluations = start, 0.0, 10.0, 1
     weights, scale = system.weights(here)
-    normal = system.solve(here, weights)
+    normal = system.solve(here, weights, scale)
     cost = system.cost(system.residuals(here), weights, here.state)
+    left_out = np.zeros(len(weights), dtype=bool) if system.kept is None else ~system.kept
+    held, cost_held = left_out, np.inf
     highest = max(cost, highest) if np.isfinite(highest) else cost
     while normal.decrement > max(_BY.no_step, _rounding(system, here)):
         if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
             break
-        if evaluations >= _BY.evaluations or damping > _BY.damping[1]:
+        if evaluations >= (most or _BY.evaluations) or damping > _BY.damping[1]:
             break
         if progress and evaluations % 5 == 0:
             progress(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
@@ -103,15 +109,15 @@ def search(
         if damping > 0.0:
             step = step + _along_the_valley(system, here, weights, normal, step, damping)
             evaluations += 1
-        trial, count = _trial(problem, here, T @ step)
+        trial, count = _trial(problem, here, T @ step, held)
         evaluations += count
         blind = normal.decrement**2 <= _BY.rounding * cost
         better = False
         if trial is not None:
             new_weights, new_scale = system.weights(trial)
             new_cost = system.cost(system.residuals(trial), new_weights, trial.state)
-            new = system.solve(trial, new_weights)
-            better = system.falls(here, trial, weights, cost, new_cost)
+            new = system.solve(trial, new_weights, new_scale)
+            better = system.falls(here, trial, weights, cost)
             if blind:
                 better = new.decrement < normal.decrement
             elif system.loss is None:
@@ -122,8 +128,12 @@ def search(
             damping, growth = (damping if damping > _BY.damping[0] else 0.0), 10.0
             slow = blind and new.decrement > 0.5 * normal.decrement
             here, weights, scale, cost, normal = trial, new_weights, new_scale, new_cost, new
+            if cost < 0.5 * cost_held:
+                held, cost_held = left_out, np.inf
             if slow and normal.decrement <= _BY.slow:  # rounding, or less than matters to anyone
                 break
+        elif (astray := unsolved(problem, here) & ~held).any():
+            held, cost_held = held | astray, cost
         elif blind:  # nothing but rounding is left
             break
         else:
@@ -204,14 +214,18 @@ def near_start(
     return (near if better else first), count + found.evaluations + more
 
 
-def _trial(problem: Problem, here: Linear, step: Array) -> tuple[Linear | None, int]:
+def _trial(problem: Problem, here: Linear, step: Array, held: Mask) -> tuple[Linear | None, int]:
     """Return the conditions after a step, poses solved, and the evaluations that it took.
 
-    None where they do not exist.
+    None where they do not exist. Poses that are held stay where they are.
     """
     try:
         with np.errstate(all="ignore"):
-            trial, count = solve_poses(problem, problem.linearise(problem.moved(here, step)))
+            state = problem.moved(here, step)
+            if held.any():
+                stay = held[:, None, None]
+                state = replace(state, matrices=np.where(stay, here.state.matrices, state.matrices))
+            trial, count = solve_poses(problem, problem.linearise(state), held)
     except (MeasurementError, np.linalg.LinAlgError):
         return None, 1
     finite = np.isfinite(trial.value).all() and trial.stack.finite
@@ -228,7 +242,20 @@ def _rounding(system: System, linear: Linear) -> float:
     return float(noise * np.sqrt(system.unknowns.map.shape[1] / rows))
 
 
-def solve_poses(problem: Problem, linear: Linear) -> tuple[Linear, int]:
+def unsolved(problem: Problem, linear: Linear) -> Mask:
+    """Return which poses are not at their optimum, shape (N,)."""
+    if not problem.latent:
+        return np.zeros(len(linear.value), dtype=bool)
+    return np.asarray(_pose_steps(linear, _pose_scale(problem))[1] > _BY.astray)
+
+
+def _pose_scale(problem: Problem) -> Array:
+    """Return what a pose's twist is compared with, shape (dof,)."""
+    size = largest_size(problem.legs, problem.platform)
+    return np.array([size if unit == "m" else 1.0 for unit in problem.platform.units])
+
+
+def solve_poses(problem: Problem, linear: Linear, held: Mask | None = None) -> tuple[Linear, int]:
     """Return the conditions with poses at their optimum, to second order, and the evaluations.
 
     Gauss–Newton steps of each pose alone, shortened until the next one is shorter (natural
@@ -237,9 +264,10 @@ def solve_poses(problem: Problem, linear: Linear) -> tuple[Linear, int]:
     if not problem.latent:
         return linear, 0
     platform = problem.platform
-    size = largest_size(problem.legs, platform)
-    scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
+    scale = _pose_scale(problem)
     count, share = 0, np.ones(len(linear.value))
+    if held is not None:
+        share = np.where(held, 0.0, share)
     for _ in range(_POSES.steps):
         twists, length = _pose_steps(linear, scale)
         open_ = (length > _POSES.small) & (share > _BY.shortest)

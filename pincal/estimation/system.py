@@ -28,6 +28,8 @@ class System:
     loss: Loss | None = None
     kept: Mask | None = None
     """Rows that take part, shape (N,); all if not given."""
+    held_scale: float | None = None
+    """Scale of the noise that a loss goes by; by the rows in the middle if not given."""
     unit: float = 1.0
     """Typical standard deviation of residuals that are minimised unweighted, [rad] or [m]."""
 
@@ -36,7 +38,7 @@ class System:
         kept = np.ones(len(linear.value)) if self.kept is None else self.kept.astype(float)
         if self.loss is None:
             return kept, 1.0
-        scale = max(self.scale(linear), 1.0 if self.known else 1e-300)
+        scale = self.held_scale or max(self.scale(linear), 1.0 if self.known else 1e-300)
         return kept * self.loss.weights(linear.squares / scale**2, linear.equations), scale
 
     def scale(self, linear: Linear) -> float:
@@ -56,12 +58,15 @@ class System:
             return linear.jacobian_of(poses)
         return linear.stack.parameter(poses) / self.unit
 
-    def triangle(self, linear: Linear, weights: Array, *, white: bool = False) -> Array:
+    def triangle(
+        self, linear: Linear, weights: Array, bend: Array | None = None, *, white: bool = False
+    ) -> Array:
         """Return R of the Jacobian in the free unknowns beside the residuals, with priors.
 
         Args:
             linear: Where.
             weights: Of the rows, shape (N,).
+            bend: Curvature of a loss along each row's residuals over its weight, shape (N,).
             white: Whether of white residuals, if others are minimised.
 
         Returns:
@@ -74,8 +79,11 @@ class System:
         for poses in linear.parts():
             used, root = weights[poses] > 0.0, np.sqrt(weights[poses])[:, None]
             J = linear.jacobian_of(poses) if white else self.derivatives(linear, poses)
-            J = (root[:, :, None] * J)[used].reshape(-1, J.shape[2]) @ self.unknowns.map
-            R = joined(R, np.column_stack((J, (root * residuals[poses])[used].ravel())))
+            J, r = root[:, :, None] * J, root * residuals[poses]
+            if bend is not None:
+                J, r = bent(J, r, np.sqrt(bend[poses]))
+            J = J[used].reshape(-1, J.shape[2]) @ self.unknowns.map
+            R = joined(R, np.column_stack((J, r[used].ravel())))
         return R
 
     def values(self, state: State) -> Array:
@@ -93,22 +101,36 @@ class System:
         value = here.frozen(trial) if self.problem.weighted else self.residuals(trial)
         return self.cost(value, weights, trial.state)
 
-    def falls(
-        self, here: Linear, trial: Linear, weights: Array, cost: float, new_cost: float
-    ) -> bool:
+    def falls(self, here: Linear, trial: Linear, weights: Array, cost: float) -> bool:
         """Return whether a step is a good one.
 
-        Far from the optimum, where rows turn with the state, its own cost falls; near it, in the
-        rows and weights of its beginning.
+        In the weights of its beginning: what a loss minimises lies below (majorisation). Far from
+        the optimum, where rows turn with the state, in the rows of its end; near it, in those of
+        its beginning.
         """
-        if self.loss is None and new_cost < cost:
+        own = self.cost(self.residuals(trial), weights, trial.state)
+        if own < cost:
             return True
-        near = self.loss is not None or new_cost <= (1.0 + _ROWS_FOLLOW) * cost
+        near = own <= (1.0 + _ROWS_FOLLOW) * cost
         return near and self.cost_in(here, trial, weights) <= cost
 
-    def solve(self, linear: Linear, weights: Array) -> Normal:
-        """Return the normal equations in square-root form."""
-        return Normal.of(self.triangle(linear, weights))
+    def solve(self, linear: Linear, weights: Array, scale: float) -> Normal:
+        """Return the normal equations in square-root form, a loss with its curvature."""
+        bend = None
+        if self.loss is not None:
+            bend = self.loss.bend(linear.squares / scale**2, linear.equations)
+        return Normal.of(self.triangle(linear, weights, bend))
+
+
+def bent(J: Array, r: Array, root: Array) -> tuple[Array, Array]:
+    """Return rows whose squares have the curvature of a loss along them, and its gradient.
+
+    B. Triggs et al., Bundle adjustment (2000), 4.3. Shapes (N, m, n), (N, m) and (N,).
+    """
+    length = np.linalg.norm(r, axis=1)
+    along = r / np.where(length > 0.0, length, 1.0)[:, None]
+    J = J + ((root - 1.0)[:, None] * along)[:, :, None] * (along[:, None] @ J)
+    return J, r / root[:, None]
 
 
 @dataclass(frozen=True)

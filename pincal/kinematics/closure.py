@@ -69,6 +69,8 @@ class Closure:
     """Returns ``pose``, which not everyone asks for."""
     drive_twists: Callable[[], tuple[Array, Array | None]]
     """Returns the tip twists (6, N) of the first active joint and of the next revolute joint."""
+    passive_turning: Callable[[], Array]
+    """Returns how passive joints turn the tip, shape (1 or 3, n_passive, N): across z, or all."""
 
     @cached_property
     def pose(self) -> Array:
@@ -230,6 +232,7 @@ class LegClosure:
             parameter,
             make_pose=lambda: self._by_pose(matrices, error),
             drive_twists=lambda: self._drive_twists(motion),
+            passive_turning=lambda: motion.angular[:, self.leg.passive],
         )
 
     def _turning(self, error: Array, matrices: Array, motion: Motion) -> tuple[Array, Array]:

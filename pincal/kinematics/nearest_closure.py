@@ -8,12 +8,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import Closure, LegClosure, Newton
+from pincal.kinematics.closure import Closure, LegClosure, Newton, product
 from pincal.kinematics.inverse import sensor_law
 from pincal.kinematics.starts import start_joints
 
 Array = NDArray[np.float64]
 _NEWTON = Newton(steps=60, small=1e-8)  # of the square of that step, Nᵀ c is off at most
+_FAR = 1e-3  # of a leg's size, from which a gap's curvature counts
+_FLAT = 1e-9  # of the steepest direction, below which one counts as flat
 
 
 def nearest_closure(
@@ -43,10 +45,38 @@ def nearest_closure(
     for _ in range(steps):
         closed = leg.evaluate(joints, matrices)
         step = closed.passive_step()
+        far = np.linalg.norm(closed.gap, axis=1) > _FAR * leg.size
+        if far.any() and closed.gap.shape[1] <= 3:  # of points
+            step[far] = _curved_step(closed, far)
         joints[:, passive] += step
         if np.abs(step).max(initial=0.0) <= _NEWTON.small * max(1.0, leg.size):
             break
     return closed, joints
+
+
+def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:
+    """Return Newton steps of passive joints where points stay far apart, shape (n, n_passive).
+
+    Gauss-Newton steps are right where c vanishes; out of reach the curvature c · (ω_i × v_j) of paths,
+    i before j, counts as much, and without it they overshoot. Where |c| is no minimum along a
+    direction, the step goes down it (saddle-free Newton).
+    """
+    gap, J = closed.gap[rows], closed.passive[rows]
+    n, m = len(gap), gap.shape[1]
+    turning, space = np.zeros((3, J.shape[2], n)), np.zeros((n, 3, J.shape[2] + 1))
+    own = closed.passive_turning()[:, :, rows]
+    turning[3 - len(own) :] = own
+    space[:, :m, :-1], space[:, :m, -1] = J, gap
+    v, c = space[:, :, :-1], space[:, :, -1]
+    pulled = np.cross(c[:, None], turning.transpose(2, 1, 0))  # c · (ω × v) = (c × ω) · v
+    bend = np.triu(pulled @ v)
+    bend += np.triu(bend, 1).transpose(0, 2, 1)
+    transposed = J.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(product(transposed, J) + bend)
+    downhill = vectors.transpose(0, 2, 1) @ product(transposed, gap[:, :, None])
+    steepest = np.abs(values).max(axis=1, keepdims=True)
+    steps = vectors @ (downhill[:, :, 0] / np.maximum(np.abs(values), _FLAT * steepest))[:, :, None]
+    return -np.asarray(steps)[:, :, 0]
 
 
 def arm_poses(leg: LegClosure, readings: Array, gap: Array | None = None) -> Array:

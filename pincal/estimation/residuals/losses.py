@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
 _DRAWS = 20_000  # points of a mean over χ²
 OUTLYING = 1e-3  # probability that a good row is left out
+_STEP = 1e-4  # of the logarithm of a residual, for slopes
+_LEAST_BEND = 1e-2
 SUSPECTED = 0.01  # probability that any row of good data is listed
 
 
@@ -64,6 +66,21 @@ class Loss:
             equations: How many equations each row gives, shape (N,) or (1,).
         """
         return self.weigh(np.sqrt(squares) / self.constant(equations))
+
+    def bend(self, squares: Array, equations: NDArray[np.intp]) -> Array:
+        """Return the curvature along the residuals over the weight, shape (N,).
+
+        1 + d ln w / d ln u; kept above zero, as what is minimised must rise on both sides.
+
+        Args:
+            squares: χ² of each row, shape (N,).
+            equations: How many equations each row gives, shape (N,) or (1,).
+        """
+        u, h = np.sqrt(squares) / self.constant(equations), _STEP
+        less, more = (self.weigh(u * np.exp(step)) for step in (-h, h))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.log(more / less) / (2.0 * h)
+        return np.clip(np.where(np.isfinite(slope), 1.0 + slope, 1.0), _LEAST_BEND, 1.0)
 
     @lru_cache(maxsize=256)  # noqa: B019 - losses are few, and live as long as the module
     def inflation(self, equations: int) -> float:

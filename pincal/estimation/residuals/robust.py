@@ -12,16 +12,22 @@ from scipy.special import chdtrc, ndtri
 
 from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
-from pincal.estimation.linear import State
+from pincal.estimation.linear import Linear, State
 from pincal.estimation.observability.unobservable import check_covariance, check_weakly_determined
+from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import LOSSES, Loss, outlying, suspected
+from pincal.estimation.solve import unsolved
 from pincal.estimation.system import System
+from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _ROUNDS = 10
+_MOST = 200  # evaluations for the fit without a loss, of which only the shift is said
 _GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
+_LINEAR = 0.1  # of the machine's size, up to which noise acts linearly
 _LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
+Mask = NDArray[np.bool_]
 Progress = Callable[[str], None]
 
 
@@ -111,12 +117,15 @@ def _fitted(
     rejecting = loss.name == "reject"
     coarse = search(replace(system, loss=LOSSES["cauchy"]))
     fine = LOSSES["tukey"] if rejecting else loss
-    one = search(replace(system, loss=fine), start=coarse.last.state)
+    kept = _near(system.problem, coarse.last)
+    kept = kept if system.kept is None else kept & system.kept
+    fine_system = replace(system, loss=fine, held_scale=coarse.scale, kept=kept)
+    one = search(fine_system, start=coarse.last.state)
     scale = one.scale
     if rejecting:
         one = _without_outliers(one, search)
     try:
-        plain = search(system)
+        plain = search(system, start=one.last.state, most=_MOST)
     except (PincalError, np.linalg.LinAlgError):
         plain = None
     return Robust(
@@ -125,6 +134,17 @@ def _fitted(
         _outliers(one, scale, rows),
         plain if plain is not None and plain.converged else None,
     )
+
+
+def _near(problem: Problem, linear: Linear) -> Mask:
+    """Return which rows are near enough for their noise to act linearly, shape (N,).
+
+    Of the others a pose was not found, or what explains them moves the machine by a good part of
+    its size; neither has derivatives that say anything, and no loss bounds what they weigh.
+    """
+    moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
+    size = largest_size(problem.legs)
+    return np.asarray(~unsolved(problem, linear) & (np.abs(moved).max(axis=1) <= _LINEAR * size))
 
 
 def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
