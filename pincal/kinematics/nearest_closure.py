@@ -46,7 +46,7 @@ def nearest_closure(
         closed = leg.evaluate(joints, matrices)
         step = closed.passive_step()
         far = np.linalg.norm(closed.gap, axis=1) > _FAR * leg.size
-        if far.any() and closed.gap.shape[1] <= 3:  # of points
+        if far.any() and passive and closed.gap.shape[1] <= 3:  # of points
             step[far] = _curved_step(closed, far)
         joints[:, passive] += step
         if np.abs(step).max(initial=0.0) <= _NEWTON.small * max(1.0, leg.size):
@@ -57,8 +57,8 @@ def nearest_closure(
 def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:
     """Return Newton steps of passive joints where points stay far apart, shape (n, n_passive).
 
-    Gauss-Newton steps are right where c vanishes; out of reach the curvature c · (ω_i × v_j) of paths,
-    i before j, counts as much, and without it they overshoot. Where |c| is no minimum along a
+    Gauss-Newton steps are right where c is 0; out of reach the paths' curvature c · (ω_i × v_j),
+    i ≤ j, counts as much, and without it they overshoot. Where |c| is no minimum along a
     direction, the step goes down it (saddle-free Newton).
     """
     gap, J = closed.gap[rows], closed.passive[rows]

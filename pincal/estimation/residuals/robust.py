@@ -143,8 +143,8 @@ def _near(problem: Problem, linear: Linear) -> Mask:
     its size; neither has derivatives that say anything, and no loss bounds what they weigh.
     """
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
-    size = largest_size(problem.legs)
-    return np.asarray(~unsolved(problem, linear) & (np.abs(moved).max(axis=1) <= _LINEAR * size))
+    farthest = np.abs(moved).max(axis=1, initial=0.0)
+    return ~unsolved(problem, linear) & (farthest <= _LINEAR * largest_size(problem.legs))
 
 
 def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
