@@ -37,7 +37,6 @@ TARGETS = {"origin": (), "target": ("--unknown-target",)}
 #: What is tried in every run, the rest in the slow one.
 QUICK = {
     ("3RRR", "default", "default", "tracker", "origin"),  # the three commands of the first page
-    ("3RRR", "for positions", "default", "tracker", "origin"),
 }
 
 

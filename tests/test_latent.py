@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -218,6 +216,7 @@ def test_missing_readings_are_left_out() -> None:
         pincal.calibrate(mechanism, data, method="per-leg")
 
 
+@pytest.mark.slow
 def test_targets_distances_and_angles_take_the_place_of_poses() -> None:
     """A hexapod from three reflectors, or from one, wires and an inclinometer, clean: 1e-9."""
     mechanism, truth, data = machine("6UPS", noise=EXACT)
@@ -378,57 +377,31 @@ def test_the_optimum_equals_that_of_another_solver() -> None:
     )
 
 
-def statistics(kind: str) -> dict[str, float]:
-    """Return what 300 noisy data sets of a machine tell about the estimators."""
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["5R", "3RRR", "6UPS"])
+def test_each_leg_alone_is_less_accurate(kind: str) -> None:
+    """On the same 30 noisy data sets, errors over the bound of all legs together are larger."""
     mechanism, truth, clean = machine(kind, 40, EXACT)
     true = np.concatenate([leg.nominal for leg in truth.legs])
     bound = pincal.forecast(truth, clean.poses, NOISE).std
-    platform, off = mechanism.platform, {"all-legs": [], "per-leg": []}
-    errors: list[np.ndarray] = []
-    for seed in range(300):
+    off: dict[str, list[np.ndarray]] = {"all-legs": [], "per-leg": []}
+    for seed in range(30):
         rng = np.random.default_rng(seed)
         shake = NOISE.of_poses(mechanism) * rng.standard_normal(clean.poses.shape)
-        data = replace(
-            clean,
-            poses=platform.moved(clean.poses, shake),
-            readings=clean.readings + NOISE.reading * rng.standard_normal(clean.readings.shape),
-        )
+        readings = clean.readings + NOISE.reading * rng.standard_normal(clean.readings.shape)
+        poses = mechanism.platform.moved(clean.poses, shake)
+        data = replace(clean, poses=poses, readings=readings)
         for method, own in off.items():
             result = pincal.calibrate(
                 mechanism,
                 data,
-                method=method,
+                method=method,  # type: ignore[arg-type]
                 poses="all",
-                noise=NOISE,  # type: ignore[arg-type]
+                noise=NOISE,
             )
             own.append(np.concatenate([leg.identified for leg in result.legs]) - true)
-            if method == "all-legs":
-                errors.append(np.concatenate([leg.std for leg in result.legs]))
-    latent, alone = (np.array(off[method]) for method in ("all-legs", "per-leg"))
-    return {
-        "rms over bound": float(np.sqrt(((latent / bound) ** 2).mean())),
-        "std over spread": float((np.mean(errors, axis=0) / latent.std(axis=0)).mean()),
-        "per leg over latent": float(
-            np.sqrt(((alone / bound) ** 2).mean() / ((latent / bound) ** 2).mean())
-        ),
-    }
-
-
-@pytest.mark.slow
-def test_latent_poses_reach_the_cramer_rao_bound() -> None:
-    """RMS error over 300 data sets within 5 % of the bound, standard errors within 10 % of spread.
-
-    Noise on poses and readings. Each leg alone, on the same rows, loses against it.
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("OPENBLAS_NUM_THREADS", "1")
-        with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-            found = dict(zip(KINDS, pool.map(statistics, ["5R", "3RRR", "6UPS"]), strict=True))
-    for kind, one in found.items():
-        print(kind, one)
-        assert abs(one["rms over bound"] - 1) < 0.05, kind
-        assert abs(one["std over spread"] - 1) < 0.10, kind
-        assert one["per leg over latent"] > 1.0, kind
+    together, alone = (((np.array(one) / bound) ** 2).mean() for one in off.values())
+    assert alone > together
 
 
 @pytest.mark.slow
@@ -486,7 +459,9 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
         pytest.param(
             "exchange", {}, "legs are exchanged: .* order of columns", marks=pytest.mark.slow
         ),
-        ("turn", {}, "contradict each other by .*--unknown-frame"),
+        pytest.param(
+            "turn", {}, "contradict each other by .*--unknown-frame", marks=pytest.mark.slow
+        ),
         pytest.param(
             "degrees",
             {"setup": FRAME},

@@ -57,6 +57,7 @@ def test_no_limit_is_promised_where_the_model_lacks_something(
         assert found.values["size"] == pytest.approx(5e-4, rel=0.3)
 
 
+@pytest.mark.slow
 def test_sound_data_are_promised() -> None:
     """Nothing contradicts sound data, noise given or not: 20 data sets, one false alarm allowed."""
     one, alarms = machine("3RRR", 60), 0

@@ -50,6 +50,7 @@ def test_equal_readings_say_nothing_about_their_noise() -> None:
         assert 40 <= result.noise_freedoms <= 200
 
 
+@pytest.mark.slow
 def test_few_repeats_leave_the_noise_to_the_residuals() -> None:
     """5 of 30 poses twice: coverage within three of its standard errors, 40 data sets."""
     one, places = repeated(

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from marks import some_slow
 from measured import EXACT, machine
 
 import pincal
@@ -40,7 +41,7 @@ def fit_at(noise: pincal.Noise, seed: int = 0) -> Fit:
     return one.fit
 
 
-@pytest.mark.parametrize("case", NOISES)
+@pytest.mark.parametrize("case", some_slow(NOISES, "readings too", "positions and orientations"))
 def test_noise_is_found_within_its_spread(case: str) -> None:
     """Medians over the draws within 15 % of what the measurements were made with, χ² at 1.
 

@@ -31,6 +31,7 @@ from pincal.model.platform import Platform
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
+_UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
 NO_NOISE = (
     "some measurements carry no noise at all; give standard deviations above zero for what is "
     "measured, and for readings (--noise-reading) where there are more of them than freedoms"
@@ -279,7 +280,8 @@ class Problem:
         follow = [np.median(np.linalg.norm(one.reading, axis=1), axis=0) for one in stack.demands]
         floors = typical / np.maximum(np.concatenate(follow), 1e-300)
         readings = np.maximum(self.sigma_readings, np.where(np.isfinite(floors), floors, 0.0))
-        if (observed == self.sigma_observed).all() and (readings == self.sigma_readings).all():
+        even = (observed <= _UNEVEN * self.sigma_observed) | ~self.observation.measured
+        if even.all() and (readings <= _UNEVEN * self.sigma_readings).all():
             return None
         return replace(self, sigma_observed=observed, sigma_readings=readings)
 
