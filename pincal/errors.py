@@ -36,6 +36,16 @@ class MeasurementError(PincalError, ValueError):
     """
 
 
+class MisfitError(MeasurementError):
+    """Measurements that no mechanism like the nominal one can have made.
+
+    Causes: a wrong unit, sign, order, frame or mechanism; logs out of step; single bad rows.
+
+    What to do: what the message names; or let ``pincal doctor`` try all of it and print the
+    command that works.
+    """
+
+
 class ObservabilityError(PincalError, ValueError):
     """Poses that leave a parameter, or a combination of parameters, undetermined.
 

@@ -28,7 +28,8 @@ class Outcome:
         starts = [i for i, line in enumerate(lines) if line.startswith("pincal: ")]
         assert len(starts) == 1, self.err
         before, text = lines[: starts[0]], lines[starts[0] :]
-        assert all(line.endswith(" …") or ": columns not used: " in line for line in before)
+        said = (" …", " says what works")
+        assert all(line.endswith(said) or ": columns not used: " in line for line in before)
         assert all(line.strip() for line in text), self.err
         return "\n".join(text)
 

@@ -23,7 +23,7 @@ from pincal.calibration.hypotheses.plausibility import (
 from pincal.calibration.hypotheses.zeros import zeros_found, zeros_measured
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import MeasurementError, ObservabilityError, PincalError
+from pincal.errors import MisfitError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism
 from pincal.finding import Finding
@@ -87,7 +87,7 @@ def identify(calibration: Calibration) -> CalibrationResult:
         if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
             causes = tuple(one for one in causes if one.severity == "error")
         if causes:
-            raise MeasurementError(said(causes)) from error
+            raise MisfitError(said(causes)) from error
         if isinstance(error, np.linalg.LinAlgError):
             raise ObservabilityError(
                 "the search went where the parameters are not determined; look for rows that are "
@@ -109,7 +109,7 @@ def _start(calibration: Calibration) -> Array | None:
     found = implausible(calibration.mechanism, calibration.measurements)
     start = zeros_found(calibration, found)
     if found and start is None:
-        raise MeasurementError(said(found))
+        raise MisfitError(said(found))
     return start
 
 

@@ -32,7 +32,7 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.cli.options import SetupOptions, with_unit
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import MeasurementError, MisfitError, PincalError
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import load_mechanism, mechanism_files
 from pincal.files.output import refuse_existing
@@ -239,7 +239,14 @@ def calibrate(
     calibration = how.calibration(mechanism, measurements)
     with working("identifying parameters") as progress:
         options = replace(calibration.options, progress=progress)
-        result, said = _checked(identify(replace(calibration, options=options)), how.folds)
+        try:
+            found = identify(replace(calibration, options=options))
+        except MisfitError:
+            remark(
+                f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
+            )
+            raise
+        result, said = _checked(found, how.folds)
         progress("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
         page = report(result, command=typed(), files=files, notes=said)

@@ -11,6 +11,7 @@ import numpy as np
 from pincal.cli import (
     calibration,
     demo,
+    doctor,
     exporting,
     identifiability,
     importing,
@@ -35,6 +36,7 @@ _GROUPS = (
     simulation,
     identifiability,
     calibration,
+    doctor,
     importing,
     exporting,
     demo,

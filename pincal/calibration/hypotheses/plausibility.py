@@ -90,6 +90,17 @@ def explain_misfit(
     return found or _slips(sample, given)
 
 
+def hypotheses_of(
+    mechanism: Mechanism, data: Measurements, setup: Setup | None = None
+) -> list[tuple[Finding, Judged]]:
+    """Return hypotheses that explain measurements that do not fit, each with what it says."""
+    sample = sample_of(mechanism, data, setup or Setup())
+    if sample is None:
+        return []
+    explaining, given = _explaining(sample)
+    return list(zip(as_findings(mechanism, given, explaining), explaining, strict=True))
+
+
 def said(findings: tuple[Finding, ...]) -> str:
     """Return findings of one cause as one message."""
     return sentences(findings)[0]
@@ -97,15 +108,21 @@ def said(findings: tuple[Finding, ...]) -> str:
 
 def _explained(sample: Sample) -> tuple[tuple[Finding, ...], Judged]:
     """Return hypotheses that explain measurements that do not fit, and how these fit as given."""
+    explaining, given = _explaining(sample)
+    return as_findings(sample.mechanism, given, explaining), given
+
+
+def _explaining(sample: Sample) -> tuple[list[Judged], Judged]:
+    """Return what explains measurements that do not fit, and how these fit as given."""
     mechanism, given = sample.mechanism, judge(sample)[0]
     given = replace(given, elsewhere=other_side(mechanism, given.matrices))
     if given.fits and not given.questioned and given.elsewhere <= 0.5:
-        return (), given
+        return [], given
     if slips := _slips(sample, given):  # few rows may be all that is wrong
         (others,) = judge(sample.part(np.flatnonzero(~np.isin(sample.rows, slips[0].rows))))
         if others.fits and not others.questioned:
-            return (), given
-    return as_findings(mechanism, given, explanations(sample, given)), given
+            return [], given
+    return explanations(sample, given), given
 
 
 def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:

@@ -82,6 +82,16 @@ def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample 
     return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free)
 
 
+def whole_sample(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample:
+    """Return all rows, whatever was measured of them: to put them right, not to judge by."""
+    poses = np.where(np.isfinite(data.poses), data.poses, mechanism.platform.home)
+    offset, every = np.array(setup.targets[ORIGIN].offset, dtype=float), np.arange(len(data))
+    turned = [unit == "rad" for unit in mechanism.platform.units]
+    oriented = bool(np.isfinite(data.poses[:, turned]).all(axis=1).any())
+    readings, free = data.readings.copy(), setup.unknown_frame
+    return Sample(mechanism, poses, readings, data.readings, every, offset, oriented, free)
+
+
 def placed(samples: Sequence[Sample]) -> list[tuple[Array, Rows] | None]:
     """Return poses ``T_base_platform``, shape (M, 4, 4), and their rows in the sample, (M,).
 

@@ -262,9 +262,12 @@ def maps_figure(found: Findings) -> Drawn:
         (f"{what} {when}", unit, 1e3 * values[..., column])
         for column, what, unit in quantities
         for when, values in (("before", maps.before), ("after, expected", maps.after))
+        if np.isfinite(values[..., column]).any()  # nominal zeros of motors may lead nowhere
     ]
+    if not rows:
+        return None
     spatial = len(maps.heights) > 1
-    across = len(maps.heights) if spatial else 2
+    across = len(maps.heights) if spatial else min(2, len(rows))
     down = len(rows) * len(maps.heights) // across
     panel = 0.8 * PAGE.width / across * float(np.ptp(maps.y) / np.ptp(maps.x))
     drawn = _figure(down * (panel + 0.5))

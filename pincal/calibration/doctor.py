@@ -1,0 +1,117 @@
+"""The doctor: faults of measurements put right one by one, and the calibration that then works.
+
+As measured; with what explains the misfit put right; in an unknown frame; of a machine known
+roughly; each of these also without rows that do not fit. A remedy works if its search converges and
+nothing contradicts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pincal.calibration.calibrate import identify
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_of
+from pincal.calibration.hypotheses.ranking import Judged
+from pincal.calibration.hypotheses.sample import whole_sample
+from pincal.calibration.result import CalibrationResult
+from pincal.errors import PincalError
+from pincal.finding import Finding
+from pincal.model.measurements import Measurements
+
+_FEW = 0.25  # of the rows: more that do not fit are no outliers
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """What was put right, and what calibration then gives."""
+
+    findings: tuple[Finding, ...]
+    """What was wrong with the measurements, if this is what was; empty if nothing was."""
+    calibration: Calibration
+    """Measurements put right, and options that help."""
+    result: CalibrationResult | None
+    """None if calibration refused."""
+    trouble: str
+    """Why it was refused; empty if it was not."""
+
+    @property
+    def works(self) -> bool:
+        """Whether the search converged, and nothing contradicts its result."""
+        return self.result is not None and self.result.converged and self.result.promises
+
+    @property
+    def mends(self) -> bool:
+        """Whether the measurements themselves were put right: options do not do it."""
+        return any(one.code != "unknown-frame" for one in self.findings)
+
+
+def remedies(calibration: Calibration) -> Iterator[Remedy]:
+    """Yield what was tried, the simplest first; the last one works, if any does.
+
+    Args:
+        calibration: Measurements and options as the user has them.
+    """
+    for findings, one in _candidates(calibration):
+        tried = _attempt(findings, one)
+        yield tried
+        if tried.works:
+            return
+        if tried.result is None or not tried.result.converged or one.options.loss != "none":
+            continue
+        fewer = _attempt(findings, one.with_options(loss="reject"))
+        if fewer.result is not None and _left_out(fewer.result) <= _FEW:
+            yield fewer
+            if fewer.works:
+                return
+
+
+def _candidates(calibration: Calibration) -> Iterator[tuple[tuple[Finding, ...], Calibration]]:
+    """Yield calibrations with what was put right in them."""
+    yield (), calibration
+    mechanism, data = calibration.mechanism, calibration.measurements
+    setup, framed = calibration.options.setup, calibration.options.setup.unknown_frame
+    for found, one in hypotheses_of(mechanism, data, setup):
+        framed = framed or found.code == "unknown-frame"
+        mended = replace(calibration, measurements=_put_right(calibration, one))
+        if one.free and not setup.unknown_frame:
+            mended = mended.with_options(setup=replace(setup, unknown_frame=True))
+        yield (found,), mended
+    if not framed:
+        yield (), calibration.with_options(setup=replace(setup, unknown_frame=True))
+    if not calibration.options.rough:
+        yield (), calibration.with_options(rough=True)
+
+
+def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
+    try:
+        result = identify(calibration)
+        if result.noise is not None:  # an estimate may be as large as what went wrong
+            check_noise(calibration.mechanism, result.noise)
+    except PincalError as error:
+        return Remedy(findings, calibration, None, str(error))
+    return Remedy(findings, calibration, result, "")
+
+
+def _left_out(result: CalibrationResult) -> float:
+    """Return the share of the rows that were left out."""
+    return sum(one.weight == 0.0 for one in result.outliers) / max(len(result.measurements), 1)
+
+
+def _put_right(calibration: Calibration, judged: Judged) -> Measurements:
+    """Return measurements of which every row is put right as a hypothesis has it."""
+    data, mechanism = calibration.measurements, calibration.mechanism
+    known = np.isfinite(data.poses)
+    sample = whole_sample(mechanism, data, calibration.options.setup)
+    poses, readings = judged.hypothesis.put_right(sample)
+    if judged.legs:
+        others = [i for i in range(len(mechanism.legs)) if i not in judged.legs]
+        readings = readings.copy()
+        for own in (mechanism.reading_columns[i] for i in others):
+            readings[:, own] = data.readings[:, own]
+    changed: dict[str, Any] = {"poses": np.where(known, poses, np.nan), "readings": readings}
+    return replace(data, **changed)

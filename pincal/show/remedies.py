@@ -1,0 +1,50 @@
+"""What is said of remedies: what was put right, and what calibration then gave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pincal.calibration.doctor import Remedy
+from pincal.finding import Finding
+from pincal.words.hypotheses import HYPOTHESES
+from pincal.words.table import Table, columns
+from pincal.words.wording import Wording
+
+
+def tried(one: Remedy) -> str:
+    """Return what was tried, in a few words."""
+    options = one.calibration.options
+    words = [_wording(found).said(found) for found in one.findings]
+    if options.setup.unknown_frame and not any("frame" in word for word in words):
+        words.append("the base is elsewhere in the frame of the measurements")
+    words += ["rows that do not fit are left out"] if options.loss == "reject" else []
+    words += ["the machine is known roughly"] if options.rough else []
+    return " and ".join(words) or "as measured"
+
+
+def remedy_table(found: Sequence[Remedy]) -> Table:
+    """Return the table of what was tried."""
+    rows = [
+        (tried(one), one.result.reduced_chi2 if one.result else None, _then(one)) for one in found
+    ]
+    return Table("What was tried", columns("if", "χ²/dof:.3g", "calibration"), rows)
+
+
+def advice(found: Sequence[Remedy]) -> list[str]:
+    """Return what to do: at the source of what works, or else about each refusal."""
+    last = found[-1]
+    if last.works:
+        return [f"{text}." for one in last.findings if (text := _wording(one).remedied(one))]
+    return [f"{tried(one)}: {one.trouble}" for one in found if one.trouble]
+
+
+def _wording(found: Finding) -> Wording:
+    return HYPOTHESES[found.code]
+
+
+def _then(one: Remedy) -> str:
+    if one.result is None:
+        return "refused"
+    if one.works:
+        return "works"
+    return "contradicted" if one.result.converged else "does not converge"

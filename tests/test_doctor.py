@@ -1,0 +1,124 @@
+"""The doctor: what went wrong is put right, and the command it prints calibrates."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+from marks import some_slow
+from measured import machine
+from numpy.typing import NDArray
+
+import pincal
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.doctor import remedies
+from pincal.calibration.options import Options
+
+Array = NDArray[np.float64]
+NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
+GIVEN = ("--noise-position", "1e-4", "--noise-orientation", "1e-4", "--noise-reading", "5e-5")
+
+
+def turned(data: pincal.Measurements) -> pincal.Measurements:
+    """Return measurements by a tracker that stands elsewhere, turned about z."""
+    platform = pincal.load_mechanism("3RRR").platform
+    matrices = platform.transforms(data.poses).as_matrix()
+    F = np.eye(4)
+    F[:2, :2] = [[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]]
+    F[:2, 3] = 1.2, -0.4
+    return replace(data, poses=platform.from_matrices(F @ matrices))
+
+
+def factors(data: pincal.Measurements, column: int, factor: float) -> pincal.Measurements:
+    """Return measurements of which one column of readings is multiplied."""
+    readings = data.readings.copy()
+    readings[:, column] *= factor
+    return replace(data, readings=readings)
+
+
+def far_rows(data: pincal.Measurements) -> pincal.Measurements:
+    """Return measurements of which two rows are centimetres off."""
+    poses = data.poses.copy()
+    poses[7, 0] += 0.02
+    poses[20, 1] -= 0.05
+    return replace(data, poses=poses)
+
+
+def swapped(data: pincal.Measurements) -> pincal.Measurements:
+    """Return measurements of which the first two columns of readings are exchanged."""
+    order = [1, 0, *range(2, data.readings.shape[1])]
+    return replace(data, readings=data.readings[:, order])
+
+
+Change = Callable[[pincal.Measurements], pincal.Measurements]
+#: What went wrong, and what the command that works holds beside the noise.
+WRONG: dict[str, tuple[Change, tuple[str, ...]]] = {
+    "nothing": (lambda d: d, ()),
+    "tracker elsewhere": (turned, ("--unknown-frame",)),
+    "one sign": (lambda d: factors(d, 1, -1.0), ()),
+    "degrees as radians": (lambda d: factors(d, 0, 180 / np.pi), ()),
+    "legs exchanged": (lambda d: swapped(d), ()),
+    "one row late": (lambda d: replace(d, poses=np.roll(d.poses, 1, axis=0)), ()),
+    "two bad rows": (lambda d: far_rows(d), ("--robust", "reject")),
+    "zeros": (lambda d: replace(d, readings=d.readings + np.array([0.7, 0.2, -1.6])), ()),
+    "elsewhere and one sign": (
+        lambda d: factors(turned(d), 0, -1.0),
+        ("--unknown-frame",),
+    ),
+}
+
+
+@pytest.mark.parametrize("wrong", some_slow(WRONG, *(set(WRONG) - {"elsewhere and one sign"})))
+def test_the_command_it_prints_works(wrong: str, tmp_path: Path) -> None:
+    """It is run as printed, on the file that the doctor wrote, and finds lengths within 5 σ."""
+    mechanism, truth, data = machine("3RRR", 40, NOISE)
+    change, options = WRONG[wrong]
+    given, mended, result = tmp_path / "m.csv", tmp_path / "mended.csv", tmp_path / "result"
+    change(data).to_csv(given, mechanism)
+    outcome = run("doctor", "3RRR", str(given), *GIVEN, "-o", str(mended))
+    assert outcome.code == 0, outcome.err
+    (line,) = re.findall(r"^  pincal (calibrate .*)$", outcome.out, re.MULTILINE)
+    words = [str(result) if word == "RESULT" else word for word in shlex.split(line)]
+    flags = ("--unknown", "--robust", "--rough", "reject")
+    assert tuple(word for word in words if word.startswith(flags)) == options
+    assert mended.exists() == (str(mended) in words)
+    assert run(*words).code == 0
+    found = pincal.load_result(result)
+    for leg in truth.legs:
+        for name in ("L", "l"):
+            parameter = found[f"{leg.name}.{name}"]
+            off = parameter.identified - leg.nominal_by_name[name]
+            assert abs(off) < 5.0 * parameter.std < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", [True, False])
+@pytest.mark.parametrize("kind", ["5R", "3RRR", "6UPS"])
+def test_nothing_makes_noise_a_calibration(kind: str, given: bool) -> None:
+    """Readings drawn at random: nothing works, each refusal is kept."""
+    mechanism, _, data = machine(kind, 30, NOISE)
+    rng = np.random.default_rng(0)
+    low, high = data.readings.min(axis=0), data.readings.max(axis=0)
+    data = replace(data, readings=rng.uniform(low, high, data.readings.shape))
+    options = Options(noise=NOISE if given else None)
+    tried = list(remedies(Calibration(mechanism, data, options)))
+    assert len(tried) > 2
+    assert not any(one.works for one in tried)
+    assert all(one.trouble for one in tried if one.result is None)
+
+
+def test_nothing_that_works_is_said(tmp_path: Path) -> None:
+    """Exit code 1, no file, and what was refused."""
+    mechanism, _, data = machine("5R", 30, NOISE)
+    noise = np.random.default_rng(0).uniform(-1.0, 1.0, data.readings.shape)
+    replace(data, readings=noise).to_csv(tmp_path / "m.csv", mechanism)
+    outcome = run("doctor", "5R", str(tmp_path / "m.csv"), *GIVEN, "-o", str(tmp_path / "n.csv"))
+    assert outcome.code == 1
+    assert "nothing of this makes the measurements fit the mechanism" in outcome.out
+    assert not (tmp_path / "n.csv").exists()
