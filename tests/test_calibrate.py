@@ -186,7 +186,7 @@ def many_fits(kind: str, case: str, plan: pincal.Plan) -> tuple[np.ndarray, ...]
 @pytest.fixture(scope="module")
 def statistics(selections: dict[str, pincal.Selection]) -> dict[tuple[str, str], tuple]:
     """300 noisy fits by mechanism and case, on two cores."""
-    keys = [("3RRR", "per-leg")]  # all legs together: test_statistics
+    keys = [("3RRR", case) for case in ("per-leg", "all-legs")]
     keys += [("5R", case) for case in ("per-leg", "joint", "scale")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OPENBLAS_NUM_THREADS", "1")  # two processes have the cores

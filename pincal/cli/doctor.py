@@ -107,7 +107,7 @@ def _line(mech: str, measurements: str, how: DoctorOptions, works: Remedy) -> st
     said += ["--unknown-frame"] if options.setup.unknown_frame and _by_option(how) else []
     said += ["--unknown-target"] if how.unknown_target else []
     said += ["--rough"] if options.rough else []
-    said += ["--robust", options.loss] if options.loss != "none" else []
+    said += ["--robust", str(options.loss)] if options.loss != "none" else []
     return shlex.join([*said, "-o", "RESULT"])
 
 
