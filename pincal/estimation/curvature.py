@@ -13,6 +13,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.solve import solve_poses
 
 _PAIRS, _CLEARLY = 3, 0.1
+_ROWS = 2000  # enough to judge by
 
 
 def curvature(one: Fit, asked: float = 0.0) -> float:
@@ -22,11 +23,14 @@ def curvature(one: Fit, asked: float = 0.0) -> float:
         one: The fit.
         asked: Where it is clear that the curvature is far below this, one pair of draws will do.
     """
-    problem, here = one.problem, one.last
+    problem, here, used = one.problem, one.last, one.weights > 0.0
+    some = np.arange(0, len(used), -(-len(used) // _ROWS))
+    if len(some) < len(used):
+        problem, used = problem.part(some), used[some]
+        here = problem.linearise(here.state.rows(some))
     n = len(one.covariance)
     values, axes = np.linalg.eigh(one.covariance)
     root = axes * np.sqrt(values.clip(0.0))
-    used = one.weights > 0.0
     bent, straight = 0.0, 0.0
     for draw in np.random.default_rng(0).standard_normal((_PAIRS, n)):
         step = root @ draw

@@ -42,6 +42,8 @@ class Settings:
     """Of a standard error: nearer only if each step halves the distance."""
     negligible: float = 1e-3
     """Of a standard error: converged, where no step falls further."""
+    rows: int = 2000
+    """Enough to begin near the optimum."""
     near: float = 0.1
     """Of a residual's standard deviation: the evened problem is left."""
     rounding: float = 1e-10
@@ -197,13 +199,20 @@ def near_start(
     evened = problem.evened(first.stack)
     if evened is None:
         return first, 0
-    easy = replace(system, problem=evened)
-    state = problem.start(first.state.parameters)
-    begin, count = solve_poses(evened, evened.linearise(state))
+    start, every = problem.start(first.state.parameters), len(first.value)
+    some = np.arange(0, every, -(-every // _BY.rows))
+    if len(some) < every:
+        evened, start = evened.part(some), start.rows(some)
+    kept = None if system.kept is None else system.kept[some]
+    begin, count = solve_poses(evened, evened.linearise(start))
+    easy = replace(system, problem=evened, kept=kept)
     found = search(easy, begin, progress, enough=_BY.near)
+    there = found.linear.state
+    if len(some) < every:
+        there = replace(problem.start(there.parameters), external=there.external)
     try:
         with np.errstate(all="ignore"):
-            near, more = solve_poses(problem, problem.linearise(found.linear.state))
+            near, more = solve_poses(problem, problem.linearise(there))
     except MeasurementError:
         return first, count + found.evaluations
     costs = []
