@@ -50,15 +50,25 @@ def chain(kind: str, folder: Path, seed: int = 1) -> Path:
     return folder
 
 
+class Chains(dict[str, Path]):
+    """Folder with all files of the chain, for each mechanism, made when it is asked for."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+
+    def __missing__(self, kind: str) -> Path:
+        self[kind] = chain(kind, self._root / kind)
+        return self[kind]
+
+
 @pytest.fixture(scope="module")
-def chains(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Folder with all files of the chain, for each mechanism; not to be written to."""
-    root = tmp_path_factory.mktemp("chains")
-    return {kind: chain(kind, root / kind) for kind in KINDS}
+def chains(tmp_path_factory: pytest.TempPathFactory) -> Chains:
+    """Folders of the chains; not to be written to."""
+    return Chains(tmp_path_factory.mktemp("chains"))
 
 
 @pytest.fixture
-def work(chains: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def work(chains: Chains, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Current folder, with the files of the 3-RRR's chain, its mechanism, and the 5R's in 5R."""
     folder = tmp_path / "work"
     shutil.copytree(chains["3RRR"], folder)
@@ -72,7 +82,7 @@ def work(chains: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_result_says_everything(kind: str, chains: dict[str, Path]) -> None:
+def test_result_says_everything(kind: str, chains: Chains) -> None:
     """result.json holds, for every leg and parameter, what was found and how sure that is."""
     result = json.loads((chains[kind] / "result" / "result.json").read_text(encoding="utf-8"))
     mechanism = pincal.load_mechanism(kind)
@@ -94,7 +104,7 @@ def test_result_says_everything(kind: str, chains: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_identified_parameters_are_near_the_truth(kind: str, chains: dict[str, Path]) -> None:
+def test_identified_parameters_are_near_the_truth(kind: str, chains: Chains) -> None:
     """Each is within 5 standard errors of the true one, the worst error halved at least."""
     result = json.loads((chains[kind] / "result" / "result.json").read_text(encoding="utf-8"))
     truth, nominal = pincal.load_mechanism(chains[kind] / "truth"), pincal.load_mechanism(kind)
@@ -108,9 +118,7 @@ def test_identified_parameters_are_near_the_truth(kind: str, chains: dict[str, P
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_calibrated_mechanism_serves_as_mech(
-    kind: str, chains: dict[str, Path], tmp_path: Path
-) -> None:
+def test_calibrated_mechanism_serves_as_mech(kind: str, chains: Chains, tmp_path: Path) -> None:
     """The calibrated folder works as MECH, with the identified values and better readings."""
     folder = chains[kind] / "result"
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
@@ -156,9 +164,7 @@ def test_rows_without_a_solution_are_empty_and_say_why(
 
 
 @pytest.mark.parametrize("kind", some_slow(KINDS, "4cable"))
-def test_inverse_then_forward_gives_the_poses(
-    kind: str, chains: dict[str, Path], tmp_path: Path
-) -> None:
+def test_inverse_then_forward_gives_the_poses(kind: str, chains: Chains, tmp_path: Path) -> None:
     """Poses to readings and back are the same poses within 1e-9."""
     done("inverse", kind, chains[kind] / "candidates.csv", "-o", tmp_path / "readings.csv")
     done("forward", kind, tmp_path / "readings.csv", "-o", tmp_path / "back.csv")
@@ -173,7 +179,7 @@ def test_inverse_then_forward_gives_the_poses(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_same_seed_gives_the_same_bytes(kind: str, chains: dict[str, Path], tmp_path: Path) -> None:
+def test_same_seed_gives_the_same_bytes(kind: str, chains: Chains, tmp_path: Path) -> None:
     """The chain run again with the same seed writes the same bytes to every file."""
     again, first = contents(chain(kind, tmp_path / "again")), contents(chains[kind])
     assert {name for name in first if again.get(name) != first[name]} == set()
@@ -182,7 +188,7 @@ def test_same_seed_gives_the_same_bytes(kind: str, chains: dict[str, Path], tmp_
 
 
 @pytest.mark.slow
-def test_other_seed_gives_other_files(chains: dict[str, Path], tmp_path: Path) -> None:
+def test_other_seed_gives_other_files(chains: Chains, tmp_path: Path) -> None:
     """Another seed writes other poses, another truth and other measurements."""
     other, first = contents(chain("5R", tmp_path / "other", seed=2)), contents(chains["5R"])
     for name in ("candidates.csv", "plan.csv", "measured.csv", "truth/mechanism.yaml"):
@@ -223,9 +229,7 @@ def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", some_slow(KINDS, "3RRR", "4cable"))
-def test_tables_on_stdout_name_what_was_found(
-    kind: str, chains: dict[str, Path], tmp_path: Path
-) -> None:
+def test_tables_on_stdout_name_what_was_found(kind: str, chains: Chains, tmp_path: Path) -> None:
     """With --verbose each leg and parameter is printed on stdout, and the file on stderr."""
     output = tmp_path / "result"
     noise = [*NOISE, *READ.get(kind, [])]

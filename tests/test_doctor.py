@@ -113,6 +113,7 @@ def test_nothing_makes_noise_a_calibration(kind: str, given: bool) -> None:
     assert all(one.trouble for one in tried if one.result is None)
 
 
+@pytest.mark.slow
 def test_nothing_that_works_is_said(tmp_path: Path) -> None:
     """Exit code 1, no file, and what was refused."""
     mechanism, _, data = machine("5R", 30, NOISE)
