@@ -25,8 +25,8 @@ from pincal.design.platform_error import closing_twists
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
+from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.residuals.leg_residuals import leg_residuals
-from pincal.estimation.solve import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Plan

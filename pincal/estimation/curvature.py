@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.solve import solve_poses
+from pincal.estimation.pose_search import solve_poses
 
 _PAIRS, _CLEARLY = 3, 0.1
 _ROWS = 2000  # enough to judge by

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from pincal.errors import ObservabilityError
 from pincal.estimation.linear import Linear, State
 from pincal.estimation.observability.identifiable import check_information, check_rank
+from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
-from pincal.estimation.solve import near_start, search, solve_poses
+from pincal.estimation.solve import near_start, search
 from pincal.estimation.system import Normal, System
 from pincal.estimation.unknowns import Unknowns
 

@@ -14,9 +14,9 @@ from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
 from pincal.estimation.linear import Linear, State
 from pincal.estimation.observability.unobservable import check_covariance, check_weakly_determined
+from pincal.estimation.pose_search import unsolved
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import LOSSES, Loss, outlying, suspected
-from pincal.estimation.solve import unsolved
 from pincal.estimation.system import System
 from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
