@@ -175,3 +175,17 @@ def test_size_changes_nothing(factor: float) -> None:
     np.testing.assert_allclose(again[1] / by, first[1], rtol=1e-5)
     assert np.abs((again[0] / by - first[0]) / first[1]).max() < 1e-4
     assert [f.code for f in results[0].findings] == [f.code for f in results[1].findings]
+
+
+@pytest.mark.parametrize("name", ["5R", "3RRR"])
+def test_nothing_is_read_in_rounding_errors(name: str) -> None:
+    """Of data without noise only that is said: no step, no eccentric disc, no outlier, no limit."""
+    mechanism = pincal.load_mechanism(name)
+    plan = pincal.sample_workspace(mechanism, 30, seed=1)
+    exact = pincal.Noise(0.0, 0.0, 0.0)
+    for seed in range(5):
+        truth = pincal.disturb(mechanism, 1e-3, seed=seed)
+        data = pincal.simulate(mechanism, truth, plan, exact).measurements
+        result = pincal.calibrate(mechanism, data)
+        assert [one.code for one in result.findings] == ["no-noise"]
+        assert not result.promises

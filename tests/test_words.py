@@ -145,6 +145,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "not-converged": ({"message": "no step is left"}, (), (), "did not converge: no step is left"),
     "not-corrected": ({"excess": 100.0}, (), (), "100 times as large as the noise given makes them, and hardly fell"),
     "residuals-too-large": ({"excess": 4.0}, (), (), "no accuracy can be promised: residuals are 4 times"),
+    "no-noise": ({}, (), (), "residuals are rounding errors: nothing was measured like that"),
     "noise-estimated": ({"position": 1e-4, "orientation": None, "reading": 0.0, "units": ["rad"]}, (), (), "0.1 mm in position, readings exact"),
     "chi2-too-large": ({"chi2": 4.0, "dof": 30, "source": "given"}, (), (), "reduced χ² is 4 where 1 is expected: the noise is larger than given, or the model lacks something"),
     "chi2-too-small": ({"chi2": 0.1, "dof": 30, "source": "repeats"}, (), (), "the noise is smaller than repeated rows show; the uncertainties"),

@@ -21,6 +21,7 @@ from pincal.words.sentences import finding
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
 PROBABLE = 0.01  # of a sound calibration: less, of all tests of a kind, contradicts the model
 _CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
+_ROUNDING = 1e-11  # of the machine's size and [rad]
 _FEW = 1.5  # residuals a parameter, below which more poses are advised
 
 
@@ -38,13 +39,22 @@ def findings_of(
     if held is not None and (held.groups or held.weak):
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     found += _zeros(result)
-    noise = _noise(result)
+    noise, far = _noise(result), [*_far(result), *_signs(result)]
+    if _rounding(result):
+        noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
+        return (*found, *noise, *far, *_legs(result))
     if fits is not None and result.converged:
         noise += _proportion(fits) if not noise else []
         noise += _lacking(fits)
     curved = _curved(fits) if fits is not None and result.converged else []
-    far = [*_far(result), *_signs(result)]
     return (*found, *noise, *far, *curved, *_rows(result), *_legs(result))
+
+
+def _rounding(result: CalibrationResult) -> bool:
+    """Return whether residuals are rounding errors, in which nothing can be read."""
+    size = largest_size(result.nominal.legs, result.nominal.platform)
+    parts = [leg.residuals for leg in result.legs] + [one.residuals for one in result.observed]
+    return all(np.abs(one).max(initial=0.0) <= _ROUNDING * max(1.0, size) for one in parts)
 
 
 def _zeros(result: CalibrationResult) -> list[Finding]:

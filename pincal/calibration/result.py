@@ -46,6 +46,7 @@ CONTRADICT = frozenset(
         "curved",
         "noise-in-other-proportion",
         "model-lacks",
+        "no-noise",
         "many-outliers",
         "tie-contradicted",
         "held-out-worse",

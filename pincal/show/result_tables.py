@@ -18,6 +18,7 @@ from pincal.show.results import (
 from pincal.words.numbers import SMALL, VALUES, fixed, shown_in
 from pincal.words.table import Cell, Table, Value, columns
 
+_MANY = 1e6  # standard errors, beyond which their number says nothing
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
 _SIZES = ("rms before", "rms after", "σ", "unit")
 _SIGMA = "σ: what the noise alone makes of residuals"
@@ -54,6 +55,8 @@ def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
     half, change = (p.high - p.low) / 2, p.identified - p.nominal
     known = half > 0.0
     interval = fixed(half, half, p.unit) if known else (p.given or "held") if half == 0.0 else ""
+    if known and float(interval) == 0.0:
+        interval = "≈ 0"  # of fewer digits than anybody measures
     return (
         p.name,
         Cell(p.nominal, fixed(p.nominal, half, p.unit)),
@@ -61,8 +64,13 @@ def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
         Cell(half if known else None, interval),
         Cell(p.unit, VALUES[p.unit]),
         Cell(change, "" if p.given == "fixed" else fixed(change, half, p.unit, sign="+")),
-        Cell(change / p.std, f"{change / p.std:+.1f}") if p.std > 0.0 else None,
+        Cell(change / p.std, _moved(change / p.std)) if p.std > 0.0 else None,
     )
+
+
+def _moved(sigmas: float) -> str:
+    """Return by how many standard errors a parameter moved, or that they are many."""
+    return f"{sigmas:+.1f}" if abs(sigmas) < _MANY else "> 1e6"
 
 
 def outside_table(result: CalibrationResult) -> Table:

@@ -25,9 +25,12 @@ def shown_in(value: float, unit: str, units: Mapping[str, str] = SMALL) -> float
     return FACTORS[units[unit]] * value
 
 
-def decimals(half: float) -> int:
-    """Return how many digits behind the point leave an uncertainty two digits of its own."""
-    return min(max(1 - floor(log10(half)), 0), 9)
+def decimals(half: float, unit: str = "") -> int:
+    """Return how many digits behind the point leave an uncertainty two digits of its own.
+
+    No more than anybody measures: to a nanometre, or nine.
+    """
+    return min(max(1 - floor(log10(half)), 0), {"mm": 6, "µm": 3, "mrad": 6}.get(unit, 9))
 
 
 def amount(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
@@ -107,5 +110,5 @@ def fixed(
     """
     scaled = shown_in(half, unit, units)
     known = half > 0.0 and isfinite(half)
-    digits = decimals(scaled) if known else _DIGITS[units[unit]]
+    digits = decimals(scaled, units[unit]) if known else _DIGITS[units[unit]]
     return f"{shown_in(value, unit, units):{sign}.{digits}f}"

@@ -133,6 +133,14 @@ RESULTS: dict[str, Wording] = {
         "Look at the warnings first",
         "error",
     ),
+    "no-noise": Wording(
+        "Measurements without noise",
+        {},
+        "residuals are rounding errors: nothing was measured like that",
+        "Uncertainties and tests come from the size of residuals, and these have none. So it is "
+        "with simulated data without noise.",
+        "Say how well you will measure (--noise-position, --noise-orientation, --noise-reading)",
+    ),
     "noise-estimated": Wording(
         "Noise estimated by group",
         {
