@@ -83,7 +83,7 @@ def test_the_command_it_prints_works(wrong: str, tmp_path: Path) -> None:
     change(data).to_csv(given, mechanism)
     outcome = run("doctor", "3RRR", str(given), *GIVEN, "-o", str(mended))
     assert outcome.code == 0, outcome.err
-    (line,) = re.findall(r"^  pincal (calibrate .*)$", outcome.out, re.MULTILINE)
+    (line,) = re.findall(r"^  pincal (.*)$", outcome.out, re.MULTILINE)
     words = [str(result) if word == "RESULT" else word for word in shlex.split(line)]
     flags = ("--unknown", "--robust", "--rough", "reject")
     assert tuple(word for word in words if word.startswith(flags)) == options
@@ -123,3 +123,27 @@ def test_nothing_that_works_is_said(tmp_path: Path) -> None:
     assert outcome.code == 1
     assert "nothing of this makes the measurements fit the mechanism" in outcome.out
     assert not (tmp_path / "n.csv").exists()
+
+
+@pytest.mark.slow
+def test_what_fits_alike_is_not_chosen_in_silence(tmp_path: Path) -> None:
+    """A 5R mirrored, or its legs exchanged: both work, no file is written, exit code 1."""
+    mechanism, _, data = machine("5R", 30, NOISE)
+    swapped(data).to_csv(tmp_path / "m.csv", mechanism)
+    outcome = run("doctor", "5R", str(tmp_path / "m.csv"), "-o", str(tmp_path / "n.csv"))
+    assert outcome.code == 1
+    assert "2 of these work alike" in outcome.out
+    assert not (tmp_path / "n.csv").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["5R", "delta"])
+def test_one_gross_row_is_left_out(kind: str, tmp_path: Path) -> None:
+    """Also where the fit of all rows is refused, the printed command works."""
+    mechanism, _, data = machine(kind, 36, NOISE)
+    poses = data.poses.copy()
+    poses[5, 0] += 0.3
+    replace(data, poses=poses).to_csv(tmp_path / "m.csv", mechanism)
+    outcome = run("doctor", kind, str(tmp_path / "m.csv"))
+    assert outcome.code == 0, outcome.out
+    assert "--robust reject" in outcome.out

@@ -7,7 +7,7 @@ nothing contradicts it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_o
 from pincal.calibration.hypotheses.ranking import Judged
 from pincal.calibration.hypotheses.sample import whole_sample
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import PincalError
+from pincal.errors import MeasurementError, PincalError
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 
@@ -41,8 +41,14 @@ class Remedy:
 
     @property
     def works(self) -> bool:
-        """Whether the search converged, and nothing contradicts its result."""
-        return self.result is not None and self.result.converged and self.result.promises
+        """Whether the search converged, nothing contradicts its result, and every row fits."""
+        result = self.result
+        return result is not None and result.converged and result.promises and not self.outlying
+
+    @property
+    def outlying(self) -> bool:
+        """Whether rows that take part do not fit the others."""
+        return self.result is not None and any(one.weight > 0.0 for one in self.result.outliers)
 
     @property
     def mends(self) -> bool:
@@ -51,49 +57,63 @@ class Remedy:
 
 
 def remedies(calibration: Calibration) -> Iterator[Remedy]:
-    """Yield what was tried, the simplest first; the last one works, if any does.
+    """Yield what was tried, the simplest first, until something works.
+
+    Explanations that fit alike are all tried: several may work, and the measurements do not say
+    which is true.
 
     Args:
         calibration: Measurements and options as the user has them.
     """
-    for findings, one in _candidates(calibration):
-        tried = _attempt(findings, one)
-        yield tried
-        if tried.works:
+    for alike in _stages(calibration):
+        found = [one for findings, given in alike for one in _attempts(findings, given)]
+        yield from found
+        if any(one.works for one in found):
             return
-        if tried.result is None or not tried.result.converged or one.options.loss != "none":
-            continue
-        fewer = _attempt(findings, one.with_options(loss="reject"))
-        if fewer.result is not None and _left_out(fewer.result) <= _FEW:
-            yield fewer
-            if fewer.works:
-                return
 
 
-def _candidates(calibration: Calibration) -> Iterator[tuple[tuple[Finding, ...], Calibration]]:
-    """Yield calibrations with what was put right in them."""
-    yield (), calibration
+def _attempts(findings: tuple[Finding, ...], calibration: Calibration) -> list[Remedy]:
+    """Return what a calibration gives, and without the rows that do not fit if it fails."""
+    first = _attempt(findings, calibration)
+    lost = first.result is not None and not first.result.converged
+    if first.works or lost or calibration.options.loss != "none":
+        return [first]
+    fewer = _attempt(findings, calibration.with_options(loss="reject"))
+    use = fewer.result is not None and _left_out(fewer.result) <= _FEW
+    return [first, fewer] if use else [first]
+
+
+def _stages(
+    calibration: Calibration,
+) -> Iterator[Sequence[tuple[tuple[Finding, ...], Calibration]]]:
+    """Yield calibrations with what was put right in them; those of a list explain alike."""
+    yield [((), calibration)]
     mechanism, data = calibration.mechanism, calibration.measurements
     setup, framed = calibration.options.setup, calibration.options.setup.unknown_frame
+    alike = []
     for found, one in hypotheses_of(mechanism, data, setup):
         framed = framed or found.code == "unknown-frame"
         mended = replace(calibration, measurements=_put_right(calibration, one))
         if one.free and not setup.unknown_frame:
             mended = mended.with_options(setup=replace(setup, unknown_frame=True))
-        yield (found,), mended
+        alike.append(((found,), mended))
+    yield alike
     if not framed:
-        yield (), calibration.with_options(setup=replace(setup, unknown_frame=True))
+        yield [((), calibration.with_options(setup=replace(setup, unknown_frame=True)))]
     if not calibration.options.rough:
-        yield (), calibration.with_options(rough=True)
+        yield [((), calibration.with_options(rough=True))]
 
 
 def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     try:
         result = identify(calibration)
-        if result.noise is not None:  # an estimate may be as large as what went wrong
-            check_noise(calibration.mechanism, result.noise)
     except PincalError as error:
         return Remedy(findings, calibration, None, str(error))
+    try:
+        if result.noise is not None:  # an estimate may be as large as what went wrong
+            check_noise(calibration.mechanism, result.noise)
+    except MeasurementError:
+        return Remedy(findings, calibration, None, "residuals are too large for noise")
     return Remedy(findings, calibration, result, "")
 
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pincal.show.report.report import Report
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 _PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
 #: Findings that contradict the model or its noise.
@@ -298,8 +299,9 @@ class CalibrationResult:
     def misses(self) -> tuple[float, float]:
         """By how much the platform misses poses that were measured in full, [m] and [rad].
 
-        Root mean squares, measuring noise included; of held-out rows where these were asked for.
-        NaN where no pose was measured in full, or something else than poses.
+        Root mean squares, measuring noise included, without rows that were rejected; of held-out
+        rows where these were asked for. NaN where no pose was measured in full, or something else
+        than poses.
         """
         held = self.validation
         if held is not None and held.position is not None:
@@ -307,9 +309,11 @@ class CalibrationResult:
         setup, data = self.options.setup, self.measurements
         if setup.distances or len(setup.targets) > 1:
             return np.nan, np.nan
-        whole = data.rows(np.flatnonzero(np.isfinite(data.poses).all(axis=1)))
-        if not len(whole):
+        counts: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
+        counts[[one.row for one in self.outliers if one.weight == 0.0]] = False
+        if not counts.any():
             return np.nan, np.nan
+        whole = data.rows(counts)
         poses, _ = replace(self.calibration, measurements=whole).given_poses(self.outside)
         twists = closing_twists(self.identified, Plan(poses, readings=whole.readings))
         return root_mean_squares(sizes(self.nominal.platform.units, twists))

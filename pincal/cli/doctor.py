@@ -12,7 +12,7 @@ import typer
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.doctor import Remedy, remedies
 from pincal.calibration.options import Options
-from pincal.cli.app import Force, Mech, answer, command, stdout, typed, working, wrote
+from pincal.cli.app import Force, Mech, answer, command, remark, stdout, typed, working, wrote
 from pincal.cli.calibration import GivenNoise
 from pincal.cli.options import SetupOptions
 from pincal.files.measurement_writing import write_measurements
@@ -46,7 +46,7 @@ def doctor(
 
     Units, signs, orders, zeros, frames, shifted logs and bad rows are put right one by one, in the
     order of how likely they are, and each is tried by a whole calibration, until one converges and
-    nothing contradicts it. The exit code is 1 if none does.
+    nothing contradicts it. The exit code is 1 if none does, or several alike.
     """
     mechanism = load_mechanism(mech)
     if output is not None:
@@ -59,39 +59,49 @@ def doctor(
         for one in remedies(Calibration(mechanism, data, options)):
             found.append(one)
             progress(tried(one))
-    last = found[-1]
+    works = [one for one in found if one.works]
     stdout.print(remedy_table(found))
     for text in advice(found):
         stdout.print(text, markup=False, soft_wrap=True)
-    line = ""
-    if last.works:
-        name = str(output or "MENDED.csv") if last.mends else str(measurements)
-        line = _line(mech, name, how, last)
-        if output is not None and last.mends:
-            write_measurements(output, mechanism, last.calibration.measurements, force=force)
+    lines: list[str] = []
+    if len(works) == 1:
+        (one,) = works
+        if one.mends and output is None:
+            lines.append(f"{typed()} -o MENDED.csv")
+        elif output is not None and one.mends:
+            write_measurements(output, mechanism, one.calibration.measurements, force=force)
             wrote(output)
-        elif last.mends:
-            stdout.print("the measurements put right are written by -o MENDED.csv")
-        stdout.print(f"this works:\n  {line}", markup=False, soft_wrap=True)
+        elif output is not None:
+            remark(f"options are enough: {output} is not written, take {measurements}")
+        name = str(output or "MENDED.csv") if one.mends else str(measurements)
+        lines.append(_line(mech, name, how, one))
+        stdout.print("this works:")
+        for line in lines:
+            stdout.print(f"  {line}", markup=False, soft_wrap=True)
+    elif works:
+        stdout.print(
+            f"{len(works)} of these work alike, and the measurements do not say which is true: "
+            "look at the machine, and mend the source"
+        )
     else:
         stdout.print("nothing of this makes the measurements fit the mechanism")
-    answer(
+        near = [one for one in found if one.result and one.result.converged and not one.mends]
+        if near and near[0].result and near[0].result.excess == 1.0:
+            line = _line(mech, str(measurements), how, near[0])
+            stdout.print("this converges, and promises nothing:")
+            stdout.print(f"  {line}", markup=False, soft_wrap=True)
+    tries = [
         {
-            "works": last.works,
-            "command": line or None,
-            "tried": [
-                {
-                    "what": tried(one),
-                    "codes": [f.code for f in one.findings],
-                    "works": one.works,
-                    "reduced_chi2": one.result.reduced_chi2 if one.result else None,
-                    "trouble": one.trouble or None,
-                }
-                for one in found
-            ],
+            "what": tried(one),
+            "codes": [f.code for f in one.findings],
+            "works": one.works,
+            "reduced_chi2": one.result.reduced_chi2 if one.result else None,
+            "trouble": one.trouble or None,
         }
-    )
-    if not last.works:
+        for one in found
+    ]
+    answer({"commands": lines, "tried": tries})
+    if len(works) != 1:
         raise typer.Exit(1)
 
 

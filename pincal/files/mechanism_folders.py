@@ -122,7 +122,8 @@ def _folder(name_or_path: str | Path) -> Path:
     if not (folder / YAML).is_symlink() and not (folder / YAML).exists():
         result = (folder / "result.json").is_file()
         why = "a result whose fit did not converge" if result else "no mechanism folder"
-        raise FileError(f"{name!r} is {why}: it has no {'mechanism' if result else YAML}")
+        hides = "; it hides the bundled mechanism of that name" if name in bundled() else ""
+        raise FileError(f"{name!r} is {why}: it has no {'mechanism' if result else YAML}{hides}")
     return folder
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from pincal.calibration.doctor import Remedy
 from pincal.finding import Finding
+from pincal.show.results import unpromised
 from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.table import Table, columns
 from pincal.words.wording import Wording
@@ -32,9 +33,10 @@ def remedy_table(found: Sequence[Remedy]) -> Table:
 
 def advice(found: Sequence[Remedy]) -> list[str]:
     """Return what to do: at the source of what works, or else about each refusal."""
-    last = found[-1]
-    if last.works:
-        return [f"{text}." for one in last.findings if (text := _wording(one).remedied(one))]
+    works = [one for one in found if one.works]
+    if works:
+        told = [_wording(each).remedied(each) for one in works for each in one.findings]
+        return [f"{text}." for text in dict.fromkeys(told) if text]
     return [f"{tried(one)}: {one.trouble}" for one in found if one.trouble]
 
 
@@ -47,4 +49,8 @@ def _then(one: Remedy) -> str:
         return "refused"
     if one.works:
         return "works"
-    return "contradicted" if one.result.converged else "does not converge"
+    if not one.result.converged:
+        return "does not converge"
+    if one.result.promises:
+        return "rows do not fit the others"
+    return f"contradicted: {unpromised(one.result) or 'residuals are larger than the noise'}"

@@ -58,6 +58,11 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
     generic = derivatives_near(mechanism, problem, unknowns, generic=True)
     n_legs, T = generic.leg_parameter.shape[2], unknowns.map
     J = generic.jacobian(unknowns)
+    if not len(J):
+        raise ObservabilityError(
+            "no machine near the nominal one reaches the poses as measured; check their frame, "
+            "their units, and that this is the right mechanism"
+        )
     lost, lengths = lost_directions(J)
     directions = lost / lengths
     size = largest_size(problem.legs, mechanism.platform)
