@@ -124,7 +124,8 @@ def _mechanism(pincal: Any, machine: str) -> Any:
     name, tip, base = ARM
     every = files("example-robot-data") or []
     path = next(Path(str(one.locate())) for one in every if one.name == name)
-    return pincal.Mechanism.from_urdf(path, tip, base)
+    load = getattr(pincal, "load_arm", None) or pincal.Mechanism.from_urdf  # as 0.1.0 has it
+    return load(path, tip, base)
 
 
 @cache
