@@ -35,8 +35,8 @@ def advice(found: Sequence[Remedy]) -> list[str]:
     """Return what to do: at the source of what works, or else about each refusal."""
     works = [one for one in found if one.works]
     if works:
-        told = [_wording(each).remedied(each) for one in works for each in one.findings]
-        return [f"{text}." for text in dict.fromkeys(told) if text]
+        advised = [_wording(each).remedied(each) for one in works for each in one.findings]
+        return [f"{text}." for text in dict.fromkeys(advised) if text]
     return [f"{tried(one)}: {one.trouble}" for one in found if one.trouble]
 
 

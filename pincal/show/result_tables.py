@@ -18,7 +18,7 @@ from pincal.show.results import (
 from pincal.words.numbers import SMALL, VALUES, fixed, shown_in
 from pincal.words.table import Cell, Table, Value, columns
 
-_MANY = 1e6  # standard errors, beyond which their number says nothing
+_MANY = 1e6  # standard errors, above which their number says nothing
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
 _SIZES = ("rms before", "rms after", "σ", "unit")
 _SIGMA = "σ: what the noise alone makes of residuals"
