@@ -124,14 +124,9 @@ def _left_out(result: CalibrationResult) -> float:
 
 def _put_right(calibration: Calibration, judged: Judged) -> Measurements:
     """Return measurements of which every row is put right as a hypothesis has it."""
-    data, mechanism = calibration.measurements, calibration.mechanism
-    known = np.isfinite(data.poses)
-    sample = whole_sample(mechanism, data, calibration.options.setup)
+    data = calibration.measurements
+    sample = whole_sample(calibration.mechanism, data, calibration.options.setup)
     poses, readings = judged.hypothesis.put_right(sample)
-    if judged.legs:
-        others = [i for i in range(len(mechanism.legs)) if i not in judged.legs]
-        readings = readings.copy()
-        for own in (mechanism.reading_columns[i] for i in others):
-            readings[:, own] = data.readings[:, own]
-    changed: dict[str, Any] = {"poses": np.where(known, poses, np.nan), "readings": readings}
+    poses = np.where(np.isfinite(data.poses), poses, np.nan)
+    changed: dict[str, Any] = {"poses": poses, "readings": readings}
     return replace(data, **changed)

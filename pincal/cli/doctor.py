@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -108,19 +108,12 @@ def doctor(
 def _line(mech: str, measurements: str, how: DoctorOptions, works: Remedy) -> str:
     """Return the command by which to calibrate."""
     said = ["pincal", "calibrate", mech, measurements]
-    words = shlex.split(typed())
-    for name in ("--noise-position", "--noise-orientation", "--noise-reading", "--setup"):
-        given = [words[i + 1] for i, word in enumerate(words[:-1]) if word == name]
-        given += [word.partition("=")[2] for word in words if word.startswith(f"{name}=")]
-        said += [name, given[-1]] if given else []
+    for field in ("setup", *(one.name for one in fields(GivenNoise))):
+        value = getattr(how, field)
+        said += [] if value is None else [f"--{field.replace('_', '-')}", str(value)]
     options = works.calibration.options
-    said += ["--unknown-frame"] if options.setup.unknown_frame and _by_option(how) else []
+    said += ["--unknown-frame"] if options.setup.unknown_frame else []
     said += ["--unknown-target"] if how.unknown_target else []
     said += ["--rough"] if options.rough else []
     said += ["--robust", str(options.loss)] if options.loss != "none" else []
     return shlex.join([*said, "-o", "RESULT"])
-
-
-def _by_option(how: DoctorOptions) -> bool:
-    """Return whether the file of the setup does not say that the frame is unknown."""
-    return how.setup is None or how.unknown_frame or not how.read().unknown_frame

@@ -16,7 +16,7 @@ def tried(one: Remedy) -> str:
     """Return what was tried, in a few words."""
     options = one.calibration.options
     words = [_wording(found).said(found) for found in one.findings]
-    if options.setup.unknown_frame and not any("frame" in word for word in words):
+    if options.setup.unknown_frame and not any(f.code == "unknown-frame" for f in one.findings):
         words.append("the base is elsewhere in the frame of the measurements")
     words += ["rows that do not fit are left out"] if options.loss == "reject" else []
     words += ["the machine is known roughly"] if options.rough else []

@@ -159,11 +159,13 @@ def _judged(sample: Sample, given: Judged, hypotheses: Iterable[Hypothesis]) -> 
     every, hypotheses = range(len(sample.mechanism.legs)), list(hypotheses)
     if sample.oriented and not sample.free:
         found = judge(sample, hypotheses)
-        return [_helped(one, given) if one.hypothesis.by_leg else one for one in found]
+        return [
+            _helped(sample.mechanism, one, given) if one.hypothesis.by_leg else one for one in found
+        ]
     tried: list[tuple[Hypothesis, tuple[int, ...]]] = []
     for one in hypotheses:  # the frame depends on all legs
         single = every if one.by_leg and len(every) > 1 else ()
-        tried += [(one, ()), *((_of_leg(sample.mechanism, one, i), (i,)) for i in single)]
+        tried += [(one, ()), *((_of_legs(sample.mechanism, one, [i]), (i,)) for i in single)]
     return _likely(sample, tried)
 
 
@@ -181,23 +183,26 @@ def _few(sample: Sample) -> Sample:
     return sample.part(np.linspace(0, count - 1, min(RULE.rows_zeros, count)).astype(int))
 
 
-def _helped(found: Judged, given: Judged) -> Judged:
+def _helped(mechanism: Mechanism, found: Judged, given: Judged) -> Judged:
     """Return a hypothesis for those legs only whose readings it puts right."""
     every = range(len(found.fits))
     rows = [i for i in every if found.fits[i].rows > 1]
     helped = [i for i in rows if found.fits[i].misfit * RULE.each <= given.fits[i].misfit]
     fits = tuple(found.fits[i] if i in helped else given.fits[i] for i in every)
-    return replace(found, fits=fits, legs=() if helped == list(every) else tuple(helped))
+    if helped == list(every):
+        return replace(found, fits=fits, legs=())
+    hypothesis = _of_legs(mechanism, found.hypothesis, helped)
+    return replace(found, hypothesis=hypothesis, fits=fits, legs=tuple(helped))
 
 
-def _of_leg(mechanism: Mechanism, hypothesis: Hypothesis, leg: int) -> Hypothesis:
-    """Return a hypothesis as of the readings of one leg only."""
-    own = mechanism.reading_columns[leg]
+def _of_legs(mechanism: Mechanism, hypothesis: Hypothesis, legs: Sequence[int]) -> Hypothesis:
+    """Return a hypothesis as of the readings of some legs only."""
 
     def right(sample: Sample) -> tuple[Array, Array]:
         poses, changed = hypothesis.put_right(sample)
         readings = sample.readings.copy()
-        readings[:, own] = changed[:, own]
+        for own in (mechanism.reading_columns[i] for i in legs):
+            readings[:, own] = changed[:, own]
         return poses, readings
 
     return replace(hypothesis, right=right)

@@ -88,8 +88,8 @@ def whole_sample(mechanism: Mechanism, data: Measurements, setup: Setup) -> Samp
     offset, every = np.array(setup.targets[ORIGIN].offset, dtype=float), np.arange(len(data))
     turned = [unit == "rad" for unit in mechanism.platform.units]
     oriented = bool(np.isfinite(data.poses[:, turned]).all(axis=1).any())
-    readings, free = data.readings.copy(), setup.unknown_frame
-    return Sample(mechanism, poses, readings, data.readings, every, offset, oriented, free)
+    readings, free = data.readings, setup.unknown_frame
+    return Sample(mechanism, poses, readings, readings, every, offset, oriented, free)
 
 
 def placed(samples: Sequence[Sample]) -> list[tuple[Array, Rows] | None]:

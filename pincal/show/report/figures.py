@@ -268,7 +268,7 @@ def maps_figure(found: Findings) -> Drawn:
         return None
     spatial = len(maps.heights) > 1
     across = len(maps.heights) if spatial else min(2, len(rows))
-    down = len(rows) * len(maps.heights) // across
+    down = -(-len(rows) * len(maps.heights) // across)
     panel = 0.8 * PAGE.width / across * float(np.ptp(maps.y) / np.ptp(maps.x))
     drawn = _figure(down * (panel + 0.5))
     panels = iter(drawn.subplots(down, across, sharex=True, sharey=True).ravel())
@@ -280,6 +280,8 @@ def maps_figure(found: Findings) -> Drawn:
             axes.set_title("" if height is None else f"z = {height:.3g} m")
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
         drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
+    for axes in panels:
+        axes.set_axis_off()
     drawn.supxlabel("x [m]", size=8)
     drawn.supylabel("y [m]", size=8)
     where = "the workspace at home orientation" if found.turns else "the workspace"
