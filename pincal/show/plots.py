@@ -211,12 +211,26 @@ def draw_bars(axes: Axes, values: Mapping[str, Mapping[str, float]]) -> Axes:
 
 def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> None:
     """Write names below places 0, 1, … of an axis, upright where they are many."""
-    many = len(names) > 2 * PAGE.width  # less than half an inch for each
-    between = " " if many else "\n"
-    labels = [f"{name}{between}[{unit}]" for name, unit in zip(names, units, strict=False)]
-    axes.set_xticks(range(len(names)), labels or list(names))
-    if many:
+    axes.set_xticks(range(len(names)), _named(names, units))
+    if _upright(names):
         axes.tick_params(axis="x", labelrotation=90, labelsize=6)
+
+
+def height_of_names(names: Sequence[str], units: Sequence[str] = ()) -> float:
+    """Return how much room ``name_places`` takes below an axis, [inch]."""
+    if not _upright(names):
+        return PAGE.margins["bottom"]
+    return 0.2 + 0.7 * PAGE.letter * max(map(len, _named(names, units)))
+
+
+def _upright(names: Sequence[str]) -> bool:
+    return len(names) > 2 * PAGE.width  # less than half an inch for each
+
+
+def _named(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    between = " " if _upright(names) else "\n"
+    labels = [f"{name}{between}[{unit}]" for name, unit in zip(names, units, strict=False)]
+    return labels or list(names)
 
 
 def label(name: str) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 #: Okabe and Ito's colours, distinct in every common colour-blindness.
@@ -29,6 +30,14 @@ class PageStyle:
     """That of A4 between its margins, [inch]."""
     height: float = 9.5
     """At most, [inch]."""
+    margins: Mapping[str, float] = field(
+        default_factory=lambda: {"left": 0.65, "right": 0.1, "bottom": 0.45, "top": 0.25}
+    )
+    """Around a figure's panels, [inch]."""
+    letter: float = 0.075
+    """Width of a letter in a legend, [inch]."""
+    line: float = 0.2
+    """Height of a line of a legend, [inch]."""
     many: int = 1500
     """Points from which they are drawn as pixels: a vector picture stays small."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from pincal.show.plots import (
     draw_map,
     draw_mechanism,
     draw_poses,
+    height_of_names,
     label,
     name_places,
 )
@@ -31,9 +33,25 @@ Array = NDArray[np.float64]
 Drawn = tuple[Figure, str] | None
 
 
-def _figure(height: float) -> Figure:
-    """Return a figure as wide as a page, [inch]."""
-    return Figure(figsize=(PAGE.width, min(height, PAGE.height)), layout="constrained")
+def _figure(height: float, **margins: float) -> Figure:
+    """Return a figure as wide as a page, its panels within fixed margins, [inch].
+
+    Args:
+        height: Of the figure.
+        **margins: ``left``, ``right``, ``bottom``, ``top`` where they are other than usual.
+    """
+    height = min(height, PAGE.height)
+    left, right, bottom, top = (margins.get(one, own) for one, own in PAGE.margins.items())
+    drawn = Figure(figsize=(PAGE.width, height))
+    drawn.subplots_adjust(
+        left / PAGE.width, bottom / height, 1 - right / PAGE.width, 1 - top / height, 0.3, 0.3
+    )
+    return drawn
+
+
+def _beside(names: Iterable[str]) -> float:
+    """Return the width of a legend beside the panels, [inch]."""
+    return PAGE.margins["right"] + 0.45 + PAGE.letter * max(map(len, names))
 
 
 @on_page("figure-poses")
@@ -42,8 +60,9 @@ def poses_figure(found: Findings) -> Drawn:
     mechanism = found.result.nominal
     sets = found.result.measurements.sets or ("",) * len(found.poses)
     plan = Plan(found.poses, tuple(one or EVERY_LEG for one in sets))
+    below = PAGE.margins["bottom"] + PAGE.line * -(-len(set(sets)) // 4)
     if mechanism.platform.space == 2:
-        drawn = _figure(3.4)
+        drawn = _figure(3.4, bottom=below)
         left, axes = drawn.subplots(1, 2)
         draw_mechanism(left, mechanism)
         if found.errors is not None and found.errors.sampled:
@@ -53,7 +72,7 @@ def poses_figure(found: Findings) -> Drawn:
         what = "over its workspace (grey), and the mechanism at home"
         what += "; strokes show the orientation" if found.turns else ""
     else:
-        drawn = _figure(3.0)
+        drawn = _figure(3.0, bottom=below)
         home = joints_at(mechanism, home_of(mechanism)).joints
         for axes, seen in zip(drawn.subplots(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
             for leg in mechanism.legs:
@@ -64,16 +83,19 @@ def poses_figure(found: Findings) -> Drawn:
             axes.set_aspect("equal", adjustable="datalim")
         what = "seen from above, from the front and from the side; grey: the mechanism at home"
     named = axes.get_legend_handles_labels()
-    drawn.legend(*named, loc="outside lower center", ncols=4, frameon=False)
+    drawn.legend(*named, loc="lower center", ncols=4, frameon=False)
     return drawn, f"The {len(plan.poses)} measured poses of the platform, {what}."
 
 
 @on_page("figure-changes")
 def changes_figure(found: Findings) -> Drawn:
     """Return the change of each parameter with its interval, in 1e-3 of SI; no fixed ones."""
-    legs, drawn = found.result.legs, _figure(3.2)
+    legs = found.result.legs
     units = {p.name: p.unit for _, p in parameters(found.result) if p.given != "fixed"}
-    axes, names = drawn.subplots(), list(units)
+    names, per = list(units), [SMALL[unit] or "10⁻³" for unit in units.values()]
+    below = height_of_names(names, per)
+    drawn = _figure(2.7 + below, bottom=below, right=_beside([leg.name for leg in legs]))
+    axes = drawn.subplots()
     step = min(0.2, 0.8 / len(legs))
     for index, leg in enumerate(legs):
         free = [p for p in leg.parameters if p.given != "fixed"]
@@ -91,7 +113,7 @@ def changes_figure(found: Findings) -> Drawn:
             lw=1,
         )
     axes.axhline(0.0, color="0.5", lw=0.8)
-    name_places(axes, names, [SMALL[units[name]] or "10⁻³" for name in names])
+    name_places(axes, names, per)
     axes.set_ylabel("identified − nominal, ± 95 %")
     _legend_outside(axes)
     return drawn, (
@@ -110,14 +132,16 @@ def platform_figure(found: Findings) -> Drawn:
     caption = "Root mean square errors before and after: "
     if found.result.explained:
         both = 1e3 * np.array([errors.mean_before(), errors.mean_after()])
-        titles = ("platform: position [mm]", "orientation [mrad]")[: 1 + found.turns]
+        titles = ("platform:\nposition [mm]", "platform: orien-\ntation [mrad]")[: 1 + found.turns]
         parts = {title: {errors.where: own} for title, own in zip(titles, both.T, strict=False)}
         caption += f"the platform's {errors.where} (after: as expected), and "
     series = noisy_series(found.result)
     for one in series:
         sizes = np.array([shown_in(value, one.unit) for value in one.rms[:2]])
-        parts.setdefault(f"residuals [{SMALL[one.unit]}]", {})[one.name] = sizes
-    drawn = _figure(2.9)
+        parts.setdefault(f"residuals\n[{SMALL[one.unit]}]", {})[one.name] = sizes
+    turned = [name for bars in parts.values() if len(bars) > 4 for name in bars]
+    below = 0.3 + PAGE.line + 0.7 * PAGE.letter * max(map(len, turned), default=0)
+    drawn = _figure(2.5 + below, bottom=below, left=0.4, top=0.4)
     widths = [1.4 + 0.6 * len(bars) for bars in parts.values()]
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
     for axes, (title, bars) in zip(panels, parts.items(), strict=True):
@@ -125,13 +149,13 @@ def platform_figure(found: Findings) -> Drawn:
         draw_bars(axes, {k: {name: own[i] for name, own in bars.items()} for i, k in when})
         axes.set_title(title)
         axes.get_legend().remove()
-        turned = len(bars) > 4
+        many = len(bars) > 4
         for bar in axes.containers:
-            axes.bar_label(bar, fmt="%.2g", fontsize=6.5, rotation=90 * turned, padding=2)
-        if turned:
+            axes.bar_label(bar, fmt="%.2g", fontsize=6.5, rotation=90 * many, padding=2)
+        if many:
             axes.tick_params(axis="x", labelrotation=45)
         axes.margins(y=0.18)
-    drawn.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    drawn.legend(*panels[0].get_legend_handles_labels(), loc="lower center", ncols=2)
     return drawn, f"{caption}the residuals of each {whose(series)}."
 
 
@@ -143,10 +167,11 @@ def observability_figure(found: Findings) -> Drawn:
     unit = read.pop() if len(read) == 1 else "reading"
     units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
     what = "the leg's end" if mechanism.by_readings else "the readings"
-    drawn = _figure(2.8)
-    axes = draw_bars(drawn.subplots(), found.observability)
     names = list(dict.fromkeys(name for own in found.observability.values() for name in own))
     per = [unit if units[name] == "1" else f"{unit}/{units[name]}" for name in names]
+    below = height_of_names(names, per)
+    drawn = _figure(2.3 + below, bottom=below, right=_beside(list(found.observability)))
+    axes = draw_bars(drawn.subplots(), found.observability)
     name_places(axes, names, per)
     axes.set_ylabel("|R_ii|")
     _legend_outside(axes)
@@ -168,7 +193,7 @@ def _legend_outside(axes: Axes) -> None:
 def residuals_figure(found: Findings) -> Drawn:
     """Return residuals before and after against the row, one line of panels for each series."""
     series = noisy_series(found.result)
-    drawn = _figure(0.5 + 1.25 * len(series))
+    drawn = _figure(0.7 + 1.25 * len(series), left=0.8)
     panels = drawn.subplots(len(series), 2, sharex=True, squeeze=False)
     alike: dict[tuple[str, bool], tuple[Axes, Axes]] = {}
     for index, (one, (left, right)) in enumerate(zip(series, panels, strict=True)):
@@ -187,7 +212,7 @@ def residuals_figure(found: Findings) -> Drawn:
         bars = LineCollection(list(ends), colors="0.8", lw=3, zorder=0, rasterized=many)
         right.add_collection(bars)
         _mark_outliers(right, found, one, factor)
-        left.set_ylabel(f"{one.name} [{unit}]")
+        left.set_ylabel(f"{one.name}\n[{unit}]")
         for axes in (left, right):
             axes.axhline(0.0, color="0.5", lw=0.6, zorder=0)
             axes.tick_params(labelleft=True)
@@ -229,7 +254,7 @@ def histogram_figure(found: Findings) -> Drawn:
     white = np.concatenate([after / sigma[sigma > 0.0] for after, sigma in parts])
     if not len(white := white[np.isfinite(white)]):
         return None
-    drawn = _figure(2.4)
+    drawn = _figure(2.6)
     axes = drawn.subplots()
     shown = min(max(4.0, float(np.ceil(np.abs(white).max()))), 8.0)
     bins = np.linspace(-shown, shown, int(4 * shown) + 1).tolist()
@@ -269,8 +294,10 @@ def maps_figure(found: Findings) -> Drawn:
     spatial = len(maps.heights) > 1
     across = len(maps.heights) if spatial else min(2, len(rows))
     down = -(-len(rows) * len(maps.heights) // across)
-    panel = 0.8 * PAGE.width / across * float(np.ptp(maps.y) / np.ptp(maps.x))
-    drawn = _figure(down * (panel + 0.5))
+    width = 0.8 * (PAGE.width - 1.4) / (1.3 * across - 0.3)  # the bar of colours takes a fifth
+    panel = width * float(np.ptp(maps.y) / np.ptp(maps.x))
+    drawn = _figure(0.9 + down * (panel + 0.5) - 0.5, left=0.8, right=0.6, top=0.45)
+    drawn.subplots_adjust(hspace=0.5 / panel)
     panels = iter(drawn.subplots(down, across, sharex=True, sharey=True).ravel())
     for title, unit, values in rows:
         own = [next(panels) for _ in maps.heights]
