@@ -8,9 +8,15 @@ of c over that of J δ is the relative curvature at one standard error (D. M. Ba
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses
+from pincal.estimation.problem import Problem
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _PAIRS, _CLEARLY = 3, 0.1
 _ROWS = 2000  # enough to judge by
@@ -23,24 +29,37 @@ def curvature(one: Fit, asked: float = 0.0) -> float:
         one: The fit.
         asked: Where it is clear that the curvature is far below this, one pair of draws will do.
     """
-    problem, here, used = one.problem, one.last, one.weights > 0.0
-    some = np.arange(0, len(used), -(-len(used) // _ROWS))
-    if len(some) < len(used):
-        problem, used = problem.part(some), used[some]
-        here = problem.linearise(here.state.rows(some))
-    n = len(one.covariance)
+    problem, here, some = one.problem.thinned(one.last, _ROWS)
+    used, n = (one.weights > 0.0)[some], len(one.covariance)
     values, axes = np.linalg.eigh(one.covariance)
     root = axes * np.sqrt(values.clip(0.0))
+    steps = [root @ draw for draw in np.random.default_rng(0).standard_normal((_PAIRS, n))]
+    found = _relative(problem, here, used, steps[:1], solved=False)
+    if not found <= _CLEARLY * asked:
+        found = _relative(problem, here, used, steps, solved=True)
+    return found if np.isfinite(found) else np.inf
+
+
+def _relative(
+    problem: Problem, here: Linear, used: Mask, steps: list[Array], *, solved: bool
+) -> float:
+    """Return the bent part of steps over the straight one.
+
+    Args:
+        problem: The problem.
+        here: Where the steps begin.
+        used: Rows that count, shape (N,).
+        steps: Of all unknowns, shape (n,) each.
+        solved: Whether poses are solved at the ends. To second order rows do not see them move.
+    """
     bent, straight = 0.0, 0.0
-    for draw in np.random.default_rng(0).standard_normal((_PAIRS, n)):
-        step = root @ draw
+    for step in steps:
         ends = []
         for sign in (1.0, -1.0):
-            there = problem.linearise(problem.moved(here, sign * step))
-            ends.append(here.frozen(solve_poses(problem, there, ~used)[0]))
+            stack = problem.stack(problem.moved(here, sign * step))
+            if solved:
+                stack = solve_poses(problem, problem.whitened(stack), ~used)[0].stack
+            ends.append(here.white(stack.value[:, :, None])[:, :, 0])
         bent += float(((0.5 * (ends[0] + ends[1]) - here.value)[used] ** 2).sum())
         straight += float(((here.jacobian[used] @ step) ** 2).sum())
-        if bent <= (_CLEARLY * asked) ** 2 * straight:
-            break
-    found = np.sqrt(bent / straight) if straight > 0.0 else 0.0
-    return float(found) if np.isfinite(found) else np.inf
+    return float(np.sqrt(bent / straight)) if straight > 0.0 else 0.0

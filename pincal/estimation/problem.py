@@ -146,6 +146,21 @@ class Problem:
             first=None if self.first is None else self.first.rows(rows),
         )
 
+    def thinned(self, linear: Linear, most: int) -> tuple[Problem, Linear, Index]:
+        """Return the problem and its conditions at some poses, spread over all; and which.
+
+        Both as they are where there are no more.
+
+        Args:
+            linear: The conditions of all poses.
+            most: Number of poses.
+        """
+        some = spread(len(linear.value), most)
+        if len(some) == len(linear.value):
+            return self, linear, some
+        part = self.part(some)
+        return part, part.linearise(linear.state.rows(some)), some
+
     def start(self, parameters: Array) -> State:
         """Return the state from which the search starts, at parameters of the legs."""
         if self.first is None:
@@ -321,6 +336,11 @@ class Problem:
         nu = rng.standard_normal((len(S), S.shape[2], 1))
         left = nu - W.transpose(0, 2, 1) @ (W @ nu)  # what white rows do not see
         return linear.white.poses_by(S @ left)[:, :, 0]
+
+
+def spread(count: int, most: int) -> Index:
+    """Return at most so many of rows 0 … count - 1, evenly spread."""
+    return np.arange(0, count, -(-count // most))
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:

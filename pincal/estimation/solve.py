@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses, unsolved
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Problem, spread
 from pincal.estimation.system import Normal, System
 from pincal.kinematics.closure import largest_size
 
@@ -196,7 +196,7 @@ def near_start(
     if evened is None:
         return first, 0
     start, every = problem.start(first.state.parameters), len(first.value)
-    some = np.arange(0, every, -(-every // _BY.rows))
+    some = spread(every, _BY.rows)
     if len(some) < every:
         evened, start = evened.part(some), start.rows(some)
     kept = None if system.kept is None else system.kept[some]

@@ -37,7 +37,7 @@ def solve(a: Array, b: Array) -> Array:
             return b / a
         if a.shape[1] == 2:
             (p, q), (r, s) = a.transpose(1, 2, 0)
-            adjugate = np.stack((s, -q, -r, p)).reshape(2, 2, -1).transpose(2, 0, 1)
+            adjugate = np.array((s, -q, -r, p)).reshape(2, 2, -1).transpose(2, 0, 1)
             return product(adjugate, b) / (p * s - q * r)[:, None, None]
     singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
     safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
@@ -64,7 +64,7 @@ def left_null(matrix: Array) -> Array:
         return np.broadcast_to(np.eye(m), (count, m, m))
     if (m, p) in ((2, 1), (3, 2)):  # the vector across: no factorisation needed
         if m == 2:
-            normal = np.stack((-matrix[:, 1, 0], matrix[:, 0, 0])).T
+            normal = np.array((-matrix[:, 1, 0], matrix[:, 0, 0])).T
         else:
             normal = cross(matrix[:, :, 0], matrix[:, :, 1])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -92,7 +92,7 @@ def applied(matrices: Array, vectors: Array) -> Array:
 def cross(a: Array, b: Array) -> Array:
     """Return a × b for shapes (N, 3); NumPy's own is several times slower."""
     (x, y, z), (u, v, w) = a.T, b.T
-    return np.stack((y * w - z * v, z * u - x * w, x * v - y * u)).T
+    return np.array((y * w - z * v, z * u - x * w, x * v - y * u)).T
 
 
 def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:

@@ -151,6 +151,8 @@ class LegClosure:
         own = point.from_parameters.any(axis=0)
         self._b, self._turn, self._db = _point(leg, (self.parameters * own).tobytes())
         self._by_point = np.flatnonzero(own)
+        self._place, self._arm = np.append(self._b, 1.0)[:, None], np.append(self._b, 0.0)[:, None]
+        self._speeds = np.concatenate((self._db[:3], np.zeros((1, len(self._by_point)))))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, LegClosure) and self._key == other._key
@@ -183,7 +185,7 @@ class LegClosure:
 
     def _placed(self, matrices: Array) -> Array:
         """Return the platform point in the base frame, shape (3, N), [m]."""
-        return applied(matrices, np.append(self._b, 1.0)[:, None])[:, 0]
+        return applied(matrices, self._place)[:, 0]
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
@@ -202,11 +204,10 @@ class LegClosure:
         motion = self._chain.motion(self.parameters, joints)
         m = self.platform.space
         gap = motion.tips[:m] - self._placed(matrices)[:m]
-        columns = motion.linear[:m]
-        moved, parameter = np.split(columns, [joints.shape[1]], axis=1)
+        columns, n = motion.linear[:m], joints.shape[1]
+        moved, parameter = columns[:, :n], columns[:, n:]
         if len(self._by_point):
-            speeds = np.concatenate((self._db[:3], np.zeros((1, len(self._by_point)))))
-            parameter[:, self._by_point] -= applied(matrices, speeds)[:m]
+            parameter[:, self._by_point] -= applied(matrices, self._speeds)[:m]
         rows = [
             part.transpose(2, 0, 1)
             for part in (moved[:, self.leg.active], moved[:, self.leg.passive], parameter)
@@ -217,7 +218,6 @@ class LegClosure:
             error = turn_between(motion.turns, matrices[:, :3, :3] @ self._turn)
             turned, by_joints = self._turning(error, matrices, motion)
             gap = np.concatenate((gap, turned), axis=1)
-            n = joints.shape[1]
             parts = (
                 by_joints[:, :, self.leg.active],
                 by_joints[:, :, self.leg.passive],
@@ -255,7 +255,7 @@ class LegClosure:
 
     def _by_pose(self, matrices: Array, error: Array | None) -> Array:
         """Return ∂c/∂x, shape (N, m, dof), given the turn's error if there is one, (N, 3)."""
-        arm = applied(matrices, np.append(self._b, 0.0)[:, None])[:, 0].T
+        arm = applied(matrices, self._arm)[:, 0].T
         twist_rows = self.platform.twist_rows
         pose = -point_velocity(arm, twist_rows)[:, : self.platform.space]
         if error is None:

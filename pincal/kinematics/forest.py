@@ -168,7 +168,7 @@ def _in_space(twists: Array) -> Motion:
     linear[0] += wy * z - wz * y
     linear[1] += wz * x - wx * z
     linear[2] += wx * y - wy * x
-    turns = np.stack((b, across, a)).transpose(2, 1, 0)  # the dummies turn about the tip's z and x
+    turns = np.array((b, across, a)).transpose(2, 1, 0)  # the dummies turn about the tip's z and x
     return Motion(tips, linear, angular, turns)
 
 

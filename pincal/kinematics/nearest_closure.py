@@ -14,7 +14,7 @@ from pincal.kinematics.starts import start_joints
 
 Array = NDArray[np.float64]
 _NEWTON = Newton(steps=60, small=1e-8)  # of the square of that step, Nᵀ c is off at most
-_FAR = 1e-3  # of a leg's size, from which a gap's curvature counts
+_FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
 _FLAT = 1e-9  # of the steepest direction, below which one counts as flat
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,6 +222,17 @@ class Leg:
     def home(self) -> Array:
         """Home positions of the moving joints, shape (n_joints,), [rad] or [m]."""
         return np.array([joint.home for joint in self.moving])
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.name, self.joints, self.sensors, self.parameters, self.point))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: hashes of strings are each process's own."""
+        return {name: own for name, own in self.__dict__.items() if name != "_hash"}
 
     @cached_property
     def size(self) -> float:

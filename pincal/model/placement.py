@@ -194,15 +194,16 @@ class Placement:
         Raises:
             MechanismError: coordinates and URDF origin disagree.
         """
-        rest = np.linalg.inv(self.displacement(parameters)) @ self.origin()
-        if self.turns:
-            rest[:3, :3] = _without_rounding(rest[:3, :3])
-        else:
-            rest[:3, :3] = self.origin()[:3, :3]
+        origin = self.origin()
+        if not self.coordinates:
+            return origin
+        displacement = self.displacement(parameters)
+        rest = np.linalg.inv(displacement) @ origin
+        rest[:3, :3] = _without_rounding(rest[:3, :3]) if self.turns else origin[:3, :3]
         corrections = not any(step.amount(parameters) for step in self.steps)
         if corrections:
             return rest
-        expected = self.displacement(parameters)[:3, 3]
+        expected = displacement[:3, 3]
         scale = float(np.abs(np.stack((self.xyz, expected))).max())
         if float(np.abs(rest[:3, 3]).max()) > EXACT * scale:
             raise MechanismError(

@@ -114,9 +114,7 @@ def check_information(
 
 def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: float) -> Array:
     """Return directions in parameter space that noise observes as well as poses, shape (k, n)."""
-    some = np.linspace(0, len(linear.value) - 1, min(_BY.poses, len(linear.value))).astype(int)
-    part = problem.part(some)
-    linear = part.linearise(linear.state.rows(some))
+    part, linear, _ = problem.thinned(linear, _BY.poses)
     state = linear.state
     matrices = problem.platform.displaced(state.matrices, part.pose_draws(linear))
     drawn = part.linearise(replace(state, matrices=matrices)).noise_by_parameter
