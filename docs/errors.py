@@ -20,7 +20,7 @@ import pincal
 from pincal import errors, formats
 from pincal.calibration.result_files import read_result
 from pincal.calibration.runs import compare_runs
-from pincal.cli.app import app
+from pincal.cli.commands import NAMES
 from pincal.files.measurement_writing import write_measurements, write_poses
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.setups import read_setup
@@ -107,9 +107,9 @@ _MOST = 6  # commands that are named one by one
 def commands() -> dict[str, list[object]]:
     """Return, for each command, what its module and the modules that it leans on have imported."""
     found = {}
-    for command in app.registered_commands:
-        name = command.name or getattr(command.callback, "__name__", "")
-        found[name] = used(getattr(command.callback, "__module__", ""), set())
+    for name, module in NAMES.items():
+        importlib.import_module(module)
+        found[name] = used(module, set())
     return found
 
 

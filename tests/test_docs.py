@@ -17,7 +17,6 @@ import pytest
 from typer.main import get_command
 
 import pincal
-import pincal.cli.main  # registers the commands
 from pincal import errors
 from pincal.cli.app import app
 from pincal.files.tables import UNITS
@@ -206,13 +205,14 @@ def test_no_licence_binds_users(dependencies: dict[str, Any]) -> None:
 )
 def test_commands_that_pages_show_exist(page: Path) -> None:
     """Every ``pincal`` line of a block names a command, and options that its help shows."""
-    commands = get_command(app).commands  # type: ignore[attr-defined]
+    group = get_command(app)
     fenced = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
     blocks = [text for kind, text in fenced.findall(page.read_text(encoding="utf-8")) if not kind]
     for line in "".join(blocks).replace("\\\n", " ").splitlines():
         typed = shlex.split(line.removeprefix("$ "), comments=True) if "pincal " in line else []
         for start in (i + 1 for i, word in enumerate(typed) if word == "pincal"):
-            own = commands[typed[start]]
+            own = group.get_command(None, typed[start])  # type: ignore[attr-defined]
+            assert own is not None, line
             shown = {
                 name for one in own.params if not getattr(one, "hidden", 0) for name in one.opts
             }

@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from pincal.cli.commands import Commands, register
 from pincal.errors import FileError
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
@@ -63,6 +64,7 @@ _asked = {"json": False}
 _typed: list[str] = []
 
 app = typer.Typer(
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,  # so that [m] in a help text stays
@@ -112,7 +114,7 @@ def command(
         answers: Whether the command calls ``answer``, so that it can have ``--json`` too.
     """
 
-    def register(function: Callable[..., None]) -> Callable[..., None]:
+    def made(function: Callable[..., None]) -> Callable[..., None]:
         single = _ungrouped(function)
         more = {"quiet": Quiet} | ({"as_json": Json} if answers else {})
         options = [
@@ -127,10 +129,10 @@ def command(
                 single(**given)
 
         _show(run, [*inspect.signature(single).parameters.values(), *options])
-        app.command(name)(run)
+        register(name or function.__name__)(run)
         return function
 
-    return register
+    return made
 
 
 def _spare_inputs(given: Mapping[str, Any]) -> None:

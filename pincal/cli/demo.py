@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from pincal.cli.app import Force, Seed, app, output_option, remember, stdout, typed, working
+from pincal.cli.app import Force, Seed, output_option, remember, stdout, typed, working
 from pincal.cli.calibration import CalibrateOptions, calibrate
+from pincal.cli.commands import register
 from pincal.cli.selection import SelectOptions, select
 from pincal.cli.simulation import SimulateOptions, simulate
 from pincal.cli.workspace import WorkspaceOptions, workspace
@@ -25,7 +26,7 @@ from pincal.show.tables import accuracy_table
 _NOISE = 5e-5  # of positions, of the machine's size
 
 
-@app.command()
+@register("demo")
 def demo(
     mech: Annotated[str, typer.Argument(metavar="MECH", help="Mechanism.")] = "3RRR",
     output: Annotated[

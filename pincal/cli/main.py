@@ -8,45 +8,8 @@ import sys
 
 import numpy as np
 
-from pincal.cli import (
-    calibration,
-    demo,
-    doctor,
-    exporting,
-    identifiability,
-    importing,
-    kinematics,
-    mechanisms,
-    selection,
-    simulation,
-    study,
-    view,
-    workspace,
-)
 from pincal.cli.app import app, listen, remember, stderr
 from pincal.errors import PincalError
-
-# as people come to need them
-_GROUPS = (
-    mechanisms,
-    view,
-    kinematics,
-    workspace,
-    selection,
-    simulation,
-    identifiability,
-    calibration,
-    doctor,
-    importing,
-    exporting,
-    demo,
-    study,
-)
-app.registered_commands.sort(
-    key=lambda command: [group.__name__ for group in _GROUPS].index(
-        command.callback.__module__ if command.callback else ""
-    )
-)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -1,0 +1,114 @@
+"""The names of ``pincal``, and where each is: imported when it is first used."""
+
+from .calibration.calibrate import calibrate
+from .calibration.options import Options
+from .calibration.result import CalibrationResult
+from .calibration.result_files import load_result
+from .calibration.validation import validate
+from .design.forecast import forecast
+from .design.select import Selection, select_poses
+from .design.select_configurations import select_configurations
+from .design.simulate import accuracy, disturb, simulate
+from .errors import (
+    FileError,
+    MeasurementError,
+    MechanismError,
+    ObservabilityError,
+    PincalError,
+    SymmetryError,
+    WorkspaceError,
+)
+from .estimation.observability.indices import indices
+from .estimation.residuals.losses import Loss
+from .files.mechanism_folders import load_mechanism
+from .kinematics.derivatives import identification_jacobian
+from .kinematics.forward import forward
+from .kinematics.inverse import inverse
+from .kinematics.readers import free_of_collision
+from .kinematics.singularity import margins
+from .model.instrument import Condition, Instrument
+from .model.leg import Joint, Leg
+from .model.measurements import Measurements, Noise, Plan
+from .model.mechanism import Mechanism
+from .model.parameter import Parameter
+from .model.placement import Placement
+from .model.platform import Platform
+from .model.platform_kind import PlatformKind
+from .model.sensor import Sensor, Term
+from .model.setup import Distance, Setup, Target
+from .show.pictures.picture import picture
+from .show.view.view import view
+from .symmetry.detect import symmetry_group
+from .symmetry.elements import Element, cyclic, dihedral
+from .symmetry.generate import generate
+from .workspace.articular import articular_symmetry
+from .workspace.criteria import Margins
+from .workspace.inscribed import Inscribed, largest_inscribed
+from .workspace.orientations import Orientations
+from .workspace.positions import Grid
+from .workspace.region import Workspace, compute_workspace
+from .workspace.sampling import sample_configurations, sample_workspace
+
+__all__ = [
+    "CalibrationResult",
+    "Condition",
+    "Distance",
+    "Element",
+    "FileError",
+    "Grid",
+    "Inscribed",
+    "Instrument",
+    "Joint",
+    "Leg",
+    "Loss",
+    "Margins",
+    "MeasurementError",
+    "Measurements",
+    "Mechanism",
+    "MechanismError",
+    "Noise",
+    "ObservabilityError",
+    "Options",
+    "Orientations",
+    "Parameter",
+    "PincalError",
+    "Placement",
+    "Plan",
+    "Platform",
+    "PlatformKind",
+    "Selection",
+    "Sensor",
+    "Setup",
+    "SymmetryError",
+    "Target",
+    "Term",
+    "Workspace",
+    "WorkspaceError",
+    "accuracy",
+    "articular_symmetry",
+    "calibrate",
+    "compute_workspace",
+    "cyclic",
+    "dihedral",
+    "disturb",
+    "forecast",
+    "forward",
+    "free_of_collision",
+    "generate",
+    "identification_jacobian",
+    "indices",
+    "inverse",
+    "largest_inscribed",
+    "load_mechanism",
+    "load_result",
+    "margins",
+    "picture",
+    "sample_configurations",
+    "sample_workspace",
+    "select_configurations",
+    "select_poses",
+    "simulate",
+    "symmetry_group",
+    "validate",
+    "view",
+]
