@@ -12,7 +12,7 @@ _named, _names, __all__ = attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    if name in __all__:
+    if name in __all__ or name.startswith("__"):
         return _named(name)
     from pincal.old_names import old_name
 

@@ -23,3 +23,9 @@ def some_slow(cases: Iterable[Any], *slow: Any) -> list[Any]:
         else one
         for one in cases
     ]
+
+
+def quick(count: int, cases: Iterable[Any]) -> list[Any]:
+    """Return the cases of a parametrization, those behind the first ones marked as slow."""
+    cases = list(cases)
+    return some_slow(cases, *cases[count:])

@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import contents, done, run
-from marks import some_slow
+from marks import quick, some_slow
 
 import pincal
 from pincal.cli.commands import NAMES, registered
 from pincal.files.measurements import read_readings
 from pincal.files.mechanism_folders import bundled
 
-KINDS = ["3RRR", "5R", "4cable"]
+KINDS = quick(2, ["3RRR", "5R", "4cable"])
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
 #: Readings that are too many for the freedoms cannot be exact.
 READ = {"4cable": ["--noise-reading", "1e-5"]}
@@ -163,7 +163,7 @@ def test_rows_without_a_solution_are_empty_and_say_why(
     assert found[2][2:].strip('"') in outcome.err
 
 
-@pytest.mark.parametrize("kind", some_slow(KINDS, "4cable"))
+@pytest.mark.parametrize("kind", KINDS)
 def test_inverse_then_forward_gives_the_poses(kind: str, chains: Chains, tmp_path: Path) -> None:
     """Poses to readings and back are the same poses within 1e-9."""
     done("inverse", kind, chains[kind] / "candidates.csv", "-o", tmp_path / "readings.csv")
@@ -228,7 +228,7 @@ def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
         np.testing.assert_allclose(other.nominal, leg.nominal, rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", some_slow(KINDS, "3RRR", "4cable"))
+@pytest.mark.parametrize("kind", quick(1, ["5R", "3RRR", "4cable"]))
 def test_tables_on_stdout_name_what_was_found(kind: str, chains: Chains, tmp_path: Path) -> None:
     """With --verbose each leg and parameter is printed on stdout, and the file on stderr."""
     output = tmp_path / "result"

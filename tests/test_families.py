@@ -51,11 +51,14 @@ def poses_of(name: str, count: int = 60) -> Array:
     return poses[in_workspace(mechanism, poses)][:count]
 
 
+SLOW = ("6RUS", "6PUS")
+
+
 @pytest.mark.parametrize(
     ("family", "mode"),
     [
         pytest.param(
-            family, mode, marks=[pytest.mark.slow] if family.name in ("6RUS", "6PUS") else []
+            family, mode, marks=[pytest.mark.slow] if family.name in SLOW or mode < 0 else []
         )
         for family in FAMILIES
         for mode in family.modes

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from marks import some_slow
+from marks import quick, some_slow
 from measured import put
 from numpy.typing import NDArray
 
@@ -209,7 +209,12 @@ def named(message: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"), [(name, kind) for name, (kinds, *_) in FAULTS.items() for kind in kinds]
+    ("name", "kind"),
+    [
+        pytest.param(name, kind, marks=[pytest.mark.slow] if kind != kinds[0] else [])
+        for name, (kinds, *_) in FAULTS.items()
+        for kind in kinds
+    ],
 )
 def test_a_fault_is_named_and_nothing_else(name: str, kind: str) -> None:
     """Each fault alone raises and is named, with those that no measurement can tell from it."""
@@ -264,7 +269,7 @@ def late(rows: int) -> Fault:
 BACKWARDS = "the orientations turn the other way (that of the base seen from the platform)"
 
 
-@pytest.mark.parametrize("data", [measured, near_home])
+@pytest.mark.parametrize("data", quick(1, [near_home, measured]))
 @pytest.mark.parametrize(
     ("kind", "fault", "words"),
     [

@@ -7,6 +7,7 @@ from dataclasses import replace
 import motoman
 import numpy as np
 import pytest
+from marks import quick
 from motoman import SIDES, table_of
 from scipy.spatial.transform import Rotation
 
@@ -57,7 +58,7 @@ def test_nominal_table(side: str) -> None:
         np.testing.assert_allclose(pose, wanted, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", quick(1, range(5)))
 def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, seed: int) -> None:
     """Identified from 70 % of the rows, the others are predicted to 0.085 mm (root mean square).
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from marks import some_slow
+from marks import quick, some_slow
 from measured import workspace
 from scipy.spatial.transform import Rotation
 
@@ -110,7 +110,10 @@ def test_total_orientation_equals_brute_force(hexapod: pincal.Mechanism) -> None
     np.testing.assert_array_equal(test(positions), expected)
 
 
-SLOWEST = [("6UPS", None, "reachable", "polar"), ("6UPS", None, "reachable", "cartesian")]
+SLOWEST = [
+    *(("6UPS", None, "reachable", grid) for grid in ("polar", "cartesian", "samples")),
+    ("6UPS", None, "total-orientation", "polar"),
+]
 
 
 @pytest.mark.parametrize(
@@ -190,7 +193,7 @@ def test_closed_form_of_reach_equals_the_closed_loops(
     "limits", [(-np.pi / 2, np.pi / 2), (-0.3, 0.4), (-0.5, 3.1), (-np.inf, np.inf)]
 )
 @pytest.mark.parametrize("joint", [0, 1])
-@pytest.mark.parametrize("tilt", [0.0, 0.4])
+@pytest.mark.parametrize("tilt", quick(1, [0.4, 0.0]))
 def test_turns_of_a_universal_joint_are_limited_alike(
     hexapod: pincal.Mechanism, joint: int, limits: tuple[float, float], tilt: float
 ) -> None:

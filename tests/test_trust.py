@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from marks import some_slow
 from measured import EXACT, NOISE, machine, put, seen_from_elsewhere
-from scipy.stats import chi2, f
+from scipy.stats import chi2, f, spearmanr
 
 import pincal
 from pincal.calibration.runs import compare_runs
+from pincal.calibration.validation import trends
 from pincal.words.sentences import sentence
 
 FRAME = pincal.Setup(unknown_frame=True)
@@ -94,6 +95,17 @@ def test_drift_is_found() -> None:
     drift = [one for one in moving.findings if one.code == "drift"]
     assert drift
     assert all("drift, of temperature" in sentence(one) for one in drift)
+
+
+@pytest.mark.parametrize("n", [3, 20])
+def test_trends_are_spearmans(n: int) -> None:
+    """Correlation and chance of each column are SciPy's; rows in order leave no chance."""
+    values = np.random.default_rng(n).standard_normal((n, 4)) + np.arange(n)[:, None] / n
+    expected = [spearmanr(np.arange(n), column) for column in values.T]
+    correlations, chances = trends(values)
+    np.testing.assert_allclose(correlations, [one.statistic for one in expected], atol=1e-12)
+    np.testing.assert_allclose(chances, [one.pvalue for one in expected], atol=1e-12)
+    assert trends(np.arange(5.0)[:, None])[1] == 0.0
 
 
 def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:

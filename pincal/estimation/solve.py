@@ -46,7 +46,9 @@ class Settings:
     rows: int = 2000
     """Enough to begin near the optimum."""
     near: float = 0.1
-    """Of a residual's standard deviation: the evened problem is left."""
+    """Of a residual's standard deviation: the easier problem is left."""
+    begin: int = 50
+    """Evaluations of the easier problem, at most."""
     rounding: float = 1e-10
     """Of the cost: falls that are predicted smaller cannot be judged by it."""
 
@@ -184,7 +186,9 @@ def _change(gain: float) -> float:
 def near_start(
     system: System, first: Linear, progress: Callable[[str], None] | None = None
 ) -> tuple[Linear, int]:
-    """Return where the search begins: near the optimum of the evened problem, if that is better.
+    """Return where the search begins: near an easier optimum, if that is better.
+
+    That of the evened problem, and of least squares: a loss bends the cost far from its optimum.
 
     Args:
         system: What is minimised.
@@ -192,7 +196,7 @@ def near_start(
         progress: Called with what is being done.
     """
     problem = system.problem
-    evened = problem.evened(first.stack)
+    evened = problem.evened(first.stack) or (problem if system.loss else None)
     if evened is None:
         return first, 0
     start, every = problem.start(first.state.parameters), len(first.value)
@@ -201,8 +205,8 @@ def near_start(
         evened, start = evened.part(some), start.rows(some)
     kept = None if system.kept is None else system.kept[some]
     begin, count = solve_poses(evened, evened.linearise(start))
-    easy = replace(system, problem=evened, kept=kept)
-    found = search(easy, begin, progress, enough=_BY.near)
+    easy = replace(system, problem=evened, kept=kept, loss=None)
+    found = search(easy, begin, progress, enough=_BY.near, most=_BY.begin)
     there = found.linear.state
     if len(some) < every:
         there = replace(problem.start(there.parameters), external=there.external)
