@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 from closed_forms import angles, closure, near, reading
 from differences import differentiated
-from marks import some_slow
 from scipy.optimize import least_squares
 
 import pincal
@@ -437,13 +435,9 @@ def test_too_few_rows_are_refused(kind: str, selections: dict[str, pincal.Select
         pincal.calibrate(mechanism, few)
 
 
-@pytest.mark.parametrize(
-    ("shake", "known"),
-    some_slow(
-        product([1e-6, 1e-5, 1e-4], [True, False]),
-        *((1e-6, False), (1e-5, True), (1e-5, False), (1e-4, True), (1e-4, False)),
-    ),
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("shake", [1e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("known", [True, False])
 def test_poses_that_differ_by_their_noise_only_are_refused(
     candidates: dict[str, np.ndarray], shake: float, known: bool
 ) -> None:

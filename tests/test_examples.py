@@ -53,6 +53,7 @@ def test_first_picture_of_the_readme_is_that_of_the_second_example(tmp_path: Pat
     assert (np.abs(made - shown) > 0.1).any(axis=2).mean() < 2e-3
 
 
+@pytest.mark.slow
 def test_readme_example_prints_what_the_readme_says(tmp_path: Path) -> None:
     """The Python block of the README gives the output printed below it."""
     blocks = (Path(__file__).parents[1] / "README.md").read_text().split("```")

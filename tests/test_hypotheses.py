@@ -356,7 +356,7 @@ def test_whole_turns_are_named(kind: str) -> None:
         check_plausible(nominal(kind), data)
 
 
-@pytest.mark.parametrize("kind", EVERY)
+@pytest.mark.parametrize("kind", quick(2, EVERY))
 def test_measurements_of_another_machine_are_refused(kind: str) -> None:
     """Readings that belong to other poses raise instead of fitting nonsense; nobody is blamed."""
     mechanism, data = nominal(kind), measured(kind, 15)

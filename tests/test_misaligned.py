@@ -60,7 +60,7 @@ def test_a_frame_that_was_taken_for_the_base_or_platform_is_named(kind: str, wha
         assert turn == pytest.approx(np.deg2rad(500.0), rel=0.35)
 
 
-@pytest.mark.parametrize("kind", ["5R", *KINDS])
+@pytest.mark.parametrize("kind", some_slow(["5R", *KINDS], "6UPS", "3PRR"))
 def test_machines_alone_raise_no_suspicion(kind: str) -> None:
     """Of six machines whose parameters differ each in its own way, none."""
     for seed in range(6):

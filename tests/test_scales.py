@@ -41,7 +41,9 @@ def fit_at(noise: pincal.Noise, seed: int = 0) -> Fit:
     return one.fit
 
 
-@pytest.mark.parametrize("case", some_slow(NOISES, "readings too", "positions and orientations"))
+@pytest.mark.parametrize(
+    "case", some_slow(NOISES, "readings too", "positions and orientations", "orientations better")
+)
 def test_noise_is_found_within_its_spread(case: str) -> None:
     """Medians over the draws within 15 % of what the measurements were made with, χ² at 1.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from differences import assert_derivative
+from measured import machine, put
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -190,12 +191,9 @@ def test_instruments_that_are_wrong_are_refused() -> None:
 
 def test_a_loss_of_ones_own_is_as_good_as_a_named_one(tmp_path: Path) -> None:
     """With Huber's weights it gives Huber's result; it is saved by its name."""
-    robot, _, data = _measured("3RRR")
-    rng = np.random.default_rng(1)
     noise = pincal.Noise(1e-4, 1e-4, 1e-5)
-    poses = data.poses + 1e-4 * rng.standard_normal(data.poses.shape)
-    poses[3, 0] += 5e-3
-    data = replace(data, poses=poses, extra={})
+    robot, _, data = machine("3RRR", 25, noise)
+    data = put(data, "poses", (3, 0), data.poses[3, 0] + 5e-3)
     own = pincal.Loss("mine", lambda u: 1.0 / np.maximum(1.0, u), float(chi2.cdf(1.345**2, 1)))
     mine, named = (pincal.calibrate(robot, data, noise=noise, loss=one) for one in (own, "huber"))
     for a, b in zip(mine.parameters, named.parameters, strict=True):
