@@ -228,7 +228,8 @@ def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
         np.testing.assert_allclose(other.nominal, leg.nominal, rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", quick(1, ["5R", "3RRR", "4cable"]))
+@pytest.mark.parametrize("kind", ["5R", "3RRR", "4cable"])
+@pytest.mark.slow
 def test_tables_on_stdout_name_what_was_found(kind: str, chains: Chains, tmp_path: Path) -> None:
     """With --verbose each leg and parameter is printed on stdout, and the file on stderr."""
     output = tmp_path / "result"

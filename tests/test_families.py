@@ -95,6 +95,7 @@ def test_inverse_kinematics_equals_the_closed_form(family: Family, mode: int) ->
     assert told > 0.5 * GEOMETRIES * 20 * len(group)
 
 
+@pytest.mark.slow
 def test_cables_read_changes_of_length() -> None:
     """On 20 random geometries readings are k (‖r + R b − A‖ − that at home) within 1e-11 m."""
     rng, bundled = np.random.default_rng(0), nominal("8cable")

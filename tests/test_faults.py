@@ -227,6 +227,7 @@ def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_
     some_slow(
         [("| true", 0), ("> /dev/full", 2), (">&-", 0), (">&- 2>&- <&-", 0)],
         ("| true", 0),
+        (">&-", 0),
         (">&- 2>&- <&-", 0),
     ),
 )
@@ -245,8 +246,8 @@ def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "check 5R",
         "mechanisms",
+        pytest.param("check 5R", marks=pytest.mark.slow),
         pytest.param("check 5R --json", marks=pytest.mark.slow),
         pytest.param("calibrate 5R {}/data.csv -o result 2>&1", marks=pytest.mark.slow),
         pytest.param("--help", marks=pytest.mark.slow),
@@ -272,6 +273,7 @@ def test_a_reader_that_leaves(line: str, measured: Path, tmp_path: Path) -> None
         assert_whole(tmp_path / "result")
 
 
+@pytest.mark.slow
 def test_no_screen_is_asked_for(tmp_path: Path) -> None:
     """A drawing library's backend that is none, as environments say it: pictures are files."""
     ended = subprocess.run(

@@ -298,7 +298,7 @@ def test_faults_are_named_however_short_the_motion(
 
 @pytest.mark.parametrize(
     ("noise", "kind"),
-    some_slow(product([1e-5, 1e-4, 1e-3], EVERY), (1e-3, "3RRR"), (1e-3, "6UPS")),
+    some_slow(product([1e-5, 1e-4, 1e-3], EVERY), *((1e-3, kind) for kind in EVERY)),
 )
 def test_healthy_measurements_near_home_pass(kind: str, noise: float) -> None:
     """Within 30 mm of home too, with noise up to a tenth of the motion."""

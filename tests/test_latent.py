@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from closed_forms import angles, near, reading
 from differences import assert_derivative, differentiated
-from marks import some_slow
+from marks import quick, some_slow
 from measured import (
     EXACT,
     NOISE,
@@ -245,6 +245,7 @@ def test_targets_distances_and_angles_take_the_place_of_poses() -> None:
     assert error(result, truth) < 1e-8
 
 
+@pytest.mark.slow
 def test_unknown_offsets_of_targets_are_found() -> None:
     """Three reflectors 50 mm from where they were thought: offsets and platform to 1e-9.
 
@@ -272,7 +273,7 @@ def test_unknown_offsets_of_targets_are_found() -> None:
 
 
 @pytest.mark.parametrize("method", ["all-legs", "per-leg"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", quick(2, KINDS))
 def test_a_tracker_anywhere_and_a_target_anywhere(kind: str, method: str) -> None:
     """Clean data: the platform to 1e-9 but for frames; all methods give the same parameters."""
     mechanism, truth, data = machine(kind, noise=EXACT)

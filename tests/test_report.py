@@ -122,6 +122,7 @@ def verdicts_of(report: Any, result: Any) -> tuple[list[str], str]:
     return [one.text_content() for one in first.find_class("verdict")], first.text_content()
 
 
+@pytest.mark.slow
 def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     """Where χ² contradicts the noise, no limit is promised, and no error is below what was seen."""
     result, _, report = planar
@@ -260,6 +261,7 @@ def test_names_are_not_capitalised() -> None:
     assert "l of the second run" in page.get_element_by_id("checks").text_content()
 
 
+@pytest.mark.slow
 def test_fixed_parameters_look_fixed() -> None:
     """What was given is no measurement: fixed, tied and known ones are named, everywhere."""
     mechanism, data = measured("3RRR", 30)

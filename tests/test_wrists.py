@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from marks import quick
 from scipy.spatial.transform import Rotation
 
 import pincal
@@ -77,7 +76,8 @@ def test_readings_poses_and_margins_are_those_of_balls(
         np.testing.assert_allclose(there.type2[both], here.type2[both], atol=1e-9)
 
 
-@pytest.mark.parametrize("method", quick(1, ["all-legs", "per-leg"]))
+@pytest.mark.parametrize("method", ["all-legs", "per-leg"])
+@pytest.mark.slow
 def test_parameters_come_back(
     wrists: pincal.Mechanism, poses: np.ndarray, method: str, tmp_path: Path
 ) -> None:

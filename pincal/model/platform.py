@@ -149,9 +149,11 @@ class Platform:
         if not np.isfinite(coordinates).all():
             row = int(np.argmin(np.isfinite(coordinates).all(axis=1)))
             raise MechanismError(f"pose {row + 1} has a coordinate that is not a finite number")
-        position = np.zeros((len(coordinates), 3))
-        position[:, : self.lengths] = coordinates[:, : self.lengths]
-        return RigidTransform.from_components(position, self.form.rotations(coordinates))
+        matrices = np.zeros((len(coordinates), 4, 4))
+        matrices[:, :3, :3] = self.form.rotations(coordinates).as_matrix()
+        matrices[:, : self.lengths, 3] = coordinates[:, : self.lengths]
+        matrices[:, 3, 3] = 1.0
+        return RigidTransform(matrices, normalize=False, copy=False)
 
     def coordinates_of(self, poses: Poses) -> Array:
         """Return the coordinates of poses, shape (N, dof), [m] and [rad], angles in (-pi, pi]."""

@@ -70,9 +70,10 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
     moved = (directions @ T.T)[:, :n_legs].T
     _, inside = split_frames(mechanism.platform, generic.matrices, gain, moved, size)
     if inside.shape[1]:
+        follows = gain.reshape(-1, n_legs) @ T[:n_legs]
         raise ObservabilityError(
             f"what is measured leaves parameters undetermined at any poses: "
-            f"{_undetermined(mechanism, J, unknowns, moved, inside.shape[1])}"
+            f"{_undetermined(mechanism, J, unknowns, moved, inside.shape[1], follows)}"
         )
     owners = set(mechanism.leg_names)
     weight = np.array(
@@ -90,7 +91,7 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
 
 
 def _undetermined(
-    mechanism: Mechanism, J: Array, unknowns: Unknowns, lost: Array, count: int
+    mechanism: Mechanism, J: Array, unknowns: Unknowns, lost: Array, count: int, gain: Array
 ) -> str:
     """Return what is unobservable but for motions of frames, and what to do about it.
 
@@ -100,6 +101,7 @@ def _undetermined(
         unknowns: The unknowns.
         lost: Directions of the legs' parameters that are lost, columns of shape (n_params, n_lost).
         count: How many of them are no motions of frames.
+        gain: How the platform follows the free unknowns, shape (m, n_free).
     """
     if lost.shape[1] == len(unknowns.free_labels):
         return (
@@ -124,11 +126,20 @@ def _undetermined(
                 f"gains ({' '.join(f'--fix {name}' for name in gains)}), or measure a position or "
                 "a distance"
             )
-    groups = groups_in_words(identifiability(J, unknowns.free_labels).groups)
+    groups = identifiability(J, unknowns.free_labels).groups
+    where = {label: index for index, label in enumerate(unknowns.free_labels)}
+    needed = [one for one in groups if _tell(gain[:, [where[name] for name in one]])] or groups
+    words = groups_in_words(tuple(needed), most=len(needed))
     return (
-        f"{groups}. Measure more of the platform, or fix one of them, or make it a constant in "
+        f"{words}. Measure more of the platform, or fix one of them, or make it a constant in "
         "mechanism.yaml"
     )
+
+
+def _tell(columns: Array) -> bool:
+    """Return whether the platform follows these unknowns in ways that differ, shape (m, n)."""
+    s = np.linalg.svd(columns, compute_uv=False)
+    return bool(s[-1] > NEGLIGIBLE * s[0])
 
 
 def _weight(label: str, of_leg: bool) -> float:

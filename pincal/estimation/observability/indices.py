@@ -144,10 +144,10 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     _, R, order = qr(scaled, mode="economic", pivoting=True)
     kept, lost = order[:rank], order[rank:]
     weights = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])  # lost columns from the kept
-    groups = []
-    for column, index in zip(weights.T, lost, strict=True):
-        members = {int(index)} | {
-            int(i) for i, w in zip(kept, column, strict=True) if abs(w) > NEGLIGIBLE
-        }
-        groups.append(tuple(names[i] for i in sorted(members)))
-    return Identifiability(rank, n, float(s[0] / s[rank - 1]) if rank else np.inf, tuple(groups))
+    members = [
+        sorted({int(index), *kept[np.abs(column) > NEGLIGIBLE].tolist()})
+        for column, index in zip(weights.T, lost, strict=True)
+    ]
+    members.sort(key=lambda group: (len(group), group))  # that of the pivots follows rounding
+    groups = tuple(tuple(names[i] for i in group) for group in members)
+    return Identifiability(rank, n, float(s[0] / s[rank - 1]) if rank else np.inf, groups)
