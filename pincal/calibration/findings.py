@@ -12,16 +12,16 @@ from pincal.estimation.curvature import curvature
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 from pincal.estimation.observability.unobservable import Held
+from pincal.estimation.residuals.losses import FALSE_ALARM
 from pincal.estimation.residuals.score import scores
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
+from pincal.model.checks import ROUNDING
 from pincal.model.setup import ORIGIN, Setup
 from pincal.words.sentences import finding
 
 _MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
-PROBABLE = 0.01  # of a sound calibration: less, of all tests of a kind, contradicts the model
 _CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
-_ROUNDING = 1e-11  # of the machine's size and [rad]
 _FEW = 1.5  # residuals a parameter, below which more poses are advised
 
 
@@ -54,7 +54,7 @@ def _rounding(result: CalibrationResult) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
     size = largest_size(result.nominal.legs, result.nominal.platform)
     parts = [leg.residuals for leg in result.legs] + [one.residuals for one in result.observed]
-    return all(np.abs(one).max(initial=0.0) <= _ROUNDING * max(1.0, size) for one in parts)
+    return all(np.abs(one).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for one in parts)
 
 
 def _zeros(result: CalibrationResult) -> list[Finding]:
@@ -121,7 +121,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     spread += np.diag([2.0 / noise.freedoms[group] for group in groups])
     off = variances - 1.0
     p_value = float(chdtrc(len(groups), off @ np.linalg.pinv(spread) @ off))
-    if p_value >= PROBABLE or len(groups) < 2 or not off.max() > 0.0:
+    if p_value >= FALSE_ALARM or len(groups) < 2 or not off.max() > 0.0:
         return []
     names = ("positions", "orientations", "readings")
     ratios = {names[g]: float(np.sqrt(max(v, 0.0))) for g, v in zip(groups, variances, strict=True)}
@@ -139,7 +139,7 @@ def _lacking(fits: Fits) -> list[Finding]:
         return []
     worst, robust = min(found, key=lambda pair: pair[0].p_value)
     p_value = worst.p_value * len(found)
-    if p_value >= PROBABLE:
+    if p_value >= FALSE_ALARM:
         return []
     if worst.term == "step":
         row = int(robust.rows[worst.row])

@@ -52,6 +52,7 @@ def identifiability(
     measured = how.measured(mechanism, setup)
     if plan is not None:
         poses = read_poses(plan, mechanism)
+        poses = poses.rows(~poses.verifying)
         check_reached(mechanism, poses, str(plan))
     with working("sampling the workspace"):
         over = sample_configurations(mechanism, 1000, how.seed)

@@ -22,6 +22,7 @@ from pincal.cli.app import (
 )
 from pincal.cli.options import PlanOptions
 from pincal.design.orbits import selection_group
+from pincal.design.order import in_turns, with_verification
 from pincal.design.select import Protocol, select_poses
 from pincal.design.select_configurations import select_configurations
 from pincal.errors import MechanismError, ObservabilityError, SymmetryError
@@ -60,6 +61,13 @@ class Candidates:
         ),
     ] = None
     starts: Annotated[int, typer.Option(min=1, help="Starts of the search; the best is kept.")] = 20
+    verify: Annotated[
+        int,
+        typer.Option(min=0, help="Random poses beside them, by which the calibration is checked."),
+    ] = 0
+    by_set: Annotated[
+        bool, typer.Option("--by-set", help="Write set after set, not in turns: drift misleads.")
+    ] = False
 
 
 @dataclass(frozen=True)
@@ -123,6 +131,9 @@ def select(
     If only part of the pose is measured (--measure), or in a tracker's own frame, COUNT poses are
     chosen for all parameters together by what 'pincal calibrate' will draw from them; so are the
     configurations of serial arms, with the readings to drive to.
+
+    The sets take turns in the plan, in a random order, so that what drifts while you measure is
+    no leg's error. --verify adds poses of the set 'verify', which 'pincal calibrate' predicts.
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force)
@@ -136,7 +147,10 @@ def select(
     else:
         choose = _by_protocol
     with working("choosing poses") as progress:
-        plan, table, found = choose(mechanism, how, progress)
+        plan, offered, table, found = choose(mechanism, how, progress)
+    if how.verify:
+        plan = with_verification(mechanism, plan, offered, how.verify, how.seed)
+    plan = plan if how.by_set else in_turns(plan, how.seed)
     write_poses(output, mechanism, plan, force=force)
     stdout.print(table)
     if found.get("unreachable"):
@@ -148,8 +162,8 @@ def select(
 
 def _by_protocol(
     mechanism: Mechanism, how: SelectOptions, progress: Callable[[str], None]
-) -> tuple[Plan, Table, dict[str, Any]]:
-    """Choose poses by a protocol; return the plan, what is printed of it, and its JSON."""
+) -> tuple[Plan, Plan, Table, dict[str, Any]]:
+    """Choose poses by a protocol; return the plan, the candidates, a table, and JSON."""
     noise, protocol = how.noise(), how.of(mechanism)
     if how.candidates is None:
         progress("sampling the workspace")
@@ -173,12 +187,12 @@ def _by_protocol(
         "efficiency": chosen.efficiency,
         "legs": [asdict(leg) for leg in chosen.legs],
     }
-    return chosen.plan, selection_table(chosen), found
+    return chosen.plan, Plan(poses), selection_table(chosen), found
 
 
 def _together(
     mechanism: Mechanism, how: SelectOptions, progress: Callable[[str], None]
-) -> tuple[Plan, Table, dict[str, Any]]:
+) -> tuple[Plan, Plan, Table, dict[str, Any]]:
     """Choose configurations for the parameters of all legs together, as ``_by_protocol`` does."""
     if how.collision is not None:
         _check_arm(mechanism)
@@ -189,9 +203,11 @@ def _together(
     else:
         offered = read_poses(how.candidates, mechanism)
         check_reached(mechanism, offered, str(how.candidates))
+    if how.collision is not None:
+        offered = _free(mechanism, offered, how.collision)
     chosen = select_configurations(
         mechanism,
-        offered if how.collision is None else _free(mechanism, offered, how.collision),
+        offered,
         how.count,
         noise=noise,
         measured=how.measured(mechanism, setup),
@@ -207,7 +223,7 @@ def _together(
         "unknowns": chosen.rank.n_params,
         "measured": chosen.measured,
     }
-    return chosen.plan, choice_table(mechanism, chosen), found
+    return chosen.plan, offered, choice_table(mechanism, chosen), found
 
 
 def _check_arm(mechanism: Mechanism) -> None:

@@ -19,6 +19,7 @@ from pincal.design.information import information_rows, leg_whitener, parameter_
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.frames import frames_moved, split_frames
+from pincal.estimation.observability.generic import GENERIC
 from pincal.estimation.observability.indices import (
     NEGLIGIBLE,
     Identifiability,
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Method = Literal["all-legs", "per-leg"]
-_GENERIC = 100  # poses at which motions of frames are found among the parameters, at least
 
 
 @dataclass(frozen=True)
@@ -182,6 +182,8 @@ def forecast(
     noise, setup, platform = as_noise(noise), as_setup(setup), mechanism.platform
     if not isinstance(method, str) or method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
+    if isinstance(poses, Plan):
+        poses = poses.rows(~poses.verifying)  # no fit follows the others
     legs = legs_at(mechanism, poses)
     if not len(legs.poses):
         check_reached(mechanism, poses)
@@ -192,7 +194,7 @@ def forecast(
         found = _all_legs(legs, *information_rows(mechanism, legs, noise, measured, setup))
     size = largest_size(mechanism.legs, platform)
     plan = Plan(legs.poses, readings=legs.readings)
-    near = legs_at(mechanism, nearby(mechanism, plan, _GENERIC, size))
+    near = legs_at(mechanism, nearby(mechanism, plan, GENERIC, size))
     there = platform.transforms(near.poses).as_matrix()
     gauge, lost = split_frames(platform, there, near.gain, found.lost, size)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it

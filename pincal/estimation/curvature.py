@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _PAIRS, _CLEARLY = 3, 0.1
-_ROWS = 2000  # enough to judge by
 
 
 def curvature(one: Fit, asked: float = 0.0) -> float:
@@ -29,7 +28,7 @@ def curvature(one: Fit, asked: float = 0.0) -> float:
         one: The fit.
         asked: Where it is clear that the curvature is far below this, one pair of draws will do.
     """
-    problem, here, some = one.problem.thinned(one.last, _ROWS)
+    problem, here, some = one.problem.thinned(one.last)
     used, n = (one.weights > 0.0)[some], len(one.covariance)
     values, axes = np.linalg.eigh(one.covariance)
     root = axes * np.sqrt(values.clip(0.0))

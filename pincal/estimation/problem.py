@@ -146,14 +146,14 @@ class Problem:
             first=None if self.first is None else self.first.rows(rows),
         )
 
-    def thinned(self, linear: Linear, most: int) -> tuple[Problem, Linear, Index]:
+    def thinned(self, linear: Linear, most: int = 2000) -> tuple[Problem, Linear, Index]:
         """Return the problem and its conditions at some poses, spread over all; and which.
 
         Both as they are where there are no more.
 
         Args:
             linear: The conditions of all poses.
-            most: Number of poses.
+            most: Number of poses; enough to judge by, if not given.
         """
         some = spread(len(linear.value), most)
         if len(some) == len(linear.value):

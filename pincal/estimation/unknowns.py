@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from pincal.errors import MeasurementError
+from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 
 Array = NDArray[np.float64]
 _SMALLEST_PRIOR = 1e-15  # [m], [rad] or [1], below which rounding is larger
-_ROUNDING = 1e-13  # of the largest entry of a column: that of a parameter that does not move
 _ALIKE = 0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
 
 
@@ -70,7 +70,7 @@ class Unknowns:
         basis[lead, np.arange(len(lead))] = 1.0
         basis[follow] = -np.linalg.solve(R[:, :lost], R[:, place[lead]])
         T = self.map @ basis
-        T[np.abs(T) <= _ROUNDING * np.abs(T).max(axis=0, initial=0.0)] = 0.0
+        T[np.abs(T) <= ROUNDING * np.abs(T).max(axis=0, initial=0.0)] = 0.0
         return replace(self, map=T, free_labels=tuple(self.free_labels[i] for i in lead))
 
     def part(self, legs: Sequence[str]) -> Unknowns:

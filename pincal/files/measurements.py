@@ -11,7 +11,7 @@ from pincal.files.columns import Source, table_for
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import Table
 from pincal.model.checks import must_be
-from pincal.model.measurements import EVERY_LEG, Measurements, Plan
+from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
@@ -195,10 +195,10 @@ def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
     known = {*mechanism.leg_names, EVERY_LEG, ""}
     sets = tuple(cell.strip() for cell in table.text["set"])
     for row, name in enumerate(sets):
-        if name not in known and not known.issuperset(name.split("+")):
+        if name not in (*known, VERIFY) and not known.issuperset(name.split("+")):
             raise MeasurementError(
                 f"{table.where(row)}: set {name!r} is no leg of {mechanism.name!r}; "
-                f"expected {', '.join(mechanism.leg_names)} or {EVERY_LEG}"
+                f"expected {', '.join(mechanism.leg_names)} {EVERY_LEG} or {VERIFY}"
             )
     return sets
 

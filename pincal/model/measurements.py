@@ -175,6 +175,16 @@ class Plan:
         """Return where a row is: the line of its file, else its number."""
         return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
 
+    def rows(self, chosen: NDArray[np.intp] | Mask) -> Plan:
+        """Return some rows, by index or mask."""
+        index = np.arange(len(self))[chosen]
+        return Plan(
+            self.poses[index],
+            None if self.sets is None else tuple(self.sets[i] for i in index),
+            None if self.readings is None else self.readings[index],
+            lines=None if self.lines is None else tuple(self.lines[i] for i in index),
+        )
+
     @property
     def verifying(self) -> Mask:
         """Which rows no fit follows, ``set`` being ``verify``, shape (N,)."""

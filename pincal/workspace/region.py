@@ -43,7 +43,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
 _CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
-_CLOSED = 1 << 18  # where loops are closed
 
 
 @dataclass(frozen=True)
@@ -261,7 +260,7 @@ def compute_workspace(
     moves = moves_of(elements, asked)
     task = _Task(PositionTest(mechanism, asked, every, least), positions, moves)
     task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
-    most = _CHUNK if task.test.in_closed_form else min(_CHUNK, _CLOSED)
+    most = _CHUNK if task.test.in_closed_form else BLOCK
     size = max(1, min(BLOCK, most // len(asked)))
     inside, computed = np.zeros(positions.size, dtype=bool), 0
     for done, (chunk, bits) in enumerate(

@@ -21,7 +21,7 @@ from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_ROWS = 200  # generic configurations, at least
+GENERIC = 200  # configurations, at least
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,14 @@ def derivatives_near(
     size = largest_size(problem.legs, platform)
     chosen = np.arange(len(start.matrices))
     if generic:  # the same ones in whatever order rows were measured
-        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *problem.readings.T))[:_ROWS]
+        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *problem.readings.T))[:GENERIC]
     planned = Plan(
         platform.from_matrices(start.matrices[chosen]),
         readings=problem.readings[chosen] if mechanism.by_readings else None,
     )
     values = (start.parameters[columns] for columns in problem.columns)
     at = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
-    legs = legs_at(at, nearby(at, planned, _ROWS, size) if generic else planned)
+    legs = legs_at(at, nearby(at, planned, GENERIC, size) if generic else planned)
     matrices = platform.transforms(legs.poses).as_matrix()
     rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
     observation = problem.observation.anywhere() if generic else problem.observation

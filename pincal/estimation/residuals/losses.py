@@ -25,7 +25,7 @@ _DRAWS = 20_000  # points of a mean over χ²
 OUTLYING = 1e-3  # probability that a good row is left out
 _STEP = 1e-4  # of the logarithm of a residual, for slopes
 _LEAST_BEND = 1e-2
-SUSPECTED = 0.01  # probability that any row of good data is listed
+FALSE_ALARM = 0.01  # probability of anything found, of a kind, where the model holds
 
 
 def _huber(u: Array) -> Array:
@@ -115,7 +115,7 @@ def suspected(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
     """
     p = chdtrc(np.maximum(equations, 1), squares)
     order = np.argsort(p)
-    clear = p[order] <= SUSPECTED / (len(p) - np.arange(len(p)))
+    clear = p[order] <= FALSE_ALARM / (len(p) - np.arange(len(p)))
     found = np.zeros(len(p), dtype=bool)
     found[order[: len(p) if clear.all() else int(np.argmin(clear))]] = True
     return found

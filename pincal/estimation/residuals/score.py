@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.observability.indices import RANK_TOLERANCE
 
 Array = NDArray[np.float64]
 _HARMONICS = (1, 2, 3)
-_ALIKE = 1e-8  # singular value of terms, columns of unit length, below which they say the same
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class _Residuals:
         lengths = np.linalg.norm(w[:, :, None] * b[:, None], axis=(0, 1))
         flat = flat[:, lengths > 0.0] / lengths[lengths > 0.0]
         U, s, _ = np.linalg.svd(flat, full_matrices=False)
-        U = U[:, s > _ALIKE]
+        U = U[:, s > RANK_TOLERANCE]
         if not 0 < U.shape[1] < self.degrees_of_freedom:
             return 1.0
         return float(self.chance(float(((U.T @ self.left.ravel()) ** 2).sum()), U.shape[1]))
@@ -95,7 +95,7 @@ class _Residuals:
         along = np.einsum("nm,nm->n", w, self.left)
         after, squares, taken = (np.cumsum(one[::-1], axis=0)[::-1][1:] for one in (along, own, by))
         length = squares - (taken**2).sum(axis=1)
-        known = length > _ALIKE * max(float(squares[0]), 1e-300)
+        known = length > RANK_TOLERANCE * max(float(squares[0]), 1e-300)
         inside = np.where(known, after**2 / np.where(known, length, 1.0), 0.0)
         best = int(np.argmax(inside))
         if not known.any():
