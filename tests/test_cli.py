@@ -433,7 +433,7 @@ BAD = {
     "other-mechanisms-table": Case(
         "calibrate 3RRR 5R-files/measured.csv", ["5R-files/measured.csv", "'leg_3'"]
     ),
-    "other-mechanisms-sets": Case("simulate 5R plan.csv", ["plan.csv", "line 26", "'leg_3'", "5R"]),
+    "other-mechanisms-sets": Case("simulate 5R plan.csv", ["plan.csv", "line 4", "'leg_3'", "5R"]),
     "header-only": Case("inverse 3RRR t.csv", ["t.csv", "rows"], table(POSES)),
     # measurements that do not do
     "rows-too-few": Case(

@@ -198,7 +198,7 @@ def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
         if name not in (*known, VERIFY) and not known.issuperset(name.split("+")):
             raise MeasurementError(
                 f"{table.where(row)}: set {name!r} is no leg of {mechanism.name!r}; "
-                f"expected {', '.join(mechanism.leg_names)} {EVERY_LEG} or {VERIFY}"
+                f"expected {', '.join(mechanism.leg_names)}, {EVERY_LEG} or {VERIFY}"
             )
     return sets
 
