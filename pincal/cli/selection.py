@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -43,6 +44,13 @@ from pincal.workspace.sampling import sample_configurations, sample_workspace
 _CONFIGURATIONS = 3000  # candidates, where all parameters are looked at together
 
 
+class Goals(StrEnum):
+    """What poses are best for."""
+
+    parameters = "parameters"
+    platform = "platform"
+
+
 @dataclass(frozen=True)
 class Candidates:
     """How many poses are chosen, from which."""
@@ -60,6 +68,9 @@ class Candidates:
             metavar="ROBOT.urdf", help="Keep a serial arm free of itself, by this file's geometry."
         ),
     ] = None
+    goal: Annotated[
+        Goals, typer.Option(help="Best for the parameters, or for the calibrated platform.")
+    ] = Goals.parameters
     starts: Annotated[int, typer.Option(min=1, help="Starts of the search; the best is kept.")] = 20
     verify: Annotated[
         int,
@@ -130,14 +141,15 @@ def select(
 
     If only part of the pose is measured (--measure), or in a tracker's own frame, COUNT poses are
     chosen for all parameters together by what 'pincal calibrate' will draw from them; so are the
-    configurations of serial arms, with the readings to drive to.
+    configurations of serial arms, with the readings to drive to. With --goal platform they make
+    the calibrated platform most accurate over the workspace, whatever single parameters are.
 
     The sets take turns in the plan, in a random order, so that what drifts while you measure is
     no leg's error. --verify adds poses of the set 'verify', which 'pincal calibrate' predicts.
     """
     mechanism = load_mechanism(mech)
     refuse_existing(output, force=force)
-    part = how.measure is not None or not how.read().plain
+    part = how.measure is not None or not how.read().plain or how.goal is Goals.platform
     if mechanism.by_readings or part or how.collision is not None:
         if how.independent or how.symmetric or how.orbits or how.common:
             raise typer.BadParameter(
@@ -212,11 +224,13 @@ def _together(
         noise=noise,
         measured=how.measured(mechanism, setup),
         setup=setup,
+        goal=how.goal.value,
         seed=how.seed,
         starts=how.starts,
         progress=progress,
     )
     found = {
+        "goal": chosen.goal,
         "candidates": chosen.candidates,
         "efficiency": chosen.efficiency,
         "rank": chosen.rank.rank,

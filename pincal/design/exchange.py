@@ -1,8 +1,7 @@
 """The active robot calibration algorithm: add the best pose, drop the worst, while that gains.
 
-Sun and Hollerbach (2008), for candidates that contribute one row or several. Adding Aⱼ
-multiplies det Σ Aᵀ A by det(I + Aⱼ M⁻¹ Aⱼᵀ), dropping it by det(I − Aⱼ M⁻¹ Aⱼᵀ); M⁻¹
-follows by low-rank updates.
+Sun and Hollerbach (2008), for candidates that contribute one row or several, and for any
+criterion that says what adding or dropping a candidate changes; M⁻¹ follows by low-rank updates.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.criteria import Criterion, Determinant
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
@@ -36,9 +36,14 @@ _EFFORT = Effort(exchanges=1000, pool=500)
 
 
 def exchange(
-    blocks: Array, count: int, weights: Array, rng: np.random.Generator, starts: int
+    blocks: Array,
+    count: int,
+    weights: Array,
+    rng: np.random.Generator,
+    starts: int,
+    criterion: Criterion | None = None,
 ) -> tuple[Index, float]:
-    """Return the best set of candidates found from several starts, and its log det.
+    """Return the best set of candidates found from several starts, and its value.
 
     The first start rounds the continuous design, the others are drawn at random. Exchange
     runs in a pool that grows by the candidates that would improve the set, so that the
@@ -50,81 +55,66 @@ def exchange(
         weights: Continuous design on the candidates, shape (M,).
         rng: Source of the random starts.
         starts: Number of starts.
+        criterion: What is made large; log det if not given.
     """
     n = blocks.shape[2]
     scale = np.linalg.norm(blocks.reshape(-1, n), axis=0)
     blocks = blocks / scale
+    criterion, lacking = (criterion or Determinant()).scaled(scale)
     pool = np.argsort(-weights, kind="stable")[: max(_EFFORT.pool, 2 * count)]
     best, best_value = pool[:count], -np.inf
     for number in range(starts):
         chosen = pool[:count] if number == 0 else rng.permutation(len(blocks))[:count]
-        chosen, value, pool = _improve_among_all(blocks, chosen, pool)
+        chosen, value, pool = _improve_among_all(blocks, chosen, pool, criterion)
         if value > best_value:
             best, best_value = chosen, value
-    return np.sort(best), best_value + 2.0 * float(np.log(scale).sum())
+    return np.sort(best), best_value + lacking
 
 
-def _improve_among_all(blocks: Array, chosen: Index, pool: Index) -> tuple[Index, float, Index]:
-    """Return a set that no exchange improves, its log det, and the pool with what was needed."""
+def _improve_among_all(
+    blocks: Array, chosen: Index, pool: Index, criterion: Criterion
+) -> tuple[Index, float, Index]:
+    """Return a set that no exchange improves, its value, and the pool with what was needed."""
     value = -np.inf
     while True:
         pool = np.union1d(pool, chosen)
-        inside, new_value = _improve(blocks[pool], np.searchsorted(pool, chosen))
+        inside, new_value = _improve(blocks[pool], np.searchsorted(pool, chosen), criterion)
         if new_value <= value + 1e-9:
             return chosen, value, pool
         chosen, value = pool[inside], new_value
-        inverse = _inverse(blocks[chosen])
-        variance = _inner(blocks.reshape(-1, blocks.shape[2]) @ inverse, blocks)
-        gain = np.trace(variance, axis1=1, axis2=2)
+        gain = criterion.promise(blocks, _inverse(blocks[chosen]))
         pool = np.union1d(pool, np.argsort(-gain, kind="stable")[: _EFFORT.pool])
 
 
-def _improve(blocks: Array, chosen: Index) -> tuple[Index, float]:
+def _improve(blocks: Array, chosen: Index, criterion: Criterion) -> tuple[Index, float]:
     """Return a set that no exchange of the best addition for the worst member improves."""
-    count, r, n = blocks.shape
-    flat = blocks.reshape(-1, n)
-    members = np.zeros(count, dtype=bool)
+    members = np.zeros(len(blocks), dtype=bool)
     members[chosen] = True
     inverse = _inverse(blocks[members])
-    identity = np.eye(r)
     for step in range(0 if members.all() else _EFFORT.exchanges):
         if step % 25 == 24:  # rounding
             inverse = _inverse(blocks[members])
-        gain = _det(identity + _inner(flat @ inverse, blocks))
+        gain = criterion.change(blocks, inverse, 1.0)
         gain[members] = -np.inf
         added = int(np.argmax(gain))
         inverse = _updated(inverse, blocks[added], 1.0)
         members[added] = True
         inside = np.flatnonzero(members)
-        loss = _det(identity - _inner(blocks[inside].reshape(-1, n) @ inverse, blocks[inside]))
+        loss = criterion.change(blocks[inside], inverse, -1.0)
         dropped = int(inside[np.argmax(loss)])
-        if dropped == added or gain[added] * loss.max() <= 1.0 + 1e-9:
+        if dropped == added or gain[added] + loss.max() <= 1e-9:
             members[added] = False
             break
         members[dropped] = False
         inverse = _updated(inverse, blocks[dropped], -1.0)
     chosen = np.flatnonzero(members)
-    rows = blocks[chosen].reshape(-1, n)
-    sign, value = np.linalg.slogdet(rows.T @ rows)
-    return chosen, float(value) if sign > 0 else -np.inf
+    return chosen, criterion.value(blocks[chosen].reshape(-1, blocks.shape[2]))
 
 
 def _inverse(blocks: Array) -> Array:
     """Return (Σ Aᵀ A)⁻¹, shape (n, n), with a ridge: a random start may lack rank."""
     rows = blocks.reshape(-1, blocks.shape[2])
     return np.asarray(np.linalg.inv(rows.T @ rows + ROUNDING * np.eye(rows.shape[1])), np.float64)
-
-
-def _inner(left: Array, blocks: Array) -> Array:
-    """Return Aⱼ M⁻¹ Aⱼᵀ, shape (M, r, r), from Aⱼ M⁻¹ stacked row by row."""
-    shaped = left.reshape(blocks.shape)
-    if blocks.shape[1] == 1:
-        return (shaped * blocks).sum(axis=2)[:, :, None]
-    return shaped @ blocks.transpose(0, 2, 1)
-
-
-def _det(matrices: Array) -> Array:
-    return matrices[:, 0, 0] if matrices.shape[1] == 1 else np.linalg.det(matrices)
 
 
 def _updated(inverse: Array, rows: Array, sign: float) -> Array:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.accuracy_bound import accurate_design
 from pincal.design.certificate import continuous_design
+from pincal.design.criteria import MeanVariance
 from pincal.design.distinct import distinct
 from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener, parameter_ids
@@ -171,6 +173,23 @@ class Search:
         if where not in self.mechanism.leg_names:
             return ids
         return [f"{where}.{name}" for name in self.mechanism.leg(where).parameter_names]
+
+
+def accurate(
+    blocks: Array, C: Array, count: int, rng: np.random.Generator, starts: int
+) -> tuple[Index, float]:
+    """Return a choice by which quantities Cᵀφ are known best, and its efficiency.
+
+    Args:
+        blocks: See ``d_optimal``.
+        C: Shape (n, q).
+        count: Size of the choice, without repetition.
+        rng: Source of the random starts.
+        starts: Number of starts.
+    """
+    design = accurate_design(blocks, C)
+    chosen, value = exchange(blocks, count, design.weights, rng, starts, MeanVariance(C))
+    return chosen, design.efficiency(float(np.exp(-value)), count)
 
 
 def d_optimal(

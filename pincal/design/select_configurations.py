@@ -1,33 +1,43 @@
 """Configurations chosen for all parameters together.
 
 Rows are those of the best estimator (see ``information``), whatever part of the platform is
-measured and wherever the tracker is. Directions that no candidate determines are left out: the
-choice is D-optimal in what can be identified, its efficiency against the bound that no choice
-exceeds.
+measured and wherever the tracker is. Directions that no candidate determines are left out. The
+choice is D-optimal in what can be identified, or makes the calibrated platform most accurate over
+the candidates; its efficiency is against the bound that no choice exceeds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.distinct import distinct
+from pincal.design.forecast import forecast
 from pincal.design.information import information_rows
-from pincal.design.search import SelectionOptions, d_optimal
+from pincal.design.platform_error import without_frames
+from pincal.design.search import SelectionOptions, accurate, d_optimal
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.observability.indices import Identifiability, identifiability, scaled_axes
+from pincal.estimation.observability.indices import (
+    NEGLIGIBLE,
+    Identifiability,
+    identifiability,
+    scaled_axes,
+)
 from pincal.files.given import as_noise, as_setup
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.configurations import as_plan, check_reached, legs_at
+from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at
 from pincal.model.checks import count_of
 from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
+Goal = Literal["parameters", "platform"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,12 +46,15 @@ class ConfigurationChoice:
 
     plan: Plan
     efficiency: float
-    """Against the bound on any choice, 0 to 1 (D-efficiency in what can be identified)."""
+    """Against the bound on any choice, 0 to 1: of the determinant^(1/n) of what can be identified,
+    or of the platform's mean variance."""
     rank: Identifiability
     """Of all candidates together."""
     measured: tuple[str, ...]
     candidates: int
     """Configurations that the mechanism has."""
+    goal: Goal = "parameters"
+    """What they are best for."""
 
     def __repr__(self) -> str:
         count, of = len(self.plan.poses), self.candidates
@@ -58,9 +71,10 @@ def select_configurations(
     *,
     measured: Sequence[str] | None = None,
     setup: Setup | None = None,
+    goal: Goal = "parameters",
     **options: Any,
 ) -> ConfigurationChoice:
-    """Return configurations chosen from candidates for D-optimality, with a certificate.
+    """Return configurations chosen from candidates, with a certificate.
 
     Args:
         mechanism: The mechanism.
@@ -69,16 +83,21 @@ def select_configurations(
         count: Number of configurations.
         measured: What will be measured of the platform (see ``forecast``).
         setup: What measured numbers will mean.
+        goal: ``"parameters"``: D-optimality. ``"platform"``: the calibrated platform's mean
+            variance over the candidates is smallest (L-optimality), of its position and, times
+            the radius at which its legs hold it, its orientation.
         **options: ``noise``, ``seed``, ``starts``, ``progress``: see ``SelectionOptions``.
 
     Raises:
         ObservabilityError: too few configurations for what can be identified.
-        MeasurementError: unknown freedoms, or measurements without noise or equations, or no
-            candidate in reach.
+        MeasurementError: unknown freedoms or goal, or measurements without noise or equations, or
+            no candidate in reach.
     """
     mechanism = as_mechanism(mechanism)
     count_of(count, "count", MeasurementError)
     how = SelectionOptions(**options)
+    if goal not in get_args(Goal):
+        raise MeasurementError(f"no goal {goal!r}; expected one of {', '.join(get_args(Goal))}")
     plan = as_plan(mechanism, candidates)
     own = distinct(mechanism.platform, plan.poses, plan.readings)
     plan = Plan(plan.poses[own], readings=None if plan.readings is None else plan.readings[own])
@@ -101,7 +120,13 @@ def select_configurations(
         )
     how.say("choosing configurations")
     rng = np.random.default_rng(how.seed)
-    chosen, efficiency = d_optimal(blocks, count, rng, how.starts)
+    if goal == "platform":
+        frames = forecast(mechanism, plan, how.noise, measured, setup).frames
+        rows = _platform_rows(mechanism, legs, frames)
+        known = rows / lengths[: rows.shape[1]] @ axes[: found.rank, : rows.shape[1]].T
+        chosen, efficiency = accurate(blocks, _root(known.T @ known), count, rng, how.starts)
+    else:
+        chosen, efficiency = d_optimal(blocks, count, rng, how.starts)
     return ConfigurationChoice(
         Plan(
             legs.poses[chosen],
@@ -111,4 +136,25 @@ def select_configurations(
         found,
         kept,
         len(blocks),
+        goal,
     )
+
+
+def _platform_rows(mechanism: Mechanism, legs: Legs, frames: Array) -> Array:
+    """Return how the platform follows the legs' parameters, [m], shape (m, n); Gram: mean square.
+
+    Positions, and orientations times the radius at which legs hold the platform.
+    """
+    gain = without_frames(mechanism, legs.poses, legs.gain, frames)
+    tips = np.concatenate([leg.targets(np.eye(4)[None])[:, :3] for leg in nominal_legs(mechanism)])
+    radius = float(np.sqrt((tips**2).sum(axis=1).mean()))
+    size = np.array([1.0 if unit == "m" else radius for unit in mechanism.platform.units])
+    gain = gain[np.isfinite(gain).all(axis=(1, 2))] * size[:, None]
+    return gain.reshape(-1, gain.shape[2]) / np.sqrt(len(gain))
+
+
+def _root(gram: Array) -> Array:
+    """Return C of C Cᵀ = Gram, shape (n, rank)."""
+    values, axes = np.linalg.eigh(gram)
+    kept = values > NEGLIGIBLE**2 * values.max()
+    return np.asarray(axes[:, kept] * np.sqrt(values[kept]))

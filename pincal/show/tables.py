@@ -57,6 +57,13 @@ def selection_table(selection: Selection) -> Table:
     )
 
 
+GOALS = {
+    "parameters": "all parameters together",
+    "platform": "the platform's accuracy over the candidates",
+}
+"""What configurations are chosen for."""
+
+
 def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
     """Return how good chosen configurations are, and what they determine."""
     rank = chosen.rank
@@ -66,7 +73,7 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
     determined = Cell(rank.rank, f"{rank.rank} of {rank.n_params}")
     row = (len(chosen.plan.poses), of, chosen.efficiency, determined, ", ".join(chosen.measured))
     return Table(
-        f"{mechanism.name}: configurations for all parameters together{words}",
+        f"{mechanism.name}: configurations for {GOALS[chosen.goal]}{words}",
         columns("poses", "of", "efficiency:.3f", "rank", "measured"),
         [row],
     )

@@ -1,0 +1,127 @@
+"""Poses that make the calibrated platform accurate: the best ones, with a bound that holds."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import done
+from measured import workspace
+
+import pincal
+from pincal.design.accuracy_bound import accurate_design
+from pincal.design.criteria import Determinant, MeanVariance
+from pincal.design.search import accurate
+
+NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
+
+
+def random(count: int, r: int, n: int, q: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows of candidates, (count, r, n), and what is to be known, (n, q)."""
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((count, r, n)), rng.standard_normal((n, q))
+
+
+def variance(blocks: np.ndarray, C: np.ndarray) -> float:
+    """Return tr Cᵀ M⁻¹ C of rows, shape (count, r, n)."""
+    rows = blocks.reshape(-1, blocks.shape[2])
+    return float(np.trace(C.T @ np.linalg.inv(rows.T @ rows) @ C))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("r", "q"), [(1, 2), (2, 1), (2, 6)])
+def test_the_best_of_all_sets_is_found(r: int, q: int, seed: int) -> None:
+    """Of all 5 of 12 candidates; the bound is below the best, and not far."""
+    blocks, C = random(12, r, 4, q, seed)
+    least = min(variance(blocks[list(some)], C) for some in combinations(range(12), 5))
+    chosen, efficiency = accurate(blocks, C, 5, np.random.default_rng(0), 20)
+    assert len(set(chosen.tolist())) == 5
+    assert variance(blocks[chosen], C) == pytest.approx(least, rel=1e-9)
+    assert efficiency <= 1.0
+    design = accurate_design(blocks, C)
+    assert design.least / 5 <= least
+    assert efficiency == pytest.approx(design.least / 5 / least, rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [60, 900])
+def test_the_bound_is_below_any_weights(count: int) -> None:
+    """And within 2 % of the design that proves it: an equivalence theorem checked from outside."""
+    blocks, C = random(count, 2, 6, 6, 7)
+    design = accurate_design(blocks, C)
+    assert design.weights.sum() == pytest.approx(1.0)
+    own = variance(np.sqrt(design.weights)[:, None, None] * blocks, C)
+    assert own * 0.98 <= design.least <= own
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        weights = rng.dirichlet(np.full(count, rng.choice([0.05, 1.0])))
+        assert variance(np.sqrt(weights + 1e-12)[:, None, None] * blocks, C) >= design.least
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_changes_are_those_of_values(sign: float) -> None:
+    """What a candidate changes, added or dropped, is the difference of the values."""
+    blocks, C = random(9, 2, 5, 3, 3)
+    own = blocks if sign < 0 else blocks[:6]
+    rows = own.reshape(-1, 5)
+    for criterion in (Determinant(), MeanVariance(C)):
+        found = criterion.change(blocks, np.linalg.inv(rows.T @ rows), sign)
+        for j in range(6, 9):
+            others = np.delete(own, j, axis=0) if sign < 0 else np.concatenate((own, blocks[[j]]))
+            expected = criterion.value(others.reshape(-1, 5)) - criterion.value(rows)
+            assert found[j] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["3RRR", pytest.param("6UPS", marks=pytest.mark.slow)])
+def test_forecasts_of_the_platform_are_better(kind: str) -> None:
+    """Over other poses of the workspace, than by the poses that are best for the parameters."""
+    mechanism, offered, over = (
+        pincal.load_mechanism(kind),
+        workspace(kind, 600),
+        workspace(kind, 200, 9),
+    )
+    errors = {}
+    for goal in ("parameters", "platform"):
+        chosen = pincal.select_configurations(
+            mechanism, offered, 24, noise=NOISE, goal=goal, starts=2
+        )
+        assert chosen.goal == goal
+        assert 0.8 < chosen.efficiency <= 1.0
+        errors[goal] = pincal.forecast(mechanism, chosen.plan, NOISE).platform_error(over)
+    assert errors["platform"].position < errors["parameters"].position
+    with pytest.raises(pincal.MeasurementError, match="no goal 'looks'"):
+        pincal.select_configurations(mechanism, offered, 24, goal="looks")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_calibrated_hexapods_are_at_least_as_accurate() -> None:
+    """100 machines measured at 24 poses of each kind, all legs together: true errors."""
+    mechanism, offered, over = (
+        pincal.load_mechanism("6UPS"),
+        workspace("6UPS", 2000),
+        workspace("6UPS", 200, 9),
+    )
+    means = {}
+    for goal in ("parameters", "platform"):
+        plan = pincal.select_configurations(
+            mechanism, offered, 24, noise=NOISE, goal=goal, starts=5
+        ).plan
+        squares = []
+        for seed in range(100):
+            truth = pincal.disturb(mechanism, 1e-3, seed)
+            data = pincal.simulate(mechanism, truth, plan, NOISE, seed).measurements
+            result = pincal.calibrate(mechanism, data, noise=NOISE)
+            squares.append(pincal.accuracy(result.identified, truth, over).position ** 2)
+        means[goal] = float(np.sqrt(np.mean(squares)))
+    print({goal: f"{1e6 * mean:.1f} um" for goal, mean in means.items()})
+    assert means["platform"] <= 1.01 * means["parameters"]
+
+
+def test_the_command_says_what_poses_are_best_for(tmp_path: Path) -> None:
+    """'select --goal platform' writes a plan and its efficiency."""
+    said = done(
+        "select", "5R", "--count", 12, "--starts", 1, "--goal", "platform", "-o", tmp_path / "p.csv"
+    )
+    assert "the platform's accuracy" in " ".join(said.out.split())
+    assert len(pincal.Plan.from_csv(tmp_path / "p.csv", "5R")) == 12
