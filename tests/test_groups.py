@@ -100,6 +100,14 @@ def test_groups_are_closed_and_regions_need_no_symmetry(name: str, how: str, see
 
 
 @pytest.mark.slow
+@settings(max_examples=150, deadline=None)
+@given(*CASES)
+def test_many_groups_are_closed(name: str, how: str, seed: int) -> None:
+    """The same of 150 machines."""
+    check(name, how, seed)
+
+
+@pytest.mark.fuzz
 @settings(max_examples=1000, deadline=None)
 @given(*CASES)
 def test_a_thousand_groups_are_closed(name: str, how: str, seed: int) -> None:

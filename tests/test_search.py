@@ -162,8 +162,8 @@ def test_never_above_the_start(kind: str, name: str) -> None:
 @pytest.mark.parametrize("name", OPTIONS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_never_above_the_start_of_many(kind: str, name: str) -> None:
-    """The same over 40 mechanisms of each kind of platform."""
-    check(kind, range(2, 42), OPTIONS[name])
+    """The same over 14 mechanisms of each kind of platform."""
+    check(kind, range(2, 16), OPTIONS[name])
 
 
 # Planar cables of which only heights were measured
@@ -255,11 +255,11 @@ def spoiled(kind: str, seed: int) -> tuple[Mechanism, pincal.Measurements]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["5R", "3RRR", "6UPS"])
-def test_gross_errors_do_not_break_the_search(kind: str) -> None:
-    """A fifth of the rows off by 10 mm to 3 m, 20 sets, losses in turn: all converge but one."""
+@pytest.mark.parametrize(("kind", "count"), [("5R", 20), ("3RRR", 20), ("6UPS", 8)])
+def test_gross_errors_do_not_break_the_search(kind: str, count: int) -> None:
+    """A fifth of the rows off by 10 mm to 3 m, losses in turn: all sets converge but one."""
     broken, refused, lost = [], [], []
-    for seed in range(20):
+    for seed in range(count):
         mechanism, data = spoiled(kind, seed)
         loss = ("huber", "cauchy", "tukey", "reject")[seed % 4]
         try:

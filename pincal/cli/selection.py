@@ -153,7 +153,8 @@ def select(
     if mechanism.by_readings or part or how.collision is not None:
         if how.independent or how.symmetric or how.orbits or how.common:
             raise typer.BadParameter(
-                "poses for single legs are of whole poses in the base frame; leave out the protocol"
+                "poses for single legs are of whole poses in the base frame, best for the "
+                "parameters; leave out the protocol"
             )
         choose = _together
     else:
