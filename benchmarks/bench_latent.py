@@ -44,7 +44,7 @@ def measured(count: int) -> tuple[pincal.Mechanism, pincal.Measurements]:
 
 def calibrated(mechanism: pincal.Mechanism, data: pincal.Measurements) -> pincal.CalibrationResult:
     """Return the calibration with all poses unknown."""
-    return pincal.calibrate(mechanism, data, method="latent", noise=NOISE)
+    return pincal.calibrate(mechanism, data, noise=NOISE)
 
 
 def _spherical(radius: float, polar: float, azimuth: float) -> tuple[Array, Array]:

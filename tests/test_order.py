@@ -56,6 +56,7 @@ def test_poses_to_verify_with_are_others() -> None:
         with_verification(mechanism, plan, offered, 50)
 
 
+@pytest.mark.slow
 def test_a_drift_does_not_hide_in_legs() -> None:
     """A tracker that drifts by 0.2 mm: limits of the platform's error hold, or are withdrawn.
 
@@ -83,7 +84,9 @@ def test_select_writes_in_turns_and_calibrate_verifies(tmp_path: Path) -> None:
     """From the command line to the report: rows to verify with are predicted, not followed."""
     mechanism = pincal.load_mechanism("3RRR")
     plan, data = tmp_path / "plan.csv", tmp_path / "m.csv"
-    done("select", "3RRR", "--count", 10, "--starts", 1, "--verify", 6, "-o", plan)
+    pincal.Plan(workspace("3RRR", 300)).to_csv(tmp_path / "c.csv", mechanism)
+    choose = ["select", "3RRR", "--count", 10, "--starts", 1, "--candidates", tmp_path / "c.csv"]
+    done(*choose, "--verify", 6, "-o", plan)
     sets = pincal.Plan.from_csv(plan, mechanism).sets
     assert sets is not None
     assert [sets.count(name) for name in (*mechanism.leg_names, "verify")] == [10, 10, 10, 6]
@@ -95,7 +98,7 @@ def test_select_writes_in_turns_and_calibrate_verifies(tmp_path: Path) -> None:
     found = pincal.load_result(tmp_path / "r")
     assert found.validation is not None
     assert found.validation.rows == 6
-    done("select", "3RRR", "--count", 10, "--starts", 1, "--by-set", "-o", tmp_path / "b.csv")
+    done(*choose, "--by-set", "-o", tmp_path / "b.csv")
     blocks = pincal.Plan.from_csv(tmp_path / "b.csv", mechanism).sets
     assert blocks is not None
     assert list(blocks) == sorted(blocks)

@@ -214,7 +214,7 @@ class Calibration:
         every = np.arange(self.noise.readings.shape[1])
         columns = np.concatenate([every[self.mechanism.reading_columns[i]] for i in legs])
         conditions = tuple(self.condition(i, rows) for i in legs)
-        matrices = self.mechanism.platform.transforms(poses[rows]).as_matrix()
+        matrices = self.mechanism.platform.matrices(poses[rows])
         nominal = np.concatenate([self.mechanism.legs[i].nominal for i in legs])
         plain = replace(self.options.setup, unknown_frame=False, targets={}, distances={})
         seen = Observation(self.mechanism, self.measurements.rows(rows), plain)

@@ -28,7 +28,7 @@ def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -
     Raises:
         MechanismError: a pose of a wrong shape, or not finite.
     """
-    matrices = platform.transforms(poses).as_matrix()
+    matrices = platform.matrices(poses)
     parts = [matrices[:, :3, 3], matrices[:, :3, :3].reshape(-1, 9)]
     parts += [] if readings is None else list(readings.T[:, :, None])
     sizes = [np.abs(part).max(initial=0.0) for part in parts]

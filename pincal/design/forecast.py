@@ -195,7 +195,7 @@ def forecast(
     size = largest_size(mechanism.legs, platform)
     plan = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, plan, GENERIC, size))
-    there = platform.transforms(near.poses).as_matrix()
+    there = platform.matrices(near.poses)
     gauge, lost = split_frames(platform, there, near.gain, found.lost, size)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it
         lost = lost - gauge @ np.linalg.lstsq(gauge, lost, rcond=None)[0]

@@ -81,7 +81,7 @@ def information_rows(
         MeasurementError: unknown freedoms, or measurements without noise or equations.
     """
     platform = mechanism.platform
-    matrices = platform.transforms(legs.poses).as_matrix()
+    matrices = platform.matrices(legs.poses)
     seen, sigma, kept = _planned(mechanism, matrices, noise, measured, setup)
     (count, n_rows, n_legs), n_readings = legs.parameter.shape, legs.reading.shape[2]
     # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐

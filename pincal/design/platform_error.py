@@ -218,7 +218,7 @@ def without_frames(
     """
     if frames is None or not frames.shape[1] or not len(poses):
         return twists
-    matrices = mechanism.platform.transforms(poses).as_matrix()
+    matrices = mechanism.platform.matrices(poses)
     motions = frame_motions(mechanism.platform, matrices) @ frames
     size = largest_size(mechanism.legs, mechanism.platform)
     return unexplained(mechanism.platform, twists, motions, size)

@@ -142,7 +142,7 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
     partly = np.where(np.isfinite(data.poses), data.poses, platform.home)
     if "tilt" in platform.coordinates:  # upright, tilt has no direction in which to grow
         partly[:, platform.coordinates.index("tilt")] += _TILTED
-    matrices = platform.transforms(partly).as_matrix().copy()
+    matrices = platform.matrices(partly).copy()
     turns = problem.observation.orientations
     known = np.isfinite(turns).all(axis=(1, 2))
     F = external.frame[:3, :3]

@@ -84,7 +84,7 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
     plan = as_plan(mechanism, planned)
     if plan.readings is None:
         return inverse(mechanism, plan.poses)
-    matrices = mechanism.platform.transforms(plan.poses).as_matrix()
+    matrices = mechanism.platform.matrices(plan.poses)
     joints, reached = {}, []
     for leg, own in zip(nominal_legs(mechanism), mechanism.reading_columns, strict=True):
         closed, found = nearest_closure(leg, matrices, plan.readings[:, own])
@@ -201,7 +201,7 @@ def nearby(
         readings = np.tile(plan.readings, (rounds, 1))
         readings = readings + _scale(units, size) * rng.standard_normal(readings.shape)
         return Plan(poses, readings=readings)
-    matrices = platform.transforms(poses).as_matrix()
+    matrices = platform.matrices(poses)
     twists = _scale(platform.units, size) * rng.standard_normal(poses.shape)
     return Plan(platform.from_matrices(platform.displaced(matrices, twists)))
 

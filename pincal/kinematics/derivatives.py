@@ -75,10 +75,10 @@ def _by_parameter(leg: LegClosure, closure: Closure, readings: Array) -> Array:
 
 
 def _closed_chunks(
-    leg: LegClosure, transforms: RigidTransform, readings: Array | None = None
+    leg: LegClosure, placed: RigidTransform | Array, readings: Array | None = None
 ) -> Iterator[tuple[slice, Closure, Array, NDArray[np.bool_]]]:
     """Yield rows, closure, readings and which rows are reached, in chunks of bounded memory."""
-    for rows, matrices in matrix_chunks(transforms):
+    for rows, matrices in matrix_chunks(placed):
         if readings is not None:
             closure, _ = nearest_closure(leg, matrices, readings[rows])
             yield rows, closure, readings[rows], np.ones(len(matrices), dtype=bool)
@@ -109,12 +109,12 @@ def leg_demand(
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
     platform, one = mechanism.platform, mechanism.leg(leg)
-    transforms = platform.transforms(poses)
+    placed = platform.placed(poses)
     closure = LegClosure(one, platform, parameters)
-    count, k = len(transforms), len(platform.closing(one.closes)) - len(one.passive)
+    count, k = len(placed), len(platform.closing(one.closes)) - len(one.passive)
     sizes = (len(one.parameters), platform.dof, len(one.sensors))
     whole = Demand(np.empty((count, k)), *(np.empty((count, k, size)) for size in sizes))
-    for rows, closed, psi, reached in _closed_chunks(closure, transforms, readings):
+    for rows, closed, psi, reached in _closed_chunks(closure, placed, readings):
         part = demand(closure, closed, psi)
         for target, values in zip(vars(whole).values(), vars(part).values(), strict=True):
             target[rows] = values
@@ -144,11 +144,11 @@ def identification_jacobian(
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
-    transforms = mechanism.platform.transforms(poses)
+    placed = mechanism.platform.placed(poses)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     law = sensor_law(closure)
-    C = np.empty((len(transforms), len(law.slope), len(closure.parameters)))
-    for rows, closed, psi, reached in _closed_chunks(closure, transforms):
+    C = np.empty((len(placed), len(law.slope), len(closure.parameters)))
+    for rows, closed, psi, reached in _closed_chunks(closure, placed):
         drive = closed.drive * law.slopes(psi)[..., None, :]
         C[rows] = least_squares(-drive, _by_parameter(closure, closed, psi))
         C[rows][~reached] = np.nan

@@ -155,19 +155,20 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
 
 
 def close_chunks(
-    mechanism: Mechanism, poses: Poses
+    mechanism: Mechanism, placed: RigidTransform | Array
 ) -> Iterator[tuple[slice, Array, list[ClosedLeg]]]:
     """Yield the closed legs of poses in chunks of bounded memory: rows, matrices, one per leg."""
     legs = nominal_legs(mechanism)
-    for rows, matrices in matrix_chunks(mechanism.platform.transforms(poses)):
+    for rows, matrices in matrix_chunks(placed):
         yield rows, matrices, [close(leg, matrices) for leg in legs]
 
 
-def matrix_chunks(transforms: RigidTransform) -> Iterator[tuple[slice, Array]]:
+def matrix_chunks(placed: RigidTransform | Array) -> Iterator[tuple[slice, Array]]:
     """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
-    for begin in range(0, len(transforms), CHUNK):
-        rows = slice(begin, min(begin + CHUNK, len(transforms)))
-        yield rows, transforms[rows].as_matrix()
+    for begin in range(0, len(placed), CHUNK):
+        rows = slice(begin, min(begin + CHUNK, len(placed)))
+        part = placed[rows]
+        yield rows, part.as_matrix() if isinstance(part, RigidTransform) else part
 
 
 @dataclass(frozen=True, repr=False)
@@ -215,13 +216,13 @@ def inverse(mechanism: GivenMechanism, poses: Poses) -> InverseSolution:
             out of its leg's reach.
     """
     mechanism = as_mechanism(mechanism)
-    transforms = mechanism.platform.transforms(poses)
+    placed = mechanism.platform.placed(poses)
     laws = [sensor_law(leg) for leg in nominal_legs(mechanism)]
-    count = len(transforms)
+    count = len(placed)
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
     readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
-    for rows, _, closed in close_chunks(mechanism, transforms):
+    for rows, _, closed in close_chunks(mechanism, placed):
         for index, (leg, law, one) in enumerate(zip(mechanism.legs, laws, closed, strict=True)):
             joints[leg.name][rows] = one.joints
             columns = mechanism.reading_columns[index]
@@ -242,10 +243,10 @@ def reached(mechanism: Mechanism, poses: Poses) -> Mask:
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    transforms = mechanism.platform.transforms(poses)
+    placed = mechanism.platform.placed(poses)
     legs = nominal_legs(mechanism)
-    found = np.empty((len(transforms), len(legs)), dtype=bool)
-    for rows, matrices in matrix_chunks(transforms):
+    found = np.empty((len(placed), len(legs)), dtype=bool)
+    for rows, matrices in matrix_chunks(placed):
         for index, leg in enumerate(legs):
             solved = closed_form(leg) is not None
             found[rows, index] = (

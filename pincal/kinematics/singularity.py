@@ -43,10 +43,10 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
         MechanismError: poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
-    transforms = mechanism.platform.transforms(poses)
-    type1 = np.empty((len(transforms), len(mechanism.legs)))
-    type2 = np.empty(len(transforms))
-    for rows, _, closed in close_chunks(mechanism, transforms):
+    placed = mechanism.platform.placed(poses)
+    type1 = np.empty((len(placed), len(mechanism.legs)))
+    type2 = np.empty(len(placed))
+    for rows, _, closed in close_chunks(mechanism, placed):
         reached = np.stack([leg.reached for leg in closed], axis=1)
         closures = [leg.closure for leg in closed]
         type1[rows] = np.where(reached, drive_margins(closures), np.nan)

@@ -140,6 +140,24 @@ class Platform:
         """
         if isinstance(poses, RigidTransform):
             return poses
+        return RigidTransform(self.matrices(poses), normalize=False, copy=False)
+
+    def placed(self, poses: Poses) -> RigidTransform | Array:
+        """Return poses as they are taken in parts: rigid transforms, or matrices (N, 4, 4).
+
+        Raises:
+            MechanismError: wrong shape, or a coordinate that is not a finite number.
+        """
+        return poses if isinstance(poses, RigidTransform) else self.matrices(poses)
+
+    def matrices(self, poses: Poses) -> Array:
+        """Return poses as homogeneous matrices, shape (N, 4, 4); see ``transforms``.
+
+        Raises:
+            MechanismError: wrong shape, or a coordinate that is not a finite number.
+        """
+        if isinstance(poses, RigidTransform):
+            return poses.as_matrix()
         coordinates = numbers_of(poses, "poses", MechanismError)
         if coordinates.ndim != 2 or coordinates.shape[1] != self.dof:
             raise MechanismError(
@@ -153,7 +171,7 @@ class Platform:
         matrices[:, :3, :3] = self.form.rotations(coordinates).as_matrix()
         matrices[:, : self.lengths, 3] = coordinates[:, : self.lengths]
         matrices[:, 3, 3] = 1.0
-        return RigidTransform(matrices, normalize=False, copy=False)
+        return matrices
 
     def coordinates_of(self, poses: Poses) -> Array:
         """Return the coordinates of poses, shape (N, dof), [m] and [rad], angles in (-pi, pi]."""
@@ -174,7 +192,7 @@ class Platform:
         """
         if self.turns < 3:
             return poses + twists
-        return self.from_matrices(self.displaced(self.transforms(poses).as_matrix(), twists))
+        return self.from_matrices(self.displaced(self.matrices(poses), twists))
 
     def displaced(self, matrices: Array, twists: Array) -> Array:
         """Return ``T_base_platform``, shape (N, 4, 4), moved by twists: see ``moved``."""

@@ -153,7 +153,7 @@ class Points:
         twists[:, : platform.lengths] *= self.size
         matrices = platform.displaced(platform.home_pose[[0, 0, 0]].as_matrix(), twists)
         carried = element.matrices(matrices)
-        again = platform.transforms(platform.from_matrices(carried)).as_matrix() - carried
+        again = platform.matrices(platform.from_matrices(carried)) - carried
         again[:, :3, 3] /= self.size
         return bool(np.abs(again).max() <= _FLAT)
 

@@ -158,7 +158,7 @@ class Element:
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
         """Return where poses go, coordinates of shape (N, dof)."""
-        return platform.from_matrices(self.matrices(platform.transforms(poses).as_matrix()))
+        return platform.from_matrices(self.matrices(platform.matrices(poses)))
 
     def positions(self, rotations: Array) -> Isometry | None:
         """Return what it does to the platform's positions in all of some orientations alike.

@@ -148,9 +148,9 @@ def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None 
         MechanismError: poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
-    transforms = mechanism.platform.transforms(poses)
+    placed = mechanism.platform.placed(poses)
     criteria = criteria_of(mechanism, as_margins(least))
-    inside = np.empty(len(transforms), dtype=bool)
-    for rows, matrices in matrix_chunks(transforms):
+    inside = np.empty(len(placed), dtype=bool)
+    for rows, matrices in matrix_chunks(placed):
         inside[rows] = criteria(matrices)
     return inside

@@ -50,7 +50,7 @@ def misaligned(
         return ()
     platform = mechanism.platform
     size = largest_size(mechanism.legs, platform)
-    motions = frame_motions(platform, platform.transforms(legs.poses).as_matrix())
+    motions = frame_motions(platform, platform.matrices(legs.poses))
     moved, scale = gain @ changes, plausible_changes(mechanism)
     n_base, space = motions.shape[2] - platform.dof, platform.space
     lengths = np.array([1.0 if unit == "m" else size for unit in platform.units])

@@ -46,7 +46,7 @@ class Sample:
 
     def matrices(self) -> Array:
         """Return poses as homogeneous matrices, shape (N, 4, 4)."""
-        return self.mechanism.platform.transforms(self.poses).as_matrix()
+        return self.mechanism.platform.matrices(self.poses)
 
     def moved(self, positions: Array, turns: Array) -> Array:
         """Return the coordinates of positions (N, 3) and rotation matrices (N, 3, 3)."""
@@ -122,7 +122,7 @@ def _placed(
     if 2 * len(good) < len(known) or len(good) < 3:
         return None
     measured = sample.matrices()
-    here = sample.mechanism.platform.transforms(poses[converged]).as_matrix()
+    here = sample.mechanism.platform.matrices(poses[converged])
     F = _motion(sample, here, measured[good]) if sample.free else np.eye(4)
     back = np.linalg.inv(F)
     if sample.oriented:

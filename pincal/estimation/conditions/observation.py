@@ -261,5 +261,5 @@ def _orientations(platform: Platform, data: Measurements) -> Array:
         whole = np.isfinite(data.poses[:, rad]).all(axis=1)
         full = np.zeros((int(whole.sum()), platform.dof))
         full[:, rad] = data.poses[whole][:, rad]
-        turns[whole] = platform.transforms(full).as_matrix()[:, :3, :3]
+        turns[whole] = platform.matrices(full)[:, :3, :3]
     return turns

@@ -80,7 +80,7 @@ def derivatives_near(
     values = (start.parameters[columns] for columns in problem.columns)
     at = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
     legs = legs_at(at, nearby(at, planned, GENERIC, size) if generic else planned)
-    matrices = platform.transforms(legs.poses).as_matrix()
+    matrices = platform.matrices(legs.poses)
     rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
     observation = problem.observation.anywhere() if generic else problem.observation
     seen = observation.rows(rows).evaluate(matrices, start.external)

@@ -85,7 +85,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
     platform = mechanism.platform
     solution = joints_at(mechanism, planned)
     poses = as_plan(mechanism, planned).poses
-    T_base_platform = platform.transforms(poses).as_matrix()
+    T_base_platform = platform.matrices(poses)
     parts: list[Part] = []
     placements: list[Array] = []
     chains = []
