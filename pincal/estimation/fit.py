@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
+from pincal.estimation.adjusted import last_steps
 from pincal.estimation.linear import Linear, State
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
 from pincal.estimation.solve import near_start, search
-from pincal.estimation.system import Normal, System
+from pincal.estimation.system import ROWS_FOLLOW, Normal, System
 from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -104,8 +105,10 @@ def fit(
         system = replace(system, unit=float(np.median(np.linalg.norm(first.stack.noise, axis=2))))
     weights, _ = system.weights(first)
     highest = system.cost(system.residuals(first), weights, first.state)
+    if start is not None:  # where the last steps ended, which the search does not know of
+        highest *= 1.0 + ROWS_FOLLOW
     near, more = near_start(system, first, progress) if start is None else (first, 0)
-    found = search(system, near, progress, highest=highest, most=most)
+    found = last_steps(system, search(system, near, progress, highest=highest, most=most))
     linear, weights = found.linear, found.weights
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, linear))

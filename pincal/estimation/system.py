@@ -14,7 +14,7 @@ from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_ROWS_FOLLOW = 1e-3  # of the cost, by which it may grow as rows follow the state
+ROWS_FOLLOW = 1e-3  # of the cost, by which it may grow as rows follow the state
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class System:
         own = self.cost(self.residuals(trial), weights, trial.state)
         if own < cost:
             return True
-        near = own <= (1.0 + _ROWS_FOLLOW) * cost
+        near = own <= (1.0 + ROWS_FOLLOW) * cost
         return near and self.cost_in(here, trial, weights) <= cost
 
     def solve(self, linear: Linear, weights: Array, scale: float) -> Normal:

@@ -1,0 +1,48 @@
+"""Noise of readings leaves no bias: conditions are those at the adjusted readings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from measured import machine, workspace
+
+import pincal
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.fits import fitted
+from pincal.calibration.options import Options
+from pincal.estimation.adjusted import adjusted
+
+NOISE = pincal.Noise(1e-4, 1e-4, 1e-3)
+
+
+def test_the_optimum_is_that_of_adjusted_conditions() -> None:
+    """The gradient vanishes there, and does not at readings as measured; the cost is that of both.
+
+    Readings ten times as noisy as poses, in standard errors.
+    """
+    mechanism, _, data = machine("6UPS", 200, NOISE)
+    (one,) = fitted(Calibration(mechanism, data, Options(noise=NOISE))).fits
+    fit = one.fit
+    there = adjusted(fit.problem, fit.last)
+    assert fit.system.solve(there, fit.weights, 1.0).decrement < 1e-2
+    assert fit.system.solve(fit.last, fit.weights, 1.0).decrement > 0.1
+    assert there.squares.sum() == pytest.approx(fit.chi2, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_gains_are_not_too_small() -> None:
+    """Of 48 legs: mean error within three of its own standard deviations, in standard errors.
+
+    At readings as measured gains come out 0.9 standard errors too small.
+    """
+    noise = pincal.Noise(1e-3, 1e-3, 5e-4)
+    mechanism, errors = pincal.load_mechanism("6UPS"), []
+    plan = pincal.Plan(workspace("6UPS", 1200))
+    for seed in range(8):
+        truth = pincal.disturb(mechanism, 1e-3, seed)
+        data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
+        result = pincal.calibrate(mechanism, data, noise=noise)
+        for leg in truth.legs:
+            gain = result[f"{leg.name}.k"]
+            errors.append((gain.identified - leg.nominal_by_name["k"]) / gain.std)
+    assert abs(np.mean(errors)) < 3.0 / np.sqrt(len(errors))
