@@ -20,9 +20,6 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.solve import Found
 from pincal.estimation.system import System
 
-_STEPS = 5
-_NEAR = 1e-3  # of a standard error: such a step changes nothing for anyone
-
 
 def adjusted(problem: Problem, linear: Linear) -> Linear:
     """Return the conditions at adjusted readings, less what the adjustment makes of them.
@@ -42,10 +39,16 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
     return problem.whitened(replace(stack, value=stack.value - back))
 
 
-def last_steps(system: System, found: Found) -> Found:
+def last_steps(system: System, found: Found, steps: int = 5, near: float = 1e-3) -> Found:
     """Return the optimum with all conditions at adjusted readings, found from that without.
 
     As it is where readings are exact, residuals are not whitened, or nothing gets better.
+
+    Args:
+        system: What is minimised.
+        found: Its optimum at readings as measured.
+        steps: How many, at most.
+        near: Of a standard error: a step that is shorter changes nothing for anyone.
     """
     problem = system.problem
     if not (problem.weighted and problem.latent and found.converged):
@@ -56,9 +59,9 @@ def last_steps(system: System, found: Found) -> Found:
     try:
         with np.errstate(all="ignore"):
             now = adjusted(problem, here.linear)
-            for _ in range(_STEPS):
+            for _ in range(steps):
                 normal = system.solve(now, here.weights, here.scale)
-                if not normal.decrement > _NEAR:
+                if not normal.decrement > near:
                     break
                 state = problem.moved(here.linear, T @ normal.step())
                 linear, count = solve_poses(problem, problem.linearise(state))

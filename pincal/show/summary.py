@@ -149,8 +149,8 @@ def check_lines(result: CalibrationResult) -> list[str]:
             if one.orientation is not None:
                 text += f"; {amount(one.orientation[1], 'rad')} and {1e3 * one.orientation[0]:.3g}"
             text += " (measuring noise included)"
-        told = f"{one.folds} folds" if one.folds > 1 else f"{one.rows} rows of the set verify"
-        lines.append(f"{text} ({told})")
+        by = f"{one.folds} folds" if one.folds > 1 else f"{one.rows} rows of the set verify"
+        lines.append(f"{text} ({by})")
     if result.runs is not None:
         lines.append(
             f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "

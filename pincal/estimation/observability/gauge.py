@@ -128,7 +128,7 @@ def _undetermined(
             )
     groups = identifiability(J, unknowns.free_labels).groups
     where = {label: index for index, label in enumerate(unknowns.free_labels)}
-    needed = [one for one in groups if _tell(gain[:, [where[name] for name in one]])] or groups
+    needed = [one for one in groups if _apart(gain[:, [where[name] for name in one]])] or groups
     words = groups_in_words(tuple(needed), most=len(needed))
     return (
         f"{words}. Measure more of the platform, or fix one of them, or make it a constant in "
@@ -136,7 +136,7 @@ def _undetermined(
     )
 
 
-def _tell(columns: Array) -> bool:
+def _apart(columns: Array) -> bool:
     """Return whether the platform follows these unknowns in ways that differ, shape (m, n)."""
     s = np.linalg.svd(columns, compute_uv=False)
     return bool(s[-1] > NEGLIGIBLE * s[0])
