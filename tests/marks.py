@@ -29,3 +29,12 @@ def quick(count: int, cases: Iterable[Any]) -> list[Any]:
     """Return the cases of a parametrization, those behind the first ones marked as slow."""
     cases = list(cases)
     return some_slow(cases, *cases[count:])
+
+
+def slow_or_fuzz(slow: Iterable[Any], fuzz: Iterable[Any]) -> list[Any]:
+    """Return the cases of the slow run, then those of ``-m fuzz``; a tuple is several values."""
+    marked = [(one, pytest.mark.slow) for one in slow] + [(one, pytest.mark.fuzz) for one in fuzz]
+    return [
+        pytest.param(*(one if isinstance(one, tuple) else (one,)), marks=mark)
+        for one, mark in marked
+    ]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from marks import some_slow
+from marks import slow_or_fuzz, some_slow
 from measured import workspace
 from numpy.typing import NDArray
 from random_mechanisms import KINDS, poses_near_home, random_leg, random_mechanism
@@ -412,13 +412,7 @@ def test_orbits_of_candidates_that_are_images_are_chosen_once() -> None:
     assert apart.min() > 1e-6
 
 
-@pytest.mark.parametrize(
-    "count",
-    [
-        pytest.param(100_000, marks=pytest.mark.slow),
-        pytest.param(1_000_000, marks=pytest.mark.fuzz),
-    ],
-)
+@pytest.mark.parametrize("count", slow_or_fuzz([100_000], [1_000_000]))
 def test_very_many_rows(count: int, tmp_path: Path) -> None:
     """Written, read, solved both ways and calibrated: the same as few rows, only better."""
     mechanism, rng = pincal.load_mechanism("3RRR"), np.random.default_rng(0)

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from marks import quick
+from marks import quick, slow_or_fuzz
 from measured import machine
 from numpy.typing import NDArray
 from random_mechanisms import KINDS, poses_near_home, random_mechanism
@@ -158,12 +158,12 @@ def test_never_above_the_start(kind: str, name: str) -> None:
     check(kind, range(2), OPTIONS[name])
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("seeds", slow_or_fuzz([range(2, 16)], [range(2, 42)]))
 @pytest.mark.parametrize("name", OPTIONS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_never_above_the_start_of_many(kind: str, name: str) -> None:
-    """The same over 14 mechanisms of each kind of platform."""
-    check(kind, range(2, 16), OPTIONS[name])
+def test_never_above_the_start_of_many(kind: str, name: str, seeds: range) -> None:
+    """The same over 14, or 40, mechanisms of each kind of platform."""
+    check(kind, seeds, OPTIONS[name])
 
 
 # Planar cables of which only heights were measured
@@ -254,8 +254,9 @@ def spoiled(kind: str, seed: int) -> tuple[Mechanism, pincal.Measurements]:
     return mechanism, replace(data, poses=poses, readings=readings)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("kind", "count"), [("5R", 20), ("3RRR", 20), ("6UPS", 8)])
+@pytest.mark.parametrize(
+    ("kind", "count"), slow_or_fuzz([("5R", 20), ("3RRR", 20), ("6UPS", 8)], [("6UPS", 20)])
+)
 def test_gross_errors_do_not_break_the_search(kind: str, count: int) -> None:
     """A fifth of the rows off by 10 mm to 3 m, losses in turn: all sets converge but one."""
     broken, refused, lost = [], [], []

@@ -52,7 +52,6 @@ def identifiability(
     measured = how.measured(mechanism, setup)
     if plan is not None:
         poses = read_poses(plan, mechanism)
-        poses = poses.rows(~poses.verifying)
         check_reached(mechanism, poses, str(plan))
     with working("sampling the workspace"):
         over = sample_configurations(mechanism, 1000, how.seed)
@@ -62,7 +61,7 @@ def identifiability(
     error = found.platform_error(over)
     own = forecast(mechanism, poses, noise, measured, setup, "per-leg") if per_leg else None
     alone = None if own is None else own.platform_error(over)
-    stdout.print(forecast_table(found, error, len(poses.poses), alone))
+    stdout.print(forecast_table(found, error, found.poses, alone))
     needed = needed_alone = None
     if accuracy is not None:
         needed = found.poses_for(accuracy, over)

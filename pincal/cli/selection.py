@@ -266,4 +266,4 @@ def _free(mechanism: Mechanism, offered: Plan, collision: Path) -> Plan:
     if not free.any():
         raise ObservabilityError(f"no candidate is free of collisions by {collision}")
     remark(f"{int((~free).sum())} of {len(free)} candidates collide and were left out")
-    return Plan(offered.poses[free], readings=readings[free])
+    return offered.rows(free)
