@@ -22,9 +22,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Chain:
-    """Elementary joints in a row, and how parameters and leg joints move them."""
+    """Elementary joints in a row, and how parameters and leg joints move them.
 
+    The first of them are parameters only: they stand still in all configurations.
+    """
+
+    still: Forest
+    """The first s elementary joints, without dummies."""
     forest: Forest
+    """The others."""
     from_parameters: Array
     """S, shape (n, n_params)."""
     from_joints: Array
@@ -37,11 +43,15 @@ class Chain:
             parameters: Parameter values, shape (n_params,).
             joints: Joint positions of the leg, shape (N, n_joints), [rad] or [m].
         """
-        q = np.empty((len(joints), len(self.from_parameters)))
-        q[:] = self.from_parameters @ parameters
+        values = self.from_parameters @ parameters
+        s, base = self.still.width, None
+        if s:
+            base = self.still.begin(values[:s], self._rates[:, :s])
+        q = np.empty((len(joints), len(values) - s))
+        q[:] = values[s:]
         for column, row in enumerate(self._rows):
-            q[:, row] += self.from_joints[row, column] * joints[:, column]
-        return self.forest.motion(q, self._wanted)
+            q[:, row - s] += self.from_joints[row, column] * joints[:, column]
+        return self.forest.motion(q, self._wanted, base)
 
     @cached_property
     def _rows(self) -> list[int]:
@@ -49,10 +59,13 @@ class Chain:
         return [int(np.flatnonzero(entries)[0]) for entries in self.from_joints.T]
 
     @cached_property
+    def _rates(self) -> Array:
+        """Rates of elementary joints with each leg joint and parameter, shape (k, n)."""
+        return np.concatenate((self.from_joints, self.from_parameters), axis=1).T
+
+    @cached_property
     def _wanted(self) -> Array:
-        return self.forest.wanted(
-            np.concatenate((self.from_joints, self.from_parameters), axis=1).T
-        )
+        return self.forest.wanted(self._rates[:, self.still.width :])
 
 
 @lru_cache(maxsize=64)  # a chain keeps its forest, of some megabytes
@@ -96,9 +109,11 @@ def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None 
             entry = np.eye(len(moving))[moving.index(joint.name)]
             element, sign = _motion(joint, _key(pending))
             add(element, np.zeros(len(names)), sign * entry)
-    tree = forest(tuple(elements), _key(pending), spatial=spatial, copies=copies)
+    moved = [index for index, (_, entry) in enumerate(rows) if entry.any()]
+    first = moved[0] if moved else 0
     return Chain(
-        tree,
+        Forest(tuple(elements[:first]), spatial=True, copies=1),
+        forest(tuple(elements[first:]), _key(pending), spatial=spatial, copies=copies),
         np.array([parameter for parameter, _ in rows]).reshape(len(rows), len(names)),
         np.array([entry for _, entry in rows]).reshape(len(rows), len(moving)),
     )

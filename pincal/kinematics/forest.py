@@ -55,6 +55,15 @@ class Elementary:
         return pin.SE3(np.array(self.placement).reshape(4, 4))
 
 
+@dataclass(frozen=True)
+class Base:
+    """Where a chain begins, and how k motions move that, whatever its joints do; base frame."""
+
+    placement: pin.SE3
+    twists: Array
+    """At the base's origin, linear first, shape (6, k)."""
+
+
 class Forest:
     """Copies of one chain of elementary joints, evaluated together.
 
@@ -65,6 +74,7 @@ class Forest:
     """
 
     def __init__(self, chain: tuple[Elementary, ...], spatial: bool, copies: int) -> None:
+        self.chain = chain
         self.spatial = spatial
         self.copies = copies
         self.width = len(chain)
@@ -79,6 +89,18 @@ class Forest:
                     f"{copy}_{index}",
                 )
         self._data = self._model.createData()
+        self._roots = range(1, 1 + copies * self.width, max(self.width, 1))
+        self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
+
+    def begin(self, configuration: Array, wanted: Array) -> Base:
+        """Return where the first copy ends, and how it moves: where another chain may begin.
+
+        Args:
+            configuration: Of the chain, shape (n,); it has no dummies.
+            wanted: Motions of the chain, shape (k, n).
+        """
+        columns = pin.computeJointJacobians(self._model, self._data, configuration)
+        return Base(self._data.oMi[self.width].copy(), columns @ wanted.T)
 
     def wanted(self, rates: Array) -> Array:
         """Return what ``motion`` takes: the dummies, then k motions, shape (k + 1 or 2, width).
@@ -92,18 +114,24 @@ class Forest:
         result[:dummies, n:], result[dummies:, :n] = np.eye(dummies), rates
         return result
 
-    def motion(self, configurations: Array, wanted: Array) -> Motion:
+    def motion(self, configurations: Array, wanted: Array, base: Base | None = None) -> Motion:
         """Return where the tip is and how it moves.
 
         Args:
             configurations: N configurations of the chain, shape (N, n), without dummies.
             wanted: Motions of the chain, from ``wanted``.
+            base: Where the chain begins, if not at the base's origin.
         """
+        placement = self._first if base is None else base.placement * self._first
+        for root in self._roots:
+            self._model.jointPlacements[root] = placement
         joints = self._columns(configurations)
         rows = (0, 1, 2, 3, 4, 5) if self.spatial else (0, 1, 5)  # others are zero in the plane
         twists = np.empty((len(rows), len(wanted), len(configurations)))
         for own, row in zip(twists, rows, strict=True):
             np.matmul(wanted, joints[row].T, out=own)
+            if base is not None:
+                own[-base.twists.shape[1] :] += base.twists[row, :, None]
         return (_in_space if self.spatial else _in_plane)(twists)
 
     def _columns(self, configurations: Array) -> Array:

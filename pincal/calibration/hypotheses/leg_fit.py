@@ -102,49 +102,62 @@ def leg_fits(
             J = np.concatenate((J, by_base), axis=2)
     # joints that are all read bend as they do
     bent = (mode_sign(closed) * home_mode(leg, platform) < 0.0) & bool(leg.passive)
-    ends = np.cumsum([own.sum() for own in known])
-    fits = []
-    for own, left_of, end, other in zip(known, left, ends, none, strict=True):
-        if not own.any():
-            fits.append(other)
-            continue
-        part = slice(end - own.sum(), end)
+    counts = np.array([own.sum() for own in known])
+    first = np.cumsum(counts) - counts
+    fits = list(none)
+    for count in np.unique(counts[counts > 0]):  # those with as many rows at once
+        which = np.flatnonzero(counts == count)
+        own = first[which, None] + np.arange(count)
         with np.errstate(all="ignore"):
-            left_of[own] = _left(closure.size, J[part], rows.value[part])
-            stroke = _stroke(rows.reading[part], readings[part]) / closure.size
-            gap = float(np.median(missed[part])) / closure.size
-        fits.append(LegFit(gap, left_of, stroke, int(bent[part].sum())))
+            lefts = _left(closure.size, J[own], rows.value[own])
+            strokes = _stroke(rows.reading[own], readings[own]) / closure.size
+            gaps = np.median(missed[own], axis=1) / closure.size
+        for i, one in enumerate(which):
+            left[one][known[one]] = lefts[i]
+            fits[one] = LegFit(
+                float(gaps[i]), left[one], float(strokes[i]), int(bent[own[i]].sum())
+            )
     return fits
 
 
 def _left(size: float, J: Array, value: Array) -> Array:
-    """Return the gaps that parameters near nominal leave, over the leg's size, shape (N,).
+    """Return the gaps that parameters near nominal leave, over the leg's size, shape (P, N).
 
     To first order, of least absolute values (rows with a slip count little), parameters known as
     well as machines follow their drawings, and no farther from nominal than that.
 
     Args:
         size: The leg's size, [m].
-        J: Change of the gaps by as much as each parameter may differ, shape (N, k, n), [m].
-        value: The gaps, shape (N, k), [m].
+        J: Change of the gaps by as much as each parameter may differ, shape (P, N, k, n), [m].
+        value: The gaps in P sets of measurements, shape (P, N, k), [m].
     """
-    J, value = J / (RULE.precise * size), value / (RULE.precise * size)
-    if not (np.isfinite(J).all() and np.isfinite(value).all()):
-        return np.full(len(value), 1.0)
-    n = J.shape[2]
-    weights, usual = np.ones(len(value)), 1.0
+    parts, N, k, n = J.shape
+    result = np.full((parts, N), 1.0)
+    fine = np.isfinite(J).all(axis=(1, 2, 3)) & np.isfinite(value).all(axis=(1, 2))
+    J, value = (one[fine] / (RULE.precise * size) for one in (J, value))
+    weights, usual = np.ones(value.shape[:2]), np.ones((len(value), 1))
+    J, value = J.reshape(-1, N * k, n), value.reshape(-1, N * k)
     for _ in range(_ROUNDS):
-        A = np.concatenate(((J * weights[:, None, None]).reshape(-1, n), usual * np.eye(n)))
-        b = np.concatenate(((value * weights[:, None]).ravel(), np.zeros(n)))
-        step = np.linalg.lstsq(A, -b, rcond=None)[0]
-        step /= max(np.abs(step).max(initial=0.0), 1.0)
-        left = np.linalg.norm(value + J @ step, axis=1)
-        usual = max(float(np.median(left)), 1.0)
+        each = np.repeat(weights**2, k, axis=1)
+        weighted = (J * each[:, :, None]).transpose(0, 2, 1)
+        normal = weighted @ J + np.square(usual)[:, :, None] * np.eye(n)
+        step = np.linalg.solve(normal, -weighted @ value[:, :, None])
+        step /= np.maximum(np.abs(step).max(axis=1, initial=0.0, keepdims=True), 1.0)
+        rest = (value + (J @ step)[:, :, 0]).reshape(-1, N, k)
+        left = np.linalg.norm(rest, axis=2)
+        usual = np.maximum(np.median(left, axis=1, keepdims=True), 1.0)
         weights = 1.0 / np.sqrt(np.maximum(left / usual, 1.0))
-    return RULE.precise * left
+    result[fine] = RULE.precise * left
+    return result
 
 
-def _stroke(by_reading: Array, readings: Array) -> float:
-    """Return the median distance over which readings move the leg's end from the usual, [m]."""
-    moved = readings - np.median(readings, axis=0)
-    return float(np.median(np.linalg.norm(by_reading * moved[:, None], axis=(1, 2))))
+def _stroke(by_reading: Array, readings: Array) -> Array:
+    """Return the median distance over which readings move the leg's end from the usual, [m].
+
+    Args:
+        by_reading: Of P sets of measurements, shape (P, N, k, n_active).
+        readings: Shape (P, N, n_active).
+    """
+    moved = readings - np.median(readings, axis=1, keepdims=True)
+    far = np.linalg.norm(by_reading * moved[:, :, None], axis=(2, 3))
+    return np.asarray(np.median(far, axis=1))
