@@ -18,9 +18,9 @@ from pathlib import Path
 
 import pincal
 from pincal import errors, formats
+from pincal.calibration.checks.runs import compare_runs
 from pincal.calibration.result_files import read_result
-from pincal.calibration.runs import compare_runs
-from pincal.cli.commands import NAMES
+from pincal.cli.registry import NAMES
 from pincal.files.measurement_writing import write_measurements, write_poses
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.setups import read_setup

@@ -1,10 +1,10 @@
 """The names of ``pincal``, and where each is: imported when it is first used."""
 
 from .calibration.calibrate import calibrate
+from .calibration.checks.validation import validate
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
-from .calibration.validation import validate
 from .design.forecast import forecast
 from .design.select import Selection, select_poses
 from .design.select_configurations import select_configurations

@@ -10,8 +10,8 @@ from warnings import warn
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.calibration.checks.runs import RunComparison
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.runs import RunComparison
 from pincal.design.platform_error import PlatformError
 from pincal.model.placement import Coordinate, Placement, Value
 from pincal.symmetry.elements import Element
@@ -22,8 +22,8 @@ _HOMES = {
     "pincal.calibration.calibration": "Calibration",
     "pincal.calibration.result": "IdentifiedParameter",
     "pincal.calibration.result_files": "read_result",
-    "pincal.calibration.runs": "RunComparison compare_runs",
-    "pincal.calibration.validation": "Validation",
+    "pincal.calibration.checks.runs": "RunComparison compare_runs",
+    "pincal.calibration.checks.validation": "Validation",
     "pincal.design.forecast": "Forecast",
     "pincal.design.platform_error": "PlatformError",
     "pincal.design.select_configurations": "ConfigurationChoice",
@@ -65,7 +65,7 @@ _REPLACED = {
     "read_setup": "Setup.from_yaml",
     "report": "CalibrationResult.report",
     "rotations": "Element.rotations",
-    "RunConsistency": "calibration.runs.RunComparison",
+    "RunConsistency": "calibration.checks.runs.RunComparison",
     "spherical": "Placement.of",
     "write_measurements": "Measurements.to_csv",
     "write_poses": "Plan.to_csv",

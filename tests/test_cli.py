@@ -19,7 +19,7 @@ from command_line import contents, done, run
 from marks import quick, some_slow
 
 import pincal
-from pincal.cli.commands import NAMES, registered
+from pincal.cli.registry import NAMES, registered
 from pincal.files.measurements import read_readings
 from pincal.files.mechanism_folders import bundled
 
@@ -700,7 +700,7 @@ def test_failed_simulation_leaves_no_truth(work: Path, monkeypatch: pytest.Monke
     def fail(*_: object, **__: object) -> None:
         raise pincal.FileError("cannot write new.csv: No space left on device")
 
-    monkeypatch.setattr("pincal.cli.simulation.write_measurements", fail)
+    monkeypatch.setattr("pincal.cli.commands.simulation.write_measurements", fail)
     outcome = run("simulate", "3RRR", "plan.csv", "--truth", "new", "-o", "new.csv")
     assert outcome.code == 2
     assert "No space left" in outcome.trouble
@@ -802,7 +802,7 @@ def test_no_export_holds_what_is_no_number(
     kind: str, writer: str, work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A file with nan or inf for a number is not written, and its line is said."""
-    import pincal.cli.exporting as exporting  # of the functions that it calls
+    import pincal.cli.commands.exporting as exporting  # of the functions that it calls
 
     monkeypatch.setattr(exporting, writer, lambda _: '<a>\n<b xyz="0 nan 0"/>')
     outcome = run("export", "5R", "-o", f"new.{kind}")

@@ -12,8 +12,8 @@ from measured import EXACT, NOISE, machine, put, seen_from_elsewhere
 from scipy.stats import chi2, f, spearmanr
 
 import pincal
-from pincal.calibration.runs import compare_runs
-from pincal.calibration.validation import trends
+from pincal.calibration.checks.drift import trends
+from pincal.calibration.checks.runs import compare_runs
 from pincal.words.sentences import sentence
 
 FRAME = pincal.Setup(unknown_frame=True)
@@ -110,14 +110,14 @@ def test_trends_are_spearmans(n: int) -> None:
 
 def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:
     """Rows of one pose are never on both sides; too many folds are refused."""
-    from pincal.calibration.validation import _folds
+    from pincal.calibration.checks.folds import folds_of
 
     mechanism, _, data = machine("3RRR", 12)
     places = tuple(f"p{i // 3}" for i in range(len(data)))
-    folds = _folds(replace(data, places=places), 2)
+    folds = folds_of(replace(data, places=places), 2)
     assert all(len({folds[i] for i in range(3 * p, 3 * p + 3)}) == 1 for p in range(4))
     sets = tuple("leg_1" if i < 6 else "leg_2" for i in range(len(data)))
-    folds = _folds(replace(data, sets=sets), 3)
+    folds = folds_of(replace(data, sets=sets), 3)
     assert sorted(folds[:6].tolist()) == sorted(folds[6:12].tolist()) == [0, 0, 1, 1, 2, 2]
     for count in (1, 13):
         with pytest.raises(pincal.MeasurementError, match="at least two folds"):

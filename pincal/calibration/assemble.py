@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.ties import tie_tests
 from pincal.calibration.confidence import Confidence, confidence, exceeded, quantiles
 from pincal.calibration.covariance import chi2_freedoms, covariances
 from pincal.calibration.findings import findings_of
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
-from pincal.calibration.result import CalibrationResult, excess_of
-from pincal.calibration.ties import tie_tests
+from pincal.calibration.promise import excess_of
+from pincal.calibration.result import CalibrationResult
 from pincal.estimation.residuals.leg_residuals import leg_residuals
 from pincal.estimation.residuals.robust import Outlier, Robust
 from pincal.model.measurements import Noise

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.calibration.fits import Fits
-from pincal.calibration.result import UNEXPLAINED, CalibrationResult
+from pincal.calibration.promise import UNEXPLAINED
+from pincal.calibration.result import CalibrationResult
 from pincal.estimation.components import Moments
 from pincal.estimation.curvature import curvature
 from pincal.estimation.noise import assumed_noise

@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
 from pincal.calibration.options import Options
-from pincal.design.platform_error import (
-    PlatformError,
-    Unidentified,
-    closing_twists,
-    platform_error,
-    root_mean_squares,
-    sizes,
+from pincal.calibration.promise import (
+    contradictions,
+    corrects,
+    excess_of,
+    expected_error,
+    explained,
+    misses,
+    whitened,
 )
+from pincal.design.platform_error import PlatformError
 from pincal.estimation.conditions.external import External
 from pincal.estimation.observability.weak import WeakPair, weak_pairs
 from pincal.estimation.residuals.robust import Outlier
@@ -31,44 +33,13 @@ from pincal.model.parameter import Parameters
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
-    from pincal.calibration.runs import RunComparison
-    from pincal.calibration.validation import Validation
+    from pincal.calibration.checks.runs import RunComparison
+    from pincal.calibration.checks.validation import Validation
     from pincal.show.plots import Plots
     from pincal.show.report.report import Report
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
-_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
-#: Findings that contradict the model or its noise.
-CONTRADICT = frozenset(
-    {
-        "chi2-too-large",
-        "curved",
-        "noise-in-other-proportion",
-        "model-lacks",
-        "no-noise",
-        "many-outliers",
-        "tie-contradicted",
-        "held-out-worse",
-        "drift",
-        "step",
-        "runs-differ",
-    }
-)
-_MISSED = 0.01  # standard deviations, below which a leg misses nothing
-_FELL = 0.5  # of the residuals: less must be left of them if anything was corrected
-
-
-def _whitened(parts: list[tuple[Array, Array, Array]]) -> tuple[Array, Array]:
-    before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
-    noisy = sigma > 0.0
-    return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]
-
-
-def excess_of(chi2: float, p_value: float) -> float:
-    """Return how many times larger residuals are than the noise makes them; 1 if it may be."""
-    return float(np.sqrt(chi2)) if p_value < UNEXPLAINED else 1.0
 
 
 class Page(Protocol):
@@ -212,7 +183,7 @@ class CalibrationResult:
     @property
     def explained(self) -> bool:
         """Whether residuals fell, and so near to the noise that uncertainties mean anything."""
-        return self.excess <= _PROMISED and self.corrects
+        return explained(self)
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
@@ -220,10 +191,7 @@ class CalibrationResult:
 
         While there are any, no limit is promised for the platform's error, anywhere.
         """
-        found = list(self.findings)
-        found += self.validation.findings if self.validation is not None else ()
-        found += self.runs.findings if self.runs is not None else ()
-        return tuple(one for one in found if one.code in CONTRADICT)
+        return contradictions(self)
 
     @property
     def promises(self) -> bool:
@@ -237,17 +205,12 @@ class CalibrationResult:
         Of the legs and of the platform: where the search started, poses made from readings leave
         all to the platform.
         """
-        parts = [(leg.residuals_before, leg.residuals, leg.sigma) for leg in self.legs]
-        parts += [(one.residuals_before, one.residuals, one.sigmas) for one in self.observed]
-        return _whitened(parts)
+        return whitened([*self.legs, *self.observed])
 
     @property
     def corrects(self) -> bool:
         """Whether residuals fell by half at least, in standard deviations, or are noise."""
-        legs = _whitened([(one.residuals_before, one.residuals, one.sigma) for one in self.legs])
-        shown = legs if np.abs(legs[0]).max(initial=0.0) > _MISSED else self.whitened
-        before, after = ((one**2).sum() for one in shown)
-        return self.excess == 1.0 or bool(after <= _FELL**2 * before)
+        return corrects(self)
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""
@@ -273,29 +236,9 @@ class CalibrationResult:
         Raises:
             MechanismError: poses of a wrong shape, or not finite.
         """
-        found = self._by_covariance(self.poses if poses is None else poses)
-        return found if self.promises else found.without_limit(self._seen)
-
-    def _by_covariance(self, poses: Plan | Array) -> PlatformError:
-        lost = self.undetermined_directions
-        return platform_error(
-            self.identified,
-            self.covariance,
-            poses,
-            None if lost is None else Unidentified(lost, self.nominal),
-            self.frames_moved,
-            self.noise_freedoms,
-        )
+        return expected_error(self, self.poses if poses is None else poses)
 
     @cached_property
-    def _seen(self) -> float:
-        """How many times farther measured poses are missed than uncertainties say; 1 at least."""
-        read = self.measurements.readings if self.nominal.by_readings else None
-        expected = self._by_covariance(Plan(self.poses, readings=read)).where_determined
-        pairs = zip(self.misses, expected, strict=True)
-        return max([1.0, *(seen / one for seen, one in pairs if seen > one > 0.0)])
-
-    @property
     def misses(self) -> tuple[float, float]:
         """By how much the platform misses poses that were measured in full, [m] and [rad].
 
@@ -303,20 +246,7 @@ class CalibrationResult:
         rows where these were asked for. NaN where no pose was measured in full, or something else
         than poses.
         """
-        held = self.validation
-        if held is not None and held.position is not None:
-            return held.position[1], 0.0 if held.orientation is None else held.orientation[1]
-        setup, data = self.options.setup, self.measurements
-        if setup.distances or len(setup.targets) > 1:
-            return np.nan, np.nan
-        counts: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
-        counts[[one.row for one in self.outliers if one.weight == 0.0]] = False
-        if not counts.any():
-            return np.nan, np.nan
-        whole = data.rows(counts)
-        poses, _ = replace(self.calibration, measurements=whole).given_poses(self.outside)
-        twists = closing_twists(self.identified, Plan(poses, readings=whole.readings))
-        return root_mean_squares(sizes(self.nominal.platform.units, twists))
+        return misses(self)
 
     @property
     def poses(self) -> Array:

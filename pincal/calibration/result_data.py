@@ -11,10 +11,10 @@ from cattrs.errors import BaseValidationError
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.runs import RunComparison
+from pincal.calibration.checks.validation import Validation
 from pincal.calibration.options import Options, Progress
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.runs import RunComparison
-from pincal.calibration.validation import Validation
 from pincal.errors import MeasurementError
 from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
 from pincal.model.instrument import Instrument

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pincal.files.output as output
+from pincal.calibration.checks.runs import RunComparison
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult
 from pincal.calibration.result import CalibrationResult, Page
 from pincal.calibration.result_data import restored, stored
-from pincal.calibration.runs import RunComparison
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, read_text
 from pincal.files.measurement_writing import write_poses

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pincal.calibration.checks.runs import RunComparison
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.runs import RunComparison
 from pincal.show.results import (
     Series,
     legs_series,

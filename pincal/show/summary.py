@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pincal.calibration.checks.validation import Validation
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.validation import Validation
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.weak import WeakPair

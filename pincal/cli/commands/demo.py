@@ -10,11 +10,11 @@ from typing import Annotated
 import typer
 
 from pincal.cli.app import Force, Seed, output_option, remember, stdout, typed, working
-from pincal.cli.calibration import CalibrateOptions, calibrate
-from pincal.cli.commands import register
-from pincal.cli.selection import SelectOptions, select
-from pincal.cli.simulation import SimulateOptions, simulate
-from pincal.cli.workspace import WorkspaceOptions, workspace
+from pincal.cli.commands.calibration import CalibrateOptions, calibrate
+from pincal.cli.commands.selection import SelectOptions, select
+from pincal.cli.commands.simulation import SimulateOptions, simulate
+from pincal.cli.commands.workspace import WorkspaceOptions, workspace
+from pincal.cli.registry import register
 from pincal.design.simulate import accuracy
 from pincal.errors import FileError
 from pincal.files.measurements import read_poses

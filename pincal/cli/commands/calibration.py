@@ -13,11 +13,11 @@ import typer
 
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.runs import runs_compared
+from pincal.calibration.checks.validation import FOLDS, held_out
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json
-from pincal.calibration.runs import runs_compared
-from pincal.calibration.validation import FOLDS, held_out
 from pincal.cli.app import (
     Force,
     Mech,

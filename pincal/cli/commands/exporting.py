@@ -11,7 +11,7 @@ import typer
 
 from pincal.calibration.result_files import read_result
 from pincal.cli.app import Force, Mech, command, output_option, remark, stdout, warn, wrote
-from pincal.cli.importing import SUFFIXES, TREES
+from pincal.cli.commands.importing import SUFFIXES, TREES
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing, writing

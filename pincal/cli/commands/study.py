@@ -14,7 +14,7 @@ from pincal.errors import FileError
 from pincal.files.output import refuse_existing, writing
 
 STUDY = "study.md"
-_BESIDE = Path(__file__).resolve().parents[2]
+_BESIDE = Path(__file__).resolve().parents[3]
 
 
 @command(answers=True)

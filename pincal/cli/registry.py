@@ -30,7 +30,9 @@ MODULES = {
     "study": "study",
 }
 NAMES = {
-    name: f"pincal.cli.{module}" for module, names in MODULES.items() for name in names.split()
+    name: f"pincal.cli.commands.{module}"
+    for module, names in MODULES.items()
+    for name in names.split()
 }
 """Commands, and the module of each."""
 _REGISTERED: dict[str, CommandInfo] = {}

@@ -13,7 +13,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.doctor import Remedy, remedies
 from pincal.calibration.options import Options
 from pincal.cli.app import Force, Mech, answer, command, remark, stdout, typed, working, wrote
-from pincal.cli.calibration import GivenNoise
+from pincal.cli.commands.calibration import GivenNoise
 from pincal.cli.options import SetupOptions
 from pincal.files.measurement_writing import write_measurements
 from pincal.files.measurements import read_measurements

@@ -10,24 +10,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
 
 from pincal.calibration.calibrate import prepared
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.drift import UNLIKELY, drifts
+from pincal.calibration.checks.folds import By, folds_of
 from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
 from pincal.design.platform_error import closing_twists
-from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses
-from pincal.estimation.residuals.leg_residuals import leg_residuals
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Plan
@@ -37,10 +36,7 @@ from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-By = Literal["region", "turn", "run"]
 FOLDS = 5
-UNLIKELY = 1e-3  # probability at which fit and held-out rows part, rows drift, runs differ
-_ENOUGH = 10  # rows from which a trend is asked for
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,7 +126,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         calibration = calibration.rows(kept).with_options(loss="none")
         whole = fitted(calibration)
         calibration = whole.calibration
-    groups = _folds(calibration.measurements, folds, by)
+    groups = folds_of(calibration.measurements, folds, by)
     count = int(groups.max()) + 1
     parts: list[_Predicted] = []
     misfits: list[Array] = []
@@ -170,7 +166,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         p_value=p_value,
         position=_both(fit_misfits, np.concatenate(misfits), lengths),
         orientation=_both(fit_misfits, np.concatenate(misfits), ~lengths),
-        findings=(*_drift(whole), *more),
+        findings=(*drifts(whole), *more),
     )
 
 
@@ -189,57 +185,6 @@ def _chance(found: Fits, parts: Sequence[_Predicted]) -> float:
         return exceeded(ratio, share * equations, confidence(found).of_chi2)
     own = sum(one.chi2 for one in fits) / max(dof, 1)
     return exceeded(ratio / own, share * equations, share * dof) if own > 0.0 else 1.0
-
-
-def _folds(data: Measurements, folds: int, by: By = "turn") -> NDArray[np.intp]:
-    """Return the fold of each row, shape (N,); -1 of rows that are seen by every fit.
-
-    Raises:
-        MeasurementError: too few rows, or fewer than two folds or runs.
-    """
-    if data.verifying.any():
-        return np.where(data.verifying, 0, -1)
-    if by == "run":
-        names = tuple(dict.fromkeys(data.runs or ()))
-        if len(names) < 2:
-            raise MeasurementError("runs are left out by a column 'run' with at least two in it")
-        return np.array([names.index(one) for one in data.runs or ()])
-    places = [row.tobytes() for row in data.readings] if data.places is None else data.places
-    places = [place or str(row) for row, place in enumerate(places)]  # an empty one is its own
-    sets = data.sets or ("",) * len(data)
-    groups: dict[str, dict[str | bytes, list[int]]] = {}
-    for row, (chosen, place) in enumerate(zip(sets, places, strict=True)):
-        groups.setdefault(chosen, {}).setdefault(place, []).append(row)
-    most = max(len(one) for one in groups.values())
-    if not 2 <= folds <= most:
-        raise MeasurementError(
-            f"{folds} folds of {most} poses; expected at least two folds, and no more than there "
-            "are poses"
-        )
-    found = np.zeros(len(data), dtype=np.intp)
-    for poses in groups.values():
-        firsts = np.array([rows[0] for rows in poses.values()])
-        own = np.arange(len(poses)) % folds
-        if by == "region":
-            own = _regions(data.readings[firsts], min(folds, len(poses)))
-        for rows, fold in zip(poses.values(), own, strict=True):
-            found[rows] = fold
-    return found
-
-
-def _regions(readings: Array, count: int) -> NDArray[np.intp]:
-    """Return the region of each row, shape (N,): halves of halves along the widest reading."""
-    if count == 1:
-        return np.zeros(len(readings), dtype=np.intp)
-    known = np.where(np.isfinite(readings), readings, np.nanmedian(readings))
-    spread = np.ptp(known, axis=0)
-    order = np.argsort(known[:, int(np.argmax(spread))], kind="stable")
-    first = count // 2
-    low, high = np.split(order, [round(len(order) * first / count)])
-    found = np.empty(len(readings), dtype=np.intp)
-    found[low] = _regions(readings[low], first)
-    found[high] = first + _regions(readings[high], count - first)
-    return found
 
 
 @dataclass(frozen=True)
@@ -311,43 +256,3 @@ def _both(fitted: Array, held_out: Array, columns: Mask) -> tuple[float, float] 
             return None
         sizes.append(float(np.sqrt((known**2).sum(axis=1).mean())))
     return sizes[0], sizes[1]
-
-
-def _drift(whole: Fits) -> Sequence[Finding]:
-    """Return legs whose residuals rise or fall with the order of the rows."""
-    found = []
-    for robust in whole.fits:
-        one = robust.fit
-        for index, leg in enumerate(one.problem.legs):
-            own = one.problem.used[:, index] & (one.weights > 0.0)
-            values = leg_residuals(one.problem, one.last, index).value[own]
-            if len(values) < _ENOUGH or not np.ptp(values, axis=0).all():
-                continue
-            correlations, chances = trends(values)
-            worst = chances.argmin()
-            if chances[worst] < UNLIKELY / len(one.problem.legs) / len(chances):
-                found.append(
-                    finding(
-                        "drift",
-                        leg=leg.name,
-                        correlation=float(correlations[worst]),
-                        p_value=float(chances[worst]),
-                    )
-                )
-    return found
-
-
-def trends(values: Array) -> tuple[Array, Array]:
-    """Return Spearman's correlation of columns with the order of rows, and the chance of it.
-
-    Args:
-        values: Rows of numbers no two of which in a column are equal, (N, k), N > 2.
-
-    Returns:
-        (k,) and, by Student's distribution and from both sides, (k,).
-    """
-    n = len(values)
-    moved = values.argsort(axis=0) - np.arange(n)[:, None]
-    correlations = 1.0 - 6.0 * (moved**2).sum(axis=0) / (n * (n**2 - 1))
-    with np.errstate(divide="ignore"):
-        return correlations, fdtrc(1, n - 2, (n - 2) / (1.0 / correlations**2 - 1.0))

@@ -1,0 +1,1 @@
+"""What contradicts a calibration: held-out rows, drift, runs, ties."""

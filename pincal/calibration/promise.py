@@ -1,0 +1,133 @@
+"""What a calibration promises of the platform's error, and what contradicts a promise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.leg_result import LegResult, Observed
+from pincal.design.platform_error import (
+    PlatformError,
+    Unidentified,
+    closing_twists,
+    platform_error,
+    root_mean_squares,
+    sizes,
+)
+from pincal.finding import Finding
+from pincal.model.measurements import Plan
+
+if TYPE_CHECKING:
+    from pincal.calibration.result import CalibrationResult
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
+_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
+_MISSED = 0.01  # standard deviations, below which a leg misses nothing
+_FELL = 0.5  # of the residuals: less must be left of them if anything was corrected
+#: Findings that contradict the model or its noise.
+CONTRADICT = frozenset(
+    {
+        "chi2-too-large",
+        "curved",
+        "noise-in-other-proportion",
+        "model-lacks",
+        "no-noise",
+        "many-outliers",
+        "tie-contradicted",
+        "held-out-worse",
+        "drift",
+        "step",
+        "runs-differ",
+    }
+)
+
+
+def excess_of(chi2: float, p_value: float) -> float:
+    """Return how many times larger residuals are than the noise makes them; 1 if it may be."""
+    return float(np.sqrt(chi2)) if p_value < UNEXPLAINED else 1.0
+
+
+def explained(result: CalibrationResult) -> bool:
+    """Return whether residuals fell, and so near to the noise that uncertainties mean anything."""
+    return result.excess <= _PROMISED and corrects(result)
+
+
+def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
+    """Return what contradicts the model or its noise: χ², residuals, held-out rows, runs, ties."""
+    found = list(result.findings)
+    found += result.validation.findings if result.validation is not None else ()
+    found += result.runs.findings if result.runs is not None else ()
+    return tuple(one for one in found if one.code in CONTRADICT)
+
+
+def whitened(parts: Sequence[LegResult | Observed]) -> tuple[Array, Array]:
+    """Return residuals before and after in standard deviations, of all that carries noise."""
+    before = np.concatenate([one.residuals_before for one in parts])
+    after = np.concatenate([one.residuals for one in parts])
+    sigma = np.concatenate(
+        [one.sigmas if isinstance(one, Observed) else one.sigma for one in parts]
+    )
+    noisy = sigma > 0.0
+    return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]
+
+
+def corrects(result: CalibrationResult) -> bool:
+    """Return whether residuals fell by half at least, in standard deviations, or are noise."""
+    legs = whitened(result.legs)
+    shown = legs if np.abs(legs[0]).max(initial=0.0) > _MISSED else result.whitened
+    before, after = ((one**2).sum() for one in shown)
+    return result.excess == 1.0 or bool(after <= _FELL**2 * before)
+
+
+def expected_error(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
+    """Return the platform error to expect of the calibrated mechanism at poses.
+
+    Without a limit while something contradicts the model, and then as many times larger as the
+    platform misses the measured poses by more than uncertainties say.
+    """
+    found = _by_covariance(result, poses)
+    return found if result.promises else found.without_limit(_seen(result))
+
+
+def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
+    lost = result.undetermined_directions
+    return platform_error(
+        result.identified,
+        result.covariance,
+        poses,
+        None if lost is None else Unidentified(lost, result.nominal),
+        result.frames_moved,
+        result.noise_freedoms,
+    )
+
+
+def _seen(result: CalibrationResult) -> float:
+    """Return how many times farther measured poses are missed than uncertainties say; 1 or more."""
+    read = result.measurements.readings if result.nominal.by_readings else None
+    expected = _by_covariance(result, Plan(result.poses, readings=read)).where_determined
+    pairs = zip(result.misses, expected, strict=True)
+    return max([1.0, *(seen / one for seen, one in pairs if seen > one > 0.0)])
+
+
+def misses(result: CalibrationResult) -> tuple[float, float]:
+    """Return by how much the platform misses poses that were measured in full, [m] and [rad]."""
+    held = result.validation
+    if held is not None and held.position is not None:
+        return held.position[1], 0.0 if held.orientation is None else held.orientation[1]
+    setup, data = result.options.setup, result.measurements
+    if setup.distances or len(setup.targets) > 1:
+        return np.nan, np.nan
+    counts: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
+    counts[[one.row for one in result.outliers if one.weight == 0.0]] = False
+    if not counts.any():
+        return np.nan, np.nan
+    whole = data.rows(counts)
+    poses, _ = replace(result.calibration, measurements=whole).given_poses(result.outside)
+    twists = closing_twists(result.identified, Plan(poses, readings=whole.readings))
+    return root_mean_squares(sizes(result.nominal.platform.units, twists))

@@ -1,0 +1,1 @@
+"""The commands, a module for each that belong together; imported when they are asked for."""
