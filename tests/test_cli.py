@@ -23,7 +23,7 @@ from pincal.cli.registry import NAMES, registered
 from pincal.files.measurements import read_readings
 from pincal.files.mechanism_folders import bundled
 
-KINDS = quick(2, ["3RRR", "5R", "4cable"])
+KINDS = quick(1, ["3RRR", "5R", "4cable"])
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
 #: Readings that are too many for the freedoms cannot be exact.
 READ = {"4cable": ["--noise-reading", "1e-5"]}

@@ -391,7 +391,7 @@ _QUIET = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture, HealthCheck
 
 @pytest.mark.parametrize("name", PROPERTIES)
 @given(data=st.data())
-@settings(max_examples=3, derandomize=True, database=None, deadline=None,
+@settings(max_examples=2, derandomize=True, database=None, deadline=None,
           suppress_health_check=_QUIET)  # fmt: skip
 def test_property(name: str, data: st.DataObject, tmp_path: Path) -> None:
     """The property holds for a few mechanisms, the same ones in every run."""

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from marks import quick, slow_or_fuzz
+from marks import quick, slow_or_fuzz, some_slow
 from measured import machine
 from numpy.typing import NDArray
 from random_mechanisms import KINDS, poses_near_home, random_mechanism
@@ -148,7 +148,7 @@ def check(kind: str, seeds: range, options: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize("name", OPTIONS)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "spatial"))
 def test_never_above_the_start(kind: str, name: str) -> None:
     """From up to 5 % off, χ² is never above the start's, nor that of the truth where converged.
 

@@ -8,6 +8,7 @@ from closed_forms import angles, base_point, platform_point, poses_near_home
 from marks import some_slow
 
 import pincal
+from pincal.kinematics.singularity import rods_margin
 from pincal.workspace.component import HomeComponent
 from pincal.workspace.criteria import in_workspace
 
@@ -42,6 +43,17 @@ def test_margins_equal_closed_forms(mechanism: pincal.Mechanism) -> None:
     np.testing.assert_allclose(found.type2[ok], (determinant * np.sign(at_home))[ok], atol=1e-12)
     unreachable = ~np.isfinite(sines)
     assert np.isnan(found.type1[unreachable]).all()
+
+
+@pytest.mark.parametrize("kind", ["5R", "3RRR", "3PRR", "6UPS", "delta", "8cable"])
+def test_margins_of_rods_are_those_of_closed_legs(kind: str) -> None:
+    """Lines along rods and slides say before closing what closed legs say; both sides are met."""
+    mechanism = pincal.load_mechanism(kind)
+    poses = pincal.sample_workspace(mechanism, 200, 1, pincal.Margins.none())
+    rods = rods_margin(mechanism, mechanism.platform.matrices(poses))
+    assert rods is not None
+    np.testing.assert_allclose(rods, pincal.margins(mechanism, poses).type2, atol=1e-12)
+    assert (rods < 0.0).any() or kind in ("delta", "8cable")
 
 
 @pytest.mark.parametrize("kind", some_slow(BENDS, "3RRR"))

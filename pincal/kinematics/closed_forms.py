@@ -48,6 +48,33 @@ def is_line(closure: LegClosure) -> bool:
     return closure.leg.active == [2] and closed_form(closure) is pointing_slide
 
 
+def rod_directions(closure: LegClosure, targets: Array) -> Array | None:
+    """Return the unit directions of a leg's rod or slide towards targets, shape (N, 3).
+
+    None unless it pushes along itself only: its one sensor reads the drive of the rod, or the
+    slide. NaN where a rod has no direction; out of reach, that of the leg stretched or folded.
+
+    Args:
+        closure: The leg.
+        targets: Shape (N, 3), [m]; may be changed.
+    """
+    form = closed_form(closure)
+    if form is pointing_slide and closure.leg.active == [len(closure.leg.moving) - 1]:
+        arm = _in_space(closure, targets - slide_geometry(closure).centre)
+    elif form is driven_rod and closure.leg.active == [0]:
+        rod, drive = rod_geometry(closure), driven_rod(closure, targets)[0][:, 0]
+        arm = _in_space(closure, targets - rod.centre)
+        if closure.leg.moving[0].kind == "prismatic":
+            arm -= drive[:, None] * rod.frame[:, 1]
+        else:
+            circle = np.stack((np.cos(drive), np.sin(drive)), axis=1)
+            arm -= rod.radius * circle @ rod.frame[:, :2].T
+    else:
+        return None
+    with np.errstate(invalid="ignore"):
+        return np.asarray(arm / np.linalg.norm(arm, axis=1, keepdims=True))
+
+
 @dataclass(frozen=True)
 class Pointing:
     """A pointing joint at zero joint positions, read off its chain; base frame.

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.batches import point_velocity
+from pincal.kinematics.closed_forms import rod_directions
 from pincal.kinematics.closure import Closure, nominal_legs
 from pincal.kinematics.inverse import close, close_chunks, sensor_law
 from pincal.kinematics.nearest_closure import nearest_closure
@@ -77,8 +79,36 @@ def platform_margin(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
     return _determinant(mechanism, closures) * (np.sign(home_determinant(mechanism)) or 1.0)
 
 
+def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
+    """Return the same of poses ``T_base_platform`` by closed forms, before any leg is closed, (N,).
+
+    Where a leg does not reach, a number without meaning. None if a leg is no rod or slide.
+    """
+    lines = _rods(mechanism, matrices)
+    home = _rods(mechanism, mechanism.platform.home_pose.as_matrix())
+    if lines is None or home is None:
+        return None
+    return _volume(mechanism, lines) * (np.sign(_volume(mechanism, home)) or 1.0)
+
+
+def _rods(mechanism: Mechanism, matrices: Array) -> Array | None:
+    """Return the legs' constraint lines, shape (N, n_legs, dof), or None."""
+    rows, lines = mechanism.platform.twist_rows, []
+    for closure in nominal_legs(mechanism):
+        targets = closure.targets(matrices)
+        arm = targets - matrices[:, :3, 3]
+        if (along := rod_directions(closure, targets)) is None:
+            return None
+        lines.append((along[:, None] @ point_velocity(arm, rows))[:, 0])
+    return np.stack(lines, axis=1)
+
+
 def _determinant(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
-    lines = np.concatenate([c.project(c.pose) for c in closures], axis=1)
+    return _volume(mechanism, np.concatenate([c.project(c.pose) for c in closures], axis=1))
+
+
+def _volume(mechanism: Mechanism, lines: Array) -> Array:
+    """Return what constraint lines span, shape (N,): determinants, if they are as the freedoms."""
     turns = [i for i, row in enumerate(mechanism.platform.twist_rows) if row >= 3]
     lines[:, :, turns] /= _radius(mechanism)
     with np.errstate(invalid="ignore"):  # a leg whose passive joints are singular is NaN

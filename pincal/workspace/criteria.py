@@ -17,7 +17,12 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.inverse import CHUNK, close, matrix_chunks
 from pincal.kinematics.reach import Reach, reach_of
-from pincal.kinematics.singularity import drive_margins, home_determinant, platform_margin
+from pincal.kinematics.singularity import (
+    drive_margins,
+    home_determinant,
+    platform_margin,
+    rods_margin,
+)
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -78,7 +83,8 @@ class Criteria:
         self._legs = nominal_legs(mechanism)
         found = [reach_of(leg, self.least.type1) for leg in self._legs]
         self.reaches: tuple[Reach, ...] = tuple(reach for reach in found if reach)
-        self.in_closed_form = self._type2 == -np.inf and all(r and r.exact for r in found)
+        self._exact = all(reach and reach.exact for reach in found)
+        self.in_closed_form = self._type2 == -np.inf and self._exact
         """Whether the reaches decide alone."""
 
     def __call__(self, matrices: Array) -> Mask:
@@ -90,8 +96,13 @@ class Criteria:
             rows = np.flatnonzero(inside)
             for begin in range(0, len(rows), CHUNK):
                 part = rows[begin : begin + CHUNK]
-                inside[part] = self._closed(matrices[part])
+                inside[part] = self._within(matrices[part])
         return inside
+
+    def _within(self, matrices: Array) -> Mask:
+        """Return which poses count of those that the reaches allow."""
+        found = rods_margin(self.mechanism, matrices) if self._exact else None
+        return self._closed(matrices) if found is None else found >= self._type2 - ROUNDING
 
     def _closed(self, matrices: Array) -> Mask:
         """Return which poses count, by closing every leg."""
