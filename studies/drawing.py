@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 import pincal
+
+from .study import Study
 
 Array = NDArray[np.float64]
 #: Okabe and Ito's colours, distinct in every common colour-blindness.
@@ -42,10 +47,59 @@ def draw_mechanism(axes: Axes, mechanism: pincal.Mechanism, pose: Sequence[float
     axes.set(xlim=(left - room, right + room), ylim=(low - room, high + room))
 
 
-def draw_workspace(axes: Axes, workspace: pincal.Workspace) -> None:
-    """Draw the positions of a workspace."""
-    x, y = workspace.positions[:, :2].T
-    axes.plot(x, y, "s", ms=1.5, color="#A9CBE8", mew=0, zorder=0, rasterized=True)
+def parameters(study: Study, number: str, legs: Sequence[str]) -> None:
+    """Add a schematic figure of the study's mechanism, the parameters of legs as dimensions."""
+    mechanism = study.mechanism
+    study.heading(f"The mechanism and its parameters ({number})")
+    study.figure(
+        "parameters",
+        f"""{number}: the parameters of {" and ".join(legs)} as lengths and angles, at home; ψ is
+        what the sensor reads.""",
+        pincal.picture(mechanism, dimensions=legs).figure(),
+    )
+
+
+def legend(figure: Figure, columns: int = 4) -> None:
+    """Put one legend for all panels below them, off the data."""
+    named = {
+        text: handle
+        for axes in figure.axes
+        for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        named.values(),
+        named.keys(),
+        loc="outside lower center",
+        ncols=columns,
+        frameon=False,
+        fontsize=8,
+    )
+
+
+def draw_workspace(axes: Axes, workspace: pincal.Workspace, kept: Array | None = None) -> Any:
+    """Draw the cells of a workspace's first section; by values if there are any, and return them.
+
+    Args:
+        axes: Where to draw.
+        workspace: On a grid of one height, or in the plane.
+        kept: A value of each position that counts, shape (count,).
+    """
+    grid = workspace.asked
+    assert isinstance(grid, pincal.Grid)
+    first, second = (
+        np.append(axis.values - axis.step / 2, axis.values[-1] + axis.step / 2)
+        for axis in grid.axes[:2]
+    )
+    a, b = np.meshgrid(first, second, indexing="ij")
+    if grid.axes[0].name == "radius":
+        a, b = a * np.cos(b), a * np.sin(b)
+    cells = np.full(workspace.inside.shape, np.nan)
+    cells[workspace.inside] = 0.0 if kept is None else kept
+    colours = ListedColormap(["#A9CBE8"] if kept is None else [COLOURS[1], COLOURS[5]])
+    shape = (len(first) - 1, len(second) - 1)
+    return axes.pcolormesh(
+        a, b, cells.reshape(shape), cmap=colours, vmin=0, vmax=1, zorder=0, rasterized=True
+    )
 
 
 def draw_poses(axes: Axes, mechanism: pincal.Mechanism, plan: pincal.Plan) -> None:
@@ -61,7 +115,6 @@ def draw_poses(axes: Axes, mechanism: pincal.Mechanism, plan: pincal.Plan) -> No
             ends = own[:, :2] + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
             strokes = list(np.stack((own[:, :2], ends), axis=1))
             axes.add_collection(LineCollection(strokes, colors=COLOURS[index], lw=0.8))
-    axes.legend(fontsize=8)
 
 
 def draw_bars(axes: Axes, names: Sequence[str], series: Mapping[str, Sequence[float]]) -> Array:
@@ -74,15 +127,16 @@ def draw_bars(axes: Axes, names: Sequence[str], series: Mapping[str, Sequence[fl
         for bar in bars:
             bar.set(hatch=HATCHES[index], edgecolor="white")
     axes.set_xticks(range(len(names)), names, fontsize=8)
-    axes.legend(fontsize=8)
     return places
 
 
-def observability(selection: pincal.Selection, names: Sequence[str]) -> Figure:
+def observability(selection: pincal.Selection, mechanism: pincal.Mechanism) -> Figure:
     """Return bars of |R_ii| by parameter and leg (3-RRR paper, Fig. 9)."""
     figure, (axes,) = panels(1, 8, 4)
+    names = mechanism.legs[0].parameter_names
     draw_bars(axes, names, {leg.leg: leg.r_diagonal.tolist() for leg in selection.legs})
-    axes.set_ylabel("observability |R_ii| [rad/unit]")
+    axes.set_ylabel(f"observability |R_ii| [{mechanism.reading_units[0]}/unit]")
+    legend(figure, 6)
     return figure
 
 
@@ -92,6 +146,9 @@ def times(seconds: Mapping[str, float], title: str = "") -> Figure:
     bars = axes.barh(list(seconds), list(seconds.values()), color=COLOURS[0])
     axes.bar_label(bars, [f" {time:.3g} s" for time in seconds.values()], fontsize=8)
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.invert_yaxis()
     axes.margins(x=0.15)
     axes.set_xlabel("time on the machine that drew this [s]")
@@ -106,6 +163,7 @@ def readings_of_three_legs(spaces: Mapping[str, Array]) -> Figure:
     cloud = figure.add_subplot(2, 3, 1, projection="3d")
     cloud.scatter(*first.T, s=1, c=first.sum(axis=1), lw=0, rasterized=True)
     cloud.set(xlabel="ψ₁ [rad]", ylabel="ψ₂ [rad]", zlabel="ψ₃ [rad]")
+    cloud.set_box_aspect(None, zoom=0.8)
     for place, (title, readings) in enumerate(spaces.items()):
         axes = figure.add_subplot(2, 3, place + 2)
         across = readings @ np.array([2.0, -1.0, -1.0]) / np.sqrt(6)

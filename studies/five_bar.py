@@ -48,6 +48,7 @@ CHOICES: dict[str, tuple[Protocol, int]] = {
 
 def run(study: Study) -> None:
     """Compare ways to calibrate the five-bar."""
+    drawing.parameters(study, "Figs. 1, 3", study.mechanism.leg_names)
     study.progress("looking for the maximal inscribed workspace")
     circle = _inscribed(study)
     study.progress("choosing postures")
@@ -141,6 +142,7 @@ def _postures(
         axes.plot(*_rim(circle), "-", color="0.6", lw=1)
         drawing.draw_poses(axes, mechanism, plans[name])
         drawing.from_above(axes, name)
+    drawing.legend(figure)
     study.figure(
         "fig_4_postures", "Fig. 4: chosen postures in the maximal inscribed workspace", figure
     )

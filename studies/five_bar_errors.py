@@ -113,6 +113,7 @@ def parameters(study: Study, truth: pincal.Mechanism, outcomes: list[Outcome]) -
     for place, one in zip(places[1:], shown, strict=True):
         axes.hlines(one.bound, place - 0.1, place + 0.1, color="black", ls="--", lw=1)
     axes.set(yscale="log", ylim=(1e-4, 3e-2), ylabel="|identified − real| [m], [rad], [1]")
+    drawing.legend(figure)
     study.figure(
         "fig_5_parameter_errors",
         f"Fig. 5: errors of the parameters before and after calibration, root mean square "

@@ -38,6 +38,7 @@ NONE = pincal.Margins.none()
 
 def run(study: Study) -> None:
     """Check the symmetry of the hexapod, and calibrate it."""
+    drawing.parameters(study, "Figs. 1 to 3", study.mechanism.leg_names[:1])
     study.progress("sampling the workspace")
     poses = pincal.sample_workspace(study.mechanism, 1_000 if study.quick else 10_000, study.seed)
     equal = _lengths(study, poses[:300])
@@ -166,6 +167,7 @@ def _draw(
         axes.plot(*np.vstack((ring, ring[:1])).T, "-", color="0.3", lw=1)
     axes.set(xlim=(-0.9, 0.9), ylim=(-0.9, 0.9), zlim=(0, 2.1))
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    axes.set(xticks=(-0.8, 0.0, 0.8), yticks=(-0.8, 0.0, 0.8), zticks=(0.0, 1.0, 2.0))
     axes.set_box_aspect((1.8, 1.8, 2.1), zoom=0.9)
 
 
@@ -222,15 +224,11 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
         flat = figure.add_subplot(1, 2, 2)
         w = found[name]
         stay = w.test(w.positions @ Element(2 * np.pi / 3).matrix.T)
-        for which, colour, label in (
-            (stay, drawing.COLOURS[5], "stays under a rotation by 120°"),
-            (~stay, drawing.COLOURS[1], "leaves"),
-        ):
-            at = w.positions[which]
-            flat.plot(at[:, 0], at[:, 1], "s", ms=1.6, color=colour, label=label, rasterized=True)
-        flat.set_aspect("equal")
-        flat.set(xlabel="x [m]", ylabel="y [m]", title="z = 1.8 m")
-        flat.legend(fontsize=8, loc="upper right", markerscale=5)
+        drawing.draw_workspace(flat, w, stay.astype(float))
+        for colour, label in ((5, "stays under a rotation by 120°"), (1, "leaves")):
+            flat.plot([], [], "s", color=drawing.COLOURS[colour], label=label)
+        drawing.from_above(flat, "z = 1.8 m")
+        drawing.legend(figure)
         study.figure(
             f"fig_{number}_workspace",
             f"Fig. {number}: total orientation workspace by {name}",

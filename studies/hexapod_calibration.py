@@ -99,8 +99,7 @@ def calibration(study: Study, poses: Array) -> dict[str, Array]:
         },
     )
     caption = "Observability by parameter and leg, symmetric selection"
-    names = mechanism.legs[0].parameter_names
-    study.figure("observability", caption, drawing.observability(first, names))
+    study.figure("observability", caption, drawing.observability(first, mechanism))
     study.figure("selection_times", "Time to choose poses", drawing.times(seconds))
     return errors
 

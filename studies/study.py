@@ -96,7 +96,7 @@ class Study:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerows([list(columns), *_rows(columns, digits=8)])
             stem.with_suffix(".md").write_text(markdown(columns) + "\n", encoding="utf-8")
-        with mpl.rc_context({"svg.hashsalt": self.name, "savefig.dpi": 110}):
+        with mpl.rc_context({"svg.hashsalt": self.name, "savefig.dpi": 300}):
             for name, figure in self.figures.items():
                 stem = folder / "figures" / name
                 figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})

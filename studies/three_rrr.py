@@ -31,6 +31,7 @@ CHOICES: dict[str, tuple[Protocol, int]] = {
 
 def run(study: Study) -> None:
     """Compare ways to choose poses for the 3-RRR."""
+    drawing.parameters(study, "Figs. 1 to 4, 6", study.mechanism.leg_names[:1])
     study.progress("workspace and articular-variables space")
     poses = pincal.sample_workspace(study.mechanism, 2_000 if study.quick else 30_000, study.seed)
     planes, reached = _spaces(study, poses)
@@ -168,11 +169,12 @@ def _selections(study: Study, poses: Array) -> tuple[dict[str, pincal.Selection]
         drawing.draw_mechanism(axes, study.mechanism, (0.0, 0.0, 0.0))
         drawing.draw_poses(axes, study.mechanism, selections[name].plan)
         axes.set(title=name, xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
+    drawing.legend(figure)
     study.figure(
         "fig_8_poses", "Fig. 8: chosen poses; strokes show the platform's orientation", figure
     )
     caption = "Fig. 9: observability by parameter and leg"
-    study.figure("fig_9_observability", caption, drawing.observability(first, names))
+    study.figure("fig_9_observability", caption, drawing.observability(first, study.mechanism))
     return selections, seconds
 
 

@@ -16,6 +16,8 @@ IDENTIFIED = "#7A33AD"
 #: Positions of a fundamental domain, and those that follow from it.
 DOMAIN, CARRIED = COLOURS[0], "#A9CBE8"
 GROUND = "#D4D4D4"
+#: Lengths, angles and their names in drawings.
+DIMENSION = "#222222"
 #: Where a mechanism in space is seen from: slightly from above.
 TOWARDS_VIEWER = (0.45, -0.85, 0.28)
 #: Axes x, y and z of a frame, and poses for every leg.
@@ -64,6 +66,12 @@ class PictureStyle:
     """Length of a rod's piece, of its radius."""
     pieces: int = 40
     """Of a rod, at most."""
+    name: float = 8.5
+    """Height of a parameter's name, [point]."""
+    arc: float = 0.055
+    """Radius of the smallest angle drawn, of the scene's diagonal."""
+    values: int = 6
+    """Of parameters, in a line."""
 
 
 PAGE, PICTURE = PageStyle(), PictureStyle()

@@ -171,6 +171,12 @@ def picture(
     pose: Annotated[
         int, typer.Option(min=1, metavar="N", help="Which of the poses is drawn in full.")
     ] = 1,
+    dimensions: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LEG", help="Draw the parameters of a leg as lengths and angles; repeatable."
+        ),
+    ] = None,
     force: Force = False,
 ) -> None:
     """Draw a mechanism into a file, as 'pincal view' shows it.
@@ -192,6 +198,7 @@ def picture(
             workspace=what.workspace,
             identified=what.identified,
             magnify=what.magnify,
+            dimensions=dimensions or (),
         )
         found.save(output, force=force)
     _say_unreached(found.scene)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
@@ -11,25 +12,28 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from pincal.kinematics.configurations import joints_at
 from pincal.model.measurements import EVERY_LEG
 from pincal.show import style
+from pincal.show.pictures.dimension_lines import draw_dimensions, symbol
+from pincal.show.pictures.dimensions import dimensions_of
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.painting import paint, placed
 from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
 from pincal.show.view.scene import Scene, frame_axes, grid_step, ground
-from pincal.words.numbers import counted
+from pincal.words.numbers import amount, counted
 from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
 
 
-def scene_figure(scene: Scene, row: int) -> Figure:
-    """Return a figure of a scene, the mechanism at one of its poses."""
+def scene_figure(scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Figure:
+    """Return a figure of a scene, the mechanism at one of its poses; all else as of a picture."""
     with drawing():
         width, height = np.ptp(_extent(scene, row), axis=0)
         inches = PICTURE.legend + np.clip(PICTURE.width * height / width, *PICTURE.heights)
         figure = Figure(figsize=(PICTURE.width, float(inches)), layout="constrained")
-        draw_scene(figure.subplots(), scene, row)
+        draw_scene(figure.subplots(), scene, row, dimensions)
     return figure
 
 
@@ -56,8 +60,8 @@ def _extent(scene: Scene, row: int) -> Array:
     return np.stack((low - margin, high + margin))
 
 
-def draw_scene(axes: Axes, scene: Scene, row: int) -> Axes:
-    """Draw a scene, the mechanism at one of its poses."""
+def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Axes:
+    """Draw a scene, the mechanism at one of its poses; all else as of a picture."""
     V = _axes_of_view(scene.planar)
     low, high = _extent(scene, row)
     edge = PICTURE.edge * float(np.linalg.norm(high - low))
@@ -95,7 +99,40 @@ def draw_scene(axes: Axes, scene: Scene, row: int) -> Axes:
         handlelength=1.2,
         columnspacing=1.4,
     )
+    if dimensions:
+        _dimension(axes, scene, row, dimensions, V)
     return axes
+
+
+def _dimension(axes: Axes, scene: Scene, row: int, legs: Sequence[str], V: Array) -> None:
+    """Draw the parameters of legs as dimensions, their values above."""
+    mechanism, poses = scene.mechanism, scene.plan.poses[[row]]
+    joints = joints_at(mechanism, poses).joints
+    T_base_platform = mechanism.platform.matrices(poses)[0]
+    size = PICTURE.arc * float(np.linalg.norm(np.ptp(_extent(scene, row), axis=0)))
+    found, values = [], []
+    for name in legs:
+        leg = mechanism.leg(name)
+        own = dimensions_of(leg, joints[name][0], T_base_platform, size)
+        found += [(name if len(legs) > 1 else "", one) for one in own]
+        values += [
+            f"{symbol(key, name if len(legs) > 1 else '')} = {_drawn(value, leg.units[key])}"
+            for key, value in leg.nominal_by_name.items()
+        ]
+    links = scene.body.skeletons()[row]
+    along = np.linspace(0.0, 1.0, 12)[:, None, None]
+    busy = ((1.0 - along) * links[:, 0] + along * links[:, 1]).reshape(-1, 3)
+    draw_dimensions(axes, found, V, busy)
+    lines = [
+        ",  ".join(values[i : i + PICTURE.values]) for i in range(0, len(values), PICTURE.values)
+    ]
+    axes.set_title("\n".join(lines), size=7.5, pad=14.0, parse_math=True)
+
+
+def _drawn(value: float, unit: str) -> str:
+    """Return a dimension as drawings give it, in mm or degrees."""
+    text = f"{np.degrees(value):.5g}°" if unit == "rad" else amount(value, unit, 6)
+    return text.replace("-", "−")
 
 
 def _dot(colour: str, label: str, marker: str = "o") -> Line2D:

@@ -5,6 +5,7 @@ Mechanisms in a plane are seen from above, others from the side, in parallel pro
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,18 +30,20 @@ class Picture:
     scene: Scene
     row: int = 0
     """Which pose the mechanism is drawn at."""
+    dimensions: tuple[str, ...] = ()
+    """Legs whose parameters are drawn as dimensions."""
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
         from pincal.show.pictures.figure import draw_scene
 
-        return draw_scene(axes, self.scene, self.row)
+        return draw_scene(axes, self.scene, self.row, self.dimensions)
 
     def figure(self) -> Figure:
         """Return a figure of its own."""
         from pincal.show.pictures.figure import scene_figure
 
-        return scene_figure(self.scene, self.row)
+        return scene_figure(self.scene, self.row, self.dimensions)
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
         """Write the picture as .svg, .png or .pdf, whole or not at all, and return its path.
@@ -70,6 +73,7 @@ def picture(
     workspace: ArrayLike | None = None,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
+    dimensions: Sequence[str] | bool = False,
 ) -> Picture:
     """Return a picture of a mechanism: ``save(path)``, ``figure()``, ``draw(axes)``.
 
@@ -83,10 +87,12 @@ def picture(
         workspace: As for ``view``.
         identified: The calibrated mechanism, drawn over the nominal one.
         magnify: Factor on what differs between its parameters and the nominal ones.
+        dimensions: Names of legs whose parameters are drawn as lengths and angles; True for the
+            first leg.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
-            is not one of this mechanism.
+            is not one of this mechanism; no such leg.
         MeasurementError: no poses, too many or not whole, no such row; a workspace of a wrong
             shape; a factor that is not positive.
     """
@@ -96,4 +102,7 @@ def picture(
         raise MeasurementError(
             f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"
         )
-    return Picture(scene(mechanism, plan, workspace, identified, magnify), row)
+    if isinstance(dimensions, bool):
+        dimensions = mechanism.leg_names[:1] if dimensions else ()
+    legs = tuple(mechanism.leg(name).name for name in dimensions)
+    return Picture(scene(mechanism, plan, workspace, identified, magnify), row, legs)

@@ -1,0 +1,90 @@
+"""Parameters drawn as dimensions are what they say: lengths, angles, strokes, at their places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+
+import pincal
+from pincal.kinematics.configurations import joints_at
+from pincal.kinematics.readers import skeleton
+from pincal.show.pictures.dimension_lines import symbol
+from pincal.show.pictures.dimensions import Dimension, dimensions_of
+
+KINDS = ["5R", "3RRR", "3PRR", "3RPR", "6UPS", "delta", "linear_delta", "8cable", "6RUS"]
+
+
+def drawn(mechanism: pincal.Mechanism, leg: pincal.Leg) -> tuple[list[Dimension], np.ndarray]:
+    """Return the dimensions of a leg at home, and its joints."""
+    home = [mechanism.platform.home]
+    joints = joints_at(mechanism, home).joints[leg.name][0]
+    T = mechanism.platform.matrices(np.array(home))[0]
+    return dimensions_of(leg, joints, T, 0.05 * leg.size), joints
+
+
+def turned(one: Dimension) -> float:
+    """Return the angle that an arc sweeps, [rad]: by its chords, of equal length."""
+    assert one.corner is not None
+    arms = one.line - one.corner
+    radius = np.linalg.norm(arms, axis=1)
+    np.testing.assert_allclose(radius, radius[0])
+    chords = np.linalg.norm(np.diff(arms, axis=0), axis=1)
+    return float(2.0 * np.arcsin(np.clip(chords / (2.0 * radius[0]), 0.0, 1.0)).sum())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_parameter_is_drawn_as_large_as_it_is(kind: str) -> None:
+    """Each parameter of each leg once: a line as long, or an arc as wide, as its value."""
+    mechanism = pincal.load_mechanism(kind)
+    for leg in mechanism.legs:
+        found, joints = drawn(mechanism, leg)
+        names = [name for one in found for name in one.names]
+        assert sorted(names) == sorted(leg.parameter_names)
+        for one in found:
+            if one.kind == "length":
+                value = leg.nominal_by_name[one.names[0]]
+                length = np.linalg.norm(one.line[-1] - one.line[0])
+                assert length == pytest.approx(abs(value), abs=1e-12)
+            elif one.kind == "angle":
+                assert turned(one) == pytest.approx(
+                    abs(leg.nominal_by_name[one.names[0]]), abs=1e-9
+                )
+            else:
+                sensor = leg.sensors[0]
+                zero = sensor.zero if isinstance(sensor.zero, float) else 0.0
+                moved = abs(joints[leg.active[0]] - zero)
+                swept = turned(one) if one.corner is not None else np.ptp(one.line, axis=0)
+                assert np.linalg.norm(swept) == pytest.approx(moved, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["5R", "3RRR", "3PRR"])
+def test_links_are_measured_from_joint_to_joint(kind: str) -> None:
+    """Lengths of links begin and end where Pinocchio has the joints of the exported URDF."""
+    mechanism = pincal.load_mechanism(kind)
+    for leg in mechanism.legs:
+        found, joints = drawn(mechanism, leg)
+        places = skeleton(leg, joints)
+        (last,) = (one for one in found if one.names == ("L",))
+        np.testing.assert_allclose(last.line, places[-2:], atol=1e-9)
+
+
+def test_names_are_symbols() -> None:
+    """Greek names become letters, what follows an underscore an index; others stay as they are."""
+    assert symbol("beta_b", "leg_2") == r"$\beta_{b,2}$"
+    assert symbol("OA") == r"$\mathit{OA}$"
+    assert symbol("a$b") == "a$b"
+
+
+def test_the_command_draws_them(tmp_path: Path) -> None:
+    """``--dimensions`` names legs; the picture has their symbols, and their values above."""
+    path = tmp_path / "p.svg"
+    assert run("picture", "3RRR", "-o", path, "--dimensions", "leg_1").code == 0
+    text = path.read_text("utf-8")
+    assert "1500 mm" in text
+    assert "−150°" in text
+    outcome = run("picture", "3RRR", "-o", tmp_path / "q.svg", "--dimensions", "leg_9")
+    assert outcome.code == 2
+    assert "leg_9" in outcome.err
