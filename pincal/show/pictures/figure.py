@@ -120,7 +120,7 @@ def _dimension(axes: Axes, scene: Scene, row: int, legs: Sequence[str], V: Array
             for key, value in leg.nominal_by_name.items()
         ]
     links = scene.body.skeletons()[row]
-    along = np.linspace(0.0, 1.0, 12)[:, None, None]
+    along = np.linspace(0.0, 1.0, 60)[:, None, None]
     busy = ((1.0 - along) * links[:, 0] + along * links[:, 1]).reshape(-1, 3)
     draw_dimensions(axes, found, V, busy)
     lines = [
