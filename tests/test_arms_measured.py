@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from arms import Reference, loaded, robot, urdf
 from command_line import done
-from marks import some_slow
+from marks import slow_or_fuzz, some_slow
 
 import pincal
 from pincal.show.workspace_errors import workspace_errors
@@ -56,8 +56,7 @@ def test_noise_of_poses_and_encoders(noise: pincal.Noise) -> None:
     assert np.sqrt((twists(result.identified, truth, unseen) ** 2).mean()) < 1e-4
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("points", [False, True])
+@pytest.mark.parametrize("points", slow_or_fuzz([True], [False]))
 def test_errors_are_those_of_many_calibrations(points: bool) -> None:
     """Over 200 fits, spreads equal the standard errors; the tool's error the forecast's.
 

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from marks import quick
+from marks import quick, slow_or_fuzz
 from measured import EXACT, NOISE, error, machine, put, workspace
 from scipy.stats import chi2
 
@@ -165,8 +165,7 @@ def test_losses_cost_little_on_good_data(name: str, equations: int) -> None:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey", "reject"])
+@pytest.mark.parametrize("loss", slow_or_fuzz(["huber", "reject"], ["cauchy", "tukey"]))
 def test_standard_errors_of_robust_fits_equal_the_spread(loss: str) -> None:
     """Over 150 data sets with a tenth of outliers (none for Huber), within 10 %."""
     mechanism, _truth, clean = machine("5R", 60, EXACT)
