@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import done
 from marks import some_slow
 from measured import EXACT, NOISE, machine, put, seen_from_elsewhere
 from scipy.stats import chi2, f, spearmanr
@@ -211,3 +213,18 @@ def test_standard_errors_in_an_unknown_frame(method: str) -> None:
     np.testing.assert_allclose(frames[:, :, 1].mean(axis=0), frames[:, :, 0].std(axis=0), rtol=0.4)
     actual, expected = np.sqrt((np.array(errors) ** 2).mean(axis=0))
     assert actual == pytest.approx(expected, rel=0.15)
+
+
+def test_the_command_holds_runs_out(tmp_path: Path) -> None:
+    """``--by run`` leaves out each run in turn: what is said equals ``validate`` from Python."""
+    mechanism, truth, clean = machine("5R", 40, EXACT)
+    plan = pincal.Plan(clean.poses)
+    parts = [pincal.simulate(mechanism, truth, plan, NOISE, run).measurements for run in range(3)]
+    data = joined(parts)
+    data.to_csv(tmp_path / "m.csv", mechanism)
+    said = done("calibrate", "5R", tmp_path / "m.csv", "--by", "run", "-o", tmp_path / "r").out
+    found = pincal.load_result(tmp_path / "r").validation
+    expected = pincal.validate(mechanism, data, by="run")
+    assert found.folds == expected.folds == 3
+    assert found.held_out == pytest.approx(expected.held_out, rel=1e-9)
+    assert f"{found.held_out:.2f} σ" in said

@@ -13,6 +13,7 @@ import typer
 
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.folds import By
 from pincal.calibration.checks.runs import runs_compared
 from pincal.calibration.checks.validation import FOLDS, held_out
 from pincal.calibration.options import Options
@@ -76,6 +77,14 @@ class Robust(StrEnum):
     cauchy = "cauchy"
     tukey = "tukey"
     reject = "reject"
+
+
+class HeldOut(StrEnum):
+    """Which rows are held out together."""
+
+    region = "region"
+    turn = "turn"
+    run = "run"
 
 
 @dataclass(frozen=True)
@@ -187,6 +196,9 @@ class CalibrateOptions(SetupOptions, GivenNoise, MethodOptions):
         ),
     ] = False
     folds: Annotated[int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")] = FOLDS
+    by: Annotated[
+        HeldOut, typer.Option(help="What is held out together: regions, rows in turn, or runs.")
+    ] = HeldOut.region
 
     def calibration(self, mechanism: Mechanism, path: Path) -> Calibration:
         """Return the calibration to be done, by measurements in a file.
@@ -246,7 +258,7 @@ def calibrate(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
             )
             raise
-        result, said = _checked(found, how.folds)
+        result, said = _checked(found, how.folds, how.by.value)
         progress("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
         page = report(result, command=typed(), files=files, notes=said)
@@ -288,14 +300,14 @@ def _say(
         stdout.print("parameters and residuals: report.html in the result's folder, or --verbose")
 
 
-def _checked(result: CalibrationResult, folds: int) -> tuple[CalibrationResult, list[str]]:
+def _checked(result: CalibrationResult, folds: int, by: By) -> tuple[CalibrationResult, list[str]]:
     """Return the result with validation and runs where the rows allow, and why not elsewhere."""
     if not result.converged:
         return result, []
     said = [] if folds else ["no rows were held out (--folds 0)"]
     try:
         if folds:
-            result = replace(result, validation=held_out(result.calibration, folds))
+            result = replace(result, validation=held_out(result.calibration, folds, by))
     except PincalError as error:
         said.append(f"no held-out validation: {error}")
     try:
