@@ -29,6 +29,26 @@ def test_the_optimum_is_that_of_adjusted_conditions() -> None:
     assert there.squares.sum() == pytest.approx(fit.chi2, rel=1e-4)
 
 
+@pytest.mark.parametrize("seed", [1, 101])
+def test_steps_that_are_too_long_are_shortened(seed: int) -> None:
+    """Readings ten times as noisy as poses, few rows: a full step would raise the cost.
+
+    What is left is said of where the fit ended; the cost is that of full least squares by SciPy,
+    62.4508 and 63.4364.
+    """
+    noise = pincal.Noise(1e-3, 1e-3, 1e-2)
+    mechanism = pincal.load_mechanism("3RRR")
+    truth = pincal.disturb(mechanism, 2e-3, seed)
+    plan = pincal.Plan(pincal.sample_workspace(mechanism, 30, seed))
+    data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
+    options = Options(noise=noise, rough=True, hold_undetermined=True)
+    (one,) = fitted(Calibration(mechanism, data, options)).fits
+    there = adjusted(one.fit.problem, one.fit.last)
+    left = one.fit.system.solve(there, one.fit.weights, 1.0).decrement
+    assert one.fit.left == pytest.approx(left, rel=1e-6)
+    assert left <= 1e-3
+
+
 @pytest.mark.slow
 def test_gains_are_not_too_small() -> None:
     """Of 48 legs: mean error within three of its own standard deviations, in standard errors.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -152,3 +155,48 @@ def test_small_linear_algebra(k: int) -> None:
         A[3] = 0.0
         assert not np.isfinite(solve(A, B)[3]).any()
         assert np.isfinite(solve(A, B)[[0, 1, 2, 4]]).all()
+
+
+@pytest.mark.parametrize("keep", [(), ("A_x",), ("A_x", "A_y")])
+def test_parameters_that_stand_still_may_be_any_number(keep: tuple[str, ...]) -> None:
+    """None, one or two before the first moving joint: derivatives are those of differences."""
+    whole = pincal.load_mechanism("5R")
+    legs = []
+    for leg in whole.legs:
+        shoulder = leg.joints[0]
+        coordinates = tuple(
+            one
+            if one.values[0] in keep
+            else replace(one, values=(leg.nominal_by_name[one.values[0]],))
+            for one in shoulder.placement.coordinates
+        )
+        placement = replace(shoulder.placement, coordinates=coordinates)
+        parameters = tuple(p for p in leg.parameters if p[0] not in {"A_x", "A_y"} - set(keep))
+        joints = (replace(shoulder, placement=placement), *leg.joints[1:])
+        legs.append(replace(leg, joints=joints, parameters=parameters))
+    machine = replace(whole, legs=tuple(legs))
+    poses = np.array([[0.1, 1.0], [-0.2, 1.2]])
+    np.testing.assert_allclose(
+        pincal.inverse(machine, poses).readings, pincal.inverse(whole, poses).readings, atol=1e-12
+    )
+    names = list(machine.legs[0].parameter_names)
+    all_names = list(whole.legs[0].parameter_names)
+    own = pincal.identification_jacobian(machine, "leg_1", poses)
+    expected = pincal.identification_jacobian(whole, "leg_1", poses)
+    np.testing.assert_allclose(
+        own, expected[..., [all_names.index(name) for name in names]], atol=1e-12
+    )
+
+
+def test_threads_do_not_mix() -> None:
+    """Legs of one structure share a forest: three threads get what one gets."""
+    machines = [pincal.disturb(pincal.load_mechanism("3RRR"), 1e-3, seed) for seed in range(3)]
+    poses = pincal.sample_workspace("3RRR", 200, 0)
+    expected = [pincal.inverse(one, poses).readings for one in machines]
+
+    def again(which: int) -> bool:
+        found = [pincal.inverse(machines[which], poses).readings for _ in range(20)]
+        return all(np.array_equal(one, expected[which]) for one in found)
+
+    with ThreadPoolExecutor(3) as pool:
+        assert all(pool.map(again, range(3)))

@@ -9,12 +9,13 @@ import pytest
 from command_line import run
 
 import pincal
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.show.pictures.dimension_lines import symbol
 from pincal.show.pictures.dimensions import Dimension, dimensions_of
 
-KINDS = ["5R", "3RRR", "3PRR", "3RPR", "6UPS", "delta", "linear_delta", "8cable", "6RUS"]
+KINDS = ["5R", "3RRR", "3PRR", "3RPR", "6UPS", "delta", "linear_delta", "8cable", "4cable", "6RUS"]
 
 
 def drawn(mechanism: pincal.Mechanism, leg: pincal.Leg) -> tuple[list[Dimension], np.ndarray]:
@@ -22,7 +23,8 @@ def drawn(mechanism: pincal.Mechanism, leg: pincal.Leg) -> tuple[list[Dimension]
     home = [mechanism.platform.home]
     joints = joints_at(mechanism, home).joints[leg.name][0]
     T = mechanism.platform.matrices(np.array(home))[0]
-    return dimensions_of(leg, joints, T, 0.05 * leg.size), joints
+    (closure,) = (one for one in nominal_legs(mechanism) if one.leg == leg)
+    return dimensions_of(closure, joints, T, 0.05 * leg.size), joints
 
 
 def turned(one: Dimension) -> float:
@@ -40,7 +42,7 @@ def test_every_parameter_is_drawn_as_large_as_it_is(kind: str) -> None:
     """Each parameter of each leg once: a line as long, or an arc as wide, as its value."""
     mechanism = pincal.load_mechanism(kind)
     for leg in mechanism.legs:
-        found, joints = drawn(mechanism, leg)
+        found, _ = drawn(mechanism, leg)
         names = [name for one in found for name in one.names]
         assert sorted(names) == sorted(leg.parameter_names)
         for one in found:
@@ -53,11 +55,18 @@ def test_every_parameter_is_drawn_as_large_as_it_is(kind: str) -> None:
                     abs(leg.nominal_by_name[one.names[0]]), abs=1e-9
                 )
             else:
-                sensor = leg.sensors[0]
-                zero = sensor.zero if isinstance(sensor.zero, float) else 0.0
-                moved = abs(joints[leg.active[0]] - zero)
                 swept = turned(one) if one.corner is not None else np.ptp(one.line, axis=0)
-                assert np.linalg.norm(swept) == pytest.approx(moved, abs=1e-9)
+                gain, offset = leg.sensors[0].constants(leg.nominal_by_name)
+                joint = leg.sensors[0].form == "joint"
+                per = abs(gain) if joint else 1.0 / abs(gain)
+                place = mechanism.reading_columns[mechanism.leg_names.index(leg.name)]
+                read = pincal.inverse(mechanism, [mechanism.platform.home]).readings[0, place][0]
+                size = (
+                    per * abs(read)
+                    if one.kind == "reading"
+                    else abs(offset) / (1.0 if joint else abs(gain))
+                )
+                assert np.linalg.norm(swept) == pytest.approx(size, abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["5R", "3RRR", "3PRR"])
@@ -75,7 +84,7 @@ def test_names_are_symbols() -> None:
     """Greek names become letters, what follows an underscore an index; others stay as they are."""
     assert symbol("beta_b", "leg_2") == r"$\beta_{b,2}$"
     assert symbol("OA") == r"$\mathit{OA}$"
-    assert symbol("a$b") == "a$b"
+    assert symbol("a$b") == r"a\$b"
 
 
 def test_the_command_draws_them(tmp_path: Path) -> None:

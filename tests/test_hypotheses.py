@@ -487,3 +487,20 @@ def test_calibration_asks_first() -> None:
         pincal.calibrate(mechanism, data, noise=pincal.Noise(0.1, 1e-4))
     with pytest.raises(pincal.MeasurementError, match="the readings have the other sign"):
         pincal.calibrate(mechanism, replace(data, readings=-data.readings))
+
+
+def test_readings_at_their_cut_are_sound() -> None:
+    """A joint half a turn from home is read on either side: neither is a turn off."""
+    mechanism, data = nominal("5R"), measured("5R", 3)
+    leg = mechanism.legs[0]
+    turned = data.readings.copy()
+    turned[4, 0] += 2 * np.pi
+    homes = float(turned[4, 0]) - np.pi  # home so that the reading is at the cut
+    joints = tuple(
+        replace(one, home=homes) if one.name == "shoulder" else one for one in leg.joints
+    )
+    near = replace(mechanism, legs=(replace(leg, joints=joints), *mechanism.legs[1:]))
+    sample = plausibility.sample_of(near, replace(data, readings=turned), pincal.Setup())
+    assert plausibility._turns(sample) == ()
+    sample = plausibility.sample_of(mechanism, replace(data, readings=turned), pincal.Setup())
+    assert [one.code for one in plausibility._turns(sample)] == ["whole-turns"]

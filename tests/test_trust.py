@@ -16,7 +16,7 @@ from scipy.stats import chi2, f, spearmanr
 import pincal
 from pincal.calibration.checks.drift import trends
 from pincal.calibration.checks.runs import compare_runs
-from pincal.words.sentences import sentence
+from pincal.words.sentences import finding, sentence
 
 FRAME = pincal.Setup(unknown_frame=True)
 
@@ -228,3 +228,31 @@ def test_the_command_holds_runs_out(tmp_path: Path) -> None:
     assert found.folds == expected.folds == 3
     assert found.held_out == pytest.approx(expected.held_out, rel=1e-9)
     assert f"{found.held_out:.2f} σ" in said
+
+
+def test_held_out_rows_follow_the_same_start(tmp_path: Path) -> None:
+    """Zeros of motors that are far off are found for validation as for calibration."""
+    mechanism, _, data = machine("3RRR", 60)
+    away = replace(data, readings=data.readings + np.array([0.7, 0.2, -1.6]))
+    found, usual = (pincal.validate(mechanism, one, noise=NOISE) for one in (away, data))
+    assert found.held_out == pytest.approx(usual.held_out, rel=0.05)
+
+
+def test_what_is_held_out_is_said_once() -> None:
+    """A finding of validation contradicts once, whether or not it is among the result's."""
+    mechanism, _, data = machine("3RRR", 60)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
+    validation = pincal.validate(mechanism, data, noise=NOISE)
+    worse = finding("held-out-worse", held_out=3.0, expected=1.0, p_value=1e-9)
+    validation = replace(validation, findings=(worse,))
+    both = replace(result, validation=validation, findings=(*result.findings, worse))
+    assert [one.code for one in both.contradictions] == ["held-out-worse"]
+
+
+def test_noise_given_too_small_is_no_matter_of_held_out_rows() -> None:
+    """Residuals that contradict the noise are not said to be worse where they are not."""
+    mechanism, _, data = machine("3RRR", 60)
+    small = pincal.Noise(*(value / 15.0 for value in vars(NOISE).values()))
+    found = pincal.validate(mechanism, data, noise=small, rough=True)
+    assert found.held_out > 5.0
+    assert "held-out-worse" not in [one.code for one in found.findings]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from closed_forms import angles, base_point, platform_point, poses_near_home
@@ -142,3 +144,11 @@ def test_numbers_of_poses_that_cannot_be_are_refused(kind: str, count: int) -> N
     for sample in (pincal.sample_workspace, pincal.sample_configurations):
         with pytest.raises(pincal.WorkspaceError, match=f"number of poses is {count}; expected"):
             sample(mechanism, count)
+
+
+def test_nothing_counts_where_home_is_out_of_reach() -> None:
+    """The side of type 2 is that of home: without it no pose is on the right one."""
+    mechanism = pincal.load_mechanism("3RRR")
+    home = mechanism.platform.home
+    far = replace(mechanism, platform=replace(mechanism.platform, home=(30.0, *home[1:])))
+    assert not in_workspace(far, np.array([home])).any()

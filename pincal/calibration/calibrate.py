@@ -72,14 +72,24 @@ def prepared(
     return Calibration(machine, replace(data), chosen)  # a copy: the user's may be changed
 
 
+def started(calibration: Calibration) -> Calibration:
+    """Return a calibration whose measurements were looked at: where its search starts.
+
+    Raises:
+        MeasurementError: noise, copies of rows, or faults that bar a calibration.
+    """
+    options = calibration.options
+    if options.noise is not None:
+        check_noise(calibration.mechanism, options.noise)
+    check_copies(calibration.measurements, every_pose=options.every_pose)
+    if not options.setup.plain:
+        return calibration
+    return replace(calibration, start=_start(calibration))
+
+
 def identify(calibration: Calibration) -> CalibrationResult:
     """Return what a calibration finds; errors are those of ``calibrate``."""
-    mechanism, data, options = calibration.mechanism, calibration.measurements, calibration.options
-    if options.noise is not None:
-        check_noise(mechanism, options.noise)
-    check_copies(data, every_pose=options.every_pose)
-    if options.setup.plain:
-        calibration = replace(calibration, start=_start(calibration))
+    calibration, options = started(calibration), calibration.options
     try:
         found = fitted(calibration)
     except (PincalError, np.linalg.LinAlgError) as error:

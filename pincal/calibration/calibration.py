@@ -38,6 +38,10 @@ class Calibration:
     options: Options = field(default_factory=Options)
     start: Array | None = field(default=None, compare=False, repr=False)
     """Parameters of all legs from which the search starts, shape (n_params,); nominal if None."""
+    known_noise: NoiseModel | None = field(default=None, compare=False, repr=False)
+    """Noise of these rows as it was found with others or before; as was measured if None."""
+    fixed_noise: bool = field(default=False, compare=False, repr=False)
+    """Whether noise is taken as it is though its scale was estimated: from more rows than these."""
 
     def __post_init__(self) -> None:
         _check_shapes(self.mechanism, self.measurements)
@@ -56,42 +60,32 @@ class Calibration:
     @cached_property
     def noise(self) -> NoiseModel:
         """Standard deviations of what was measured, or where their estimate begins."""
-        return noise_model(self.mechanism, self.measurements, self.options.noise)
+        return self.known_noise or noise_model(
+            self.mechanism, self.measurements, self.options.noise
+        )
 
     def with_noise(self, noise: Noise) -> Calibration:
         """Return the calibration with noise that was estimated."""
-        found = replace(self)
         model = noise_model(self.mechanism, self.measurements, noise)
-        found.__dict__["noise"] = replace(model, source=self.noise.source)
-        found.__dict__["observation"] = self.observation  # which knows no noise
+        found = replace(self, known_noise=replace(model, source=self.noise.source))
+        found.__dict__["observation"] = self.observation  # made once: it knows no noise
         return found
 
     def at_this_noise(self) -> Calibration:
         """Return the calibration with its noise as it is, not estimated again."""
-        found = replace(self, options=replace(self.options, noise=self.noise.noise))
-        found.__dict__["noise"] = self.noise
-        found.__dict__["fixed_noise"] = True
-        return found
-
-    @cached_property
-    def fixed_noise(self) -> bool:
-        """Whether noise is taken as it is: given, or estimated from more rows than these."""
-        return self.noise.known
+        options = replace(self.options, noise=self.noise.noise)
+        return replace(self, options=options, known_noise=self.noise, fixed_noise=True)
 
     def with_options(self, **changes: Any) -> Calibration:
         """Return the calibration with other options, its noise as it is."""
-        found = replace(self, options=replace(self.options, **changes))
-        found.__dict__["noise"] = self.noise
-        return found
+        options = replace(self.options, **changes)
+        return replace(self, options=options, known_noise=self.noise)
 
     def rows(self, chosen: NDArray[np.intp] | Mask) -> Calibration:
         """Return the calibration on some of its rows, their noise as it is."""
-        found = replace(self, measurements=self.measurements.rows(chosen))
         own = self.noise
-        found.__dict__["noise"] = replace(
-            own, poses=own.poses[chosen], readings=own.readings[chosen]
-        )
-        return found
+        known = replace(own, poses=own.poses[chosen], readings=own.readings[chosen])
+        return replace(self, measurements=self.measurements.rows(chosen), known_noise=known)
 
     def unknowns(self, *, tied: bool = True) -> Unknowns:
         """Return the unknowns of all legs, and those outside the mechanism if poses are unknown.

@@ -98,7 +98,11 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
     search = _all_legs if calibration.options.latent else _measured
     one = search(calibration, tied, None)
     noise = calibration.noise.noise
-    if calibration.fixed_noise or calibration.options.residual == "joint":
+    if (
+        calibration.fixed_noise
+        or calibration.noise.known
+        or calibration.options.residual == "joint"
+    ):
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
     pools: Pools | None = None

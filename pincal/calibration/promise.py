@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.calibration.calibration import Calibration
 from pincal.calibration.leg_result import LegResult, Observed
 from pincal.design.platform_error import (
     PlatformError,
@@ -18,8 +18,10 @@ from pincal.design.platform_error import (
     root_mean_squares,
     sizes,
 )
+from pincal.estimation.conditions.external import External
 from pincal.finding import Finding
 from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
 
 if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
@@ -61,8 +63,8 @@ def explained(result: CalibrationResult) -> bool:
 def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
     """Return what contradicts the model or its noise: χ², residuals, held-out rows, runs, ties."""
     found = list(result.findings)
-    found += result.validation.findings if result.validation is not None else ()
-    found += result.runs.findings if result.runs is not None else ()
+    for more in (result.validation, result.runs):
+        found += [one for one in (() if more is None else more.findings) if one not in found]
     return tuple(one for one in found if one.code in CONTRADICT)
 
 
@@ -118,16 +120,32 @@ def _seen(result: CalibrationResult) -> float:
 def misses(result: CalibrationResult) -> tuple[float, float]:
     """Return by how much the platform misses poses that were measured in full, [m] and [rad]."""
     held = result.validation
-    if held is not None and held.position is not None:
-        return held.position[1], 0.0 if held.orientation is None else held.orientation[1]
-    setup, data = result.options.setup, result.measurements
-    if setup.distances or len(setup.targets) > 1:
+    if held is not None and (held.position or held.orientation):
+        both = held.position, held.orientation
+        position, orientation = (np.nan if one is None else one[1] for one in both)
+        return position, orientation
+    twists = pose_misses(result.calibration, result.identified, result.outside)
+    twists[[one.row for one in result.outliers if one.weight == 0.0]] = np.nan
+    twists = twists[np.isfinite(twists).all(axis=1)]
+    if not len(twists):
         return np.nan, np.nan
-    counts: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
-    counts[[one.row for one in result.outliers if one.weight == 0.0]] = False
-    if not counts.any():
-        return np.nan, np.nan
-    whole = data.rows(counts)
-    poses, _ = replace(result.calibration, measurements=whole).given_poses(result.outside)
-    twists = closing_twists(result.identified, Plan(poses, readings=whole.readings))
     return root_mean_squares(sizes(result.nominal.platform.units, twists))
+
+
+def pose_misses(calibration: Calibration, machine: Mechanism, external: External | None) -> Array:
+    """Return by how much a machine misses poses that were measured in full, shape (N, dof).
+
+    Twists, NaN where a pose was not, or something else was measured than poses.
+
+    Args:
+        calibration: What was measured, and how.
+        machine: The calibrated machine.
+        external: Where the base and the target are, if that was unknown.
+    """
+    setup, data = calibration.options.setup, calibration.measurements
+    twists = np.full(data.poses.shape, np.nan)
+    whole: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
+    if whole.any() and not setup.distances and len(setup.targets) <= 1:
+        poses, _ = calibration.rows(whole).given_poses(external)
+        twists[whole] = closing_twists(machine, Plan(poses, readings=data.readings[whole]))
+    return twists

@@ -94,7 +94,7 @@ class CalibrationResult:
     gauge_directions: Array | None = None
     """Directions of the legs' parameters along which that choice was made, shape (n, n_gauge)."""
     frames_moved: Array | None = None
-    """Motions of frames that these are (see ``estimation.frames.frames_moved``)."""
+    """Motions of frames that these are (see ``estimation.observability.frames.frames_moved``)."""
     undetermined_directions: Array | None = None
     """Directions of the legs' parameters that were held near nominal, as far as machines may
     differ, shape (n, n_lost)."""
@@ -294,9 +294,10 @@ class CalibrationResult:
         return result_html(self)
 
     def __repr__(self) -> str:
+        ended = "converged" if self.converged else "did not converge"
         return (
             f"CalibrationResult({self.nominal.name!r}, {len(self.parameters)} parameters, "
-            f"reduced χ² {self.reduced_chi2:.3g}, {self.message.split(' after')[0]})"
+            f"reduced χ² {self.reduced_chi2:.3g}, {ended})"
         )
 
     def __str__(self) -> str:

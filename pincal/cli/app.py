@@ -95,7 +95,6 @@ def _main(
 Mech = Annotated[str, typer.Argument(metavar="MECH", help="Bundled mechanism or folder.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random choices.")]
-Count = Annotated[int, typer.Option("--count", min=1, help="Number of poses.")]
 
 
 Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors.")]

@@ -12,72 +12,109 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.problem import Problem
-from pincal.estimation.solve import Found
-from pincal.estimation.system import System
+from pincal.estimation.solve import NEGLIGIBLE, Found
+from pincal.estimation.system import Normal, System
+
+Array = NDArray[np.float64]
+_TRIALS = 30  # of steps, at most; most searches need two or three
+_SHORTEST = 1e-4  # share of a step
+_CORRECTIONS = 4  # of the readings, at most
+_SAME = 1e-3  # of a standard deviation, by which corrections may still change
+_ENOUGH = 10.0 * NEGLIGIBLE  # where steps get no better
 
 
 def adjusted(problem: Problem, linear: Linear) -> Linear:
     """Return the conditions at adjusted readings, less what the adjustment makes of them.
 
+    Corrections follow from the conditions at the readings that they correct: found again until
+    they stay.
+
     Raises:
         MeasurementError: a residual that does not exist there.
     """
-    n = problem.reading_columns[-1].stop
-    noise = np.where(np.isfinite(linear.noise[:, :n]), linear.noise[:, :n], 0.0)
+    noise = np.zeros_like(problem.sigma_readings)
+    found = linear
+    for _ in range(_CORRECTIONS):
+        before, noise = noise, _corrections(problem, found)
+        found = _at(problem, linear, noise)
+        if np.abs(noise - before).max(initial=0.0) <= _SAME:
+            break
+    return found
+
+
+def _corrections(problem: Problem, linear: Linear) -> Array:
+    """Return the corrections of readings in standard deviations, shape (N, n_readings)."""
+    noise = linear.noise[:, : problem.reading_columns[-1].stop]
+    return np.where(np.isfinite(noise), noise, 0.0)
+
+
+def _at(problem: Problem, linear: Linear, noise: Array) -> Linear:
+    """Return the conditions at readings that are corrected by so many standard deviations."""
     shift = problem.sigma_readings * noise
     conditions = tuple(
         replace(condition, readings=condition.readings + shift[:, own])
         for condition, own in zip(problem.conditions, problem.reading_columns, strict=True)
     )
     stack = replace(problem, conditions=conditions).stack(linear.state)
-    back = (stack.noise[:, :, :n] @ noise[:, :, None])[:, :, 0]
+    back = (stack.noise[:, :, : noise.shape[1]] @ noise[:, :, None])[:, :, 0]
     return problem.whitened(replace(stack, value=stack.value - back))
 
 
-def last_steps(system: System, found: Found, steps: int = 5, near: float = 1e-3) -> Found:
+def last_steps(system: System, found: Found) -> Found:
     """Return the optimum with all conditions at adjusted readings, found from that without.
 
-    As it is where readings are exact, residuals are not whitened, or nothing gets better.
+    As it is where readings are exact, residuals are not whitened, or nothing gets better. A step
+    that does not make the cost fall is tried shorter.
 
     Args:
         system: What is minimised.
         found: Its optimum at readings as measured.
-        steps: How many, at most.
-        near: Of a standard error: a step that is shorter changes nothing for anyone.
     """
     problem = system.problem
     if not (problem.weighted and problem.latent and found.converged):
         return found
     if not np.nanmax(problem.sigma_readings, initial=0.0) > 0.0:
         return found
-    here, T = found, system.unknowns.map
+    here = found
     try:
         with np.errstate(all="ignore"):
             now = adjusted(problem, here.linear)
-            for _ in range(steps):
-                normal = system.solve(now, here.weights, here.scale)
-                if not normal.decrement > near:
-                    break
-                state = problem.moved(here.linear, T @ normal.step())
-                linear, count = solve_poses(problem, problem.linearise(state))
-                trial = adjusted(problem, linear)
+            normal = system.solve(now, here.weights, here.scale)
+            share, tried = 1.0, 0
+            while normal.decrement > NEGLIGIBLE and tried < _TRIALS and share > _SHORTEST:
+                tried += 1
+                there, trial = _stepped(system, here, normal, share)
                 costs = [system.cost(one.value, here.weights, one.state) for one in (now, trial)]
                 if not costs[1] < costs[0]:
-                    break
-                weights, scale = system.weights(linear)
-                here = replace(
-                    here,
-                    linear=linear,
-                    weights=weights,
-                    scale=scale,
-                    evaluations=here.evaluations + count + 2,
-                )
-                now = trial
-    except (MeasurementError, np.linalg.LinAlgError):
-        pass
-    return here
+                    share /= 4.0
+                    continue
+                here, now, share = there, trial, min(1.0, 2.0 * share)
+                normal = system.solve(now, here.weights, here.scale)
+    except (MeasurementError, np.linalg.LinAlgError):  # no such conditions there: as it was
+        return found
+    cost = system.cost(now.value, here.weights, here.linear.state)
+    dof = max(int(now.equations[here.weights > 0.0].sum()) - system.unknowns.map.shape[1], 1)
+    left = normal.decrement / (1.0 if system.known else max(float(np.sqrt(cost / dof)), 1e-300))
+    return replace(here, left=left, converged=left <= _ENOUGH)
+
+
+def _stepped(system: System, here: Found, normal: Normal, share: float) -> tuple[Found, Linear]:
+    """Return where a share of a step leads, and the conditions there at adjusted readings."""
+    problem = system.problem
+    state = problem.moved(here.linear, share * (system.unknowns.map @ normal.step()))
+    linear, count = solve_poses(problem, problem.linearise(state))
+    weights, scale = system.weights(linear)
+    there = replace(
+        here,
+        linear=linear,
+        weights=weights,
+        scale=scale,
+        evaluations=here.evaluations + count + 2,
+    )
+    return there, adjusted(problem, linear)

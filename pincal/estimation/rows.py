@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import product, solve
+from pincal.kinematics.batches import product, solve
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
+NEGLIGIBLE = 1e-3  # of a standard error: a step that is shorter changes nothing for anyone
+
+
 @dataclass(frozen=True)
 class Settings:
     """When the search ends, and how far it goes at once."""
@@ -41,7 +44,7 @@ class Settings:
     """Of a standard error: the search ends."""
     slow: float = 1e-6
     """Of a standard error: nearer only if each step halves the distance."""
-    negligible: float = 1e-3
+    negligible: float = NEGLIGIBLE
     """Of a standard error: converged, where no step falls further."""
     rows: int = 2000
     """Enough to begin near the optimum."""

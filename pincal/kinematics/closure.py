@@ -23,13 +23,13 @@ from pincal.kinematics.batches import (
     applied,
     cross,
     inverse_left_jacobian,
+    least_squares,
     left_null,
+    point_velocity,
+    product,
+    solve,
     turn_between,
 )
-from pincal.kinematics.batches import least_squares as least_squares
-from pincal.kinematics.batches import point_velocity as point_velocity
-from pincal.kinematics.batches import product as product
-from pincal.kinematics.batches import solve as solve
 from pincal.kinematics.chain import leg_chain, point_chain
 from pincal.kinematics.forest import Motion
 from pincal.model.leg import Leg

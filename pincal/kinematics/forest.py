@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
 import pinocchio as pin
@@ -90,6 +91,7 @@ class Forest:
                 )
         self._data = self._model.createData()
         self._roots = range(1, 1 + copies * self.width, max(self.width, 1))
+        self._turn = Lock()  # Pinocchio's data are one thread's at a time
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
 
     def begin(self, configuration: Array, wanted: Array) -> Base:
@@ -99,8 +101,10 @@ class Forest:
             configuration: Of the chain, shape (n,); it has no dummies.
             wanted: Motions of the chain, shape (k, n).
         """
-        columns = pin.computeJointJacobians(self._model, self._data, configuration)
-        return Base(self._data.oMi[self.width].copy(), columns @ wanted.T)
+        with self._turn:
+            columns = pin.computeJointJacobians(self._model, self._data, configuration)
+            end = self._data.oMi[self.width].copy()
+        return Base(end, columns.reshape(6, -1) @ wanted.T)  # a single column comes as a row
 
     def wanted(self, rates: Array) -> Array:
         """Return what ``motion`` takes: the dummies, then k motions, shape (k + 1 or 2, width).
@@ -123,9 +127,10 @@ class Forest:
             base: Where the chain begins, if not at the base's origin.
         """
         placement = self._first if base is None else base.placement * self._first
-        for root in self._roots:
-            self._model.jointPlacements[root] = placement
-        joints = self._columns(configurations)
+        with self._turn:
+            for root in self._roots:
+                self._model.jointPlacements[root] = placement
+            joints = self._columns(configurations)
         rows = (0, 1, 2, 3, 4, 5) if self.spatial else (0, 1, 5)  # others are zero in the plane
         twists = np.empty((len(rows), len(wanted), len(configurations)))
         for own, row in zip(twists, rows, strict=True):

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import Closure, LegClosure, Newton, product
+from pincal.kinematics.batches import product
+from pincal.kinematics.closure import Closure, LegClosure, Newton
 from pincal.kinematics.inverse import sensor_law
 from pincal.kinematics.starts import start_joints
 

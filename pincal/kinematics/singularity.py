@@ -84,6 +84,8 @@ def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
 
     Where a leg does not reach, a number without meaning. None if a leg is no rod or slide.
     """
+    if not np.isfinite(home_determinant(mechanism)):  # no leg closes there: no side is home's
+        return None
     lines = _rods(mechanism, matrices)
     home = _rods(mechanism, mechanism.platform.home_pose.as_matrix())
     if lines is None or home is None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.calibration.calibrate import prepared
+from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.drift import UNLIKELY, drifts
 from pincal.calibration.checks.folds import By, folds_of
@@ -23,13 +23,14 @@ from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
-from pincal.design.platform_error import closing_twists
+from pincal.calibration.promise import UNEXPLAINED, pose_misses
+from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements, Plan
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount
 from pincal.words.sentences import finding, sentences
@@ -113,18 +114,18 @@ def validate(
         MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
         ObservabilityError: what is left does not determine the parameters.
     """
-    return held_out(prepared(mechanism, measurements, options, **more), folds, by)
+    return held_out(started(prepared(mechanism, measurements, options, **more)), folds, by)
 
 
 def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") -> Validation:
     """Return the errors of a calibration at held-out rows; errors are those of ``validate``."""
-    whole = fitted(calibration)
+    whole = _converged(calibration, "the fit of all rows")
     calibration = whole.calibration
     if calibration.options.loss != "none":
         out = [outlier.row for one in whole.fits for outlier in one.outliers]
         kept = ~np.isin(np.arange(len(calibration.measurements)), out)
         calibration = calibration.rows(kept).with_options(loss="none")
-        whole = fitted(calibration)
+        whole = _converged(calibration, "the fit of the rows that fit")
         calibration = whole.calibration
     groups = folds_of(calibration.measurements, folds, by)
     count = int(groups.max()) + 1
@@ -134,7 +135,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
         seen = calibration.rows(groups != fold).at_this_noise()
-        found = fitted(seen)
+        found = _converged(seen, f"fold {fold + 1} of {count}")
         unseen = calibration.rows(groups == fold)
         own = [_Predicted.of(one, linear) for one, linear in _predictions(found, unseen)]
         chances.append(_chance(found, own))
@@ -170,6 +171,20 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     )
 
 
+def _converged(calibration: Calibration, what: str) -> Fits:
+    """Return the fits of a calibration.
+
+    Raises:
+        MeasurementError: they do not converge.
+    """
+    found = fitted(calibration)
+    if not all(one.fit.converged for one in found.fits):
+        raise MeasurementError(
+            f"{what} does not converge; measure more poses, or give a better nominal mechanism"
+        )
+    return found
+
+
 def _chance(found: Fits, parts: Sequence[_Predicted]) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
@@ -181,9 +196,11 @@ def _chance(found: Fits, parts: Sequence[_Predicted]) -> float:
     dof = sum(one.degrees_of_freedom for one in fits)
     share = 1.0 if found.latent else chi2_freedoms(found.fits) / max(dof, 1)
     ratio = sum(one.statistic for one in parts) / equations
-    if found.calibration.noise.known:
-        return exceeded(ratio, share * equations, confidence(found).of_chi2)
     own = sum(one.chi2 for one in fits) / max(dof, 1)
+    if found.calibration.noise.known:
+        sure = confidence(found).of_chi2
+        if exceeded(own, share * dof, sure) >= UNEXPLAINED:  # else the noise is not as given
+            return exceeded(ratio, share * equations, sure)
     return exceeded(ratio / own, share * equations, share * dof) if own > 0.0 else 1.0
 
 
@@ -236,15 +253,9 @@ def _predictions(found: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
 
 def _misfit(calibration: Calibration, found: Fits) -> Array:
     """Return by how much the platform misses measured poses, shape (N, dof); NaN where unknown."""
-    setup, data = calibration.options.setup, calibration.measurements
-    if setup.distances or len(setup.targets) > 1:
-        return np.full(data.poses.shape, np.nan)
     machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
-    whole: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
-    twists = np.full(data.poses.shape, np.nan)
-    poses, _ = calibration.rows(whole).given_poses(None if setup.plain else found.external)
-    twists[whole] = closing_twists(machine, Plan(poses, readings=data.readings[whole]))
-    return twists
+    plain = calibration.options.setup.plain
+    return pose_misses(calibration, machine, None if plain else found.external)
 
 
 def _both(fitted: Array, held_out: Array, columns: Mask) -> tuple[float, float] | None:

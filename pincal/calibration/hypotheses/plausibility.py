@@ -26,8 +26,8 @@ from pincal.errors import MeasurementError
 from pincal.estimation.conditions.external import External
 from pincal.estimation.observability.drawings import DIFFER
 from pincal.finding import Finding
-from pincal.kinematics.closure import largest_size
-from pincal.kinematics.inverse import inverse
+from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.inverse import inverse, sensor_law
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
@@ -184,7 +184,12 @@ def _turns(sample: Sample) -> tuple[Finding, ...]:
         given, expected = sample.readings[rows, index], nominal[:, index]
         gain, _ = leg.sensors[0].constants(leg.nominal_by_name)
         turn = 2 * np.pi * (abs(gain) if leg.sensors[0].form == "reading" else 1 / abs(gain))
-        off = np.flatnonzero(np.nan_to_num(np.round((given - expected) / turn)))
+        if len(leg.active) > 1:
+            return ()
+        law, (joint,) = sensor_law(nominal_legs(mechanism)[index]), leg.active
+        position = law.position(given[:, None])[:, 0] - leg.home[joint]
+        turned = np.nan_to_num(np.round((given - expected) / turn)) != 0.0
+        off = np.flatnonzero(turned & (np.abs(position) > np.pi + RULE.beyond))  # not at the cut
         if len(off) and np.isfinite(given - expected).sum() > 1:
             one = off[0]
             values: dict[str, Any] = {

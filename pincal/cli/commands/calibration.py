@@ -45,6 +45,7 @@ from pincal.show.result_tables import calibration_tables
 from pincal.show.results import warnings
 from pincal.show.summary import calibration_summary, verdict_lines, weak_lines
 from pincal.show.workspace_errors import WorkspaceErrors
+from pincal.words.numbers import counted
 
 
 class Method(StrEnum):
@@ -289,7 +290,9 @@ def _say(
     weak = weak_lines(result.weak, result.nominal) if result.converged else []
     if not verbose:
         more = [line for line in more[1:] if line not in weak]
-        more += [f"{len(result.weak)} pairs of parameters are weakly determined"] * bool(weak)
+        count = len(result.weak)
+        pairs = counted(count, "pair of parameters is", "pairs of parameters are")
+        more += [f"{pairs} weakly determined"] * bool(weak)
     for line in first:
         stdout.print(line, markup=False)
     for table in calibration_tables(result) if verbose else []:

@@ -35,7 +35,6 @@ class External:
 
 
 #: Where poses are those of the platform in the base frame.
-NOTHING = External(np.eye(4), np.zeros((0, 3)), np.eye(3))
 
 
 class ExternalUnknowns:

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.angles import angle
 from pincal.estimation.conditions.external import External, ExternalUnknowns
-from pincal.kinematics.batches import inverse_left_jacobian, turn_between
-from pincal.kinematics.closure import point_velocity
+from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.model.instrument import checked
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
 from pincal.estimation.observability.indices import NEGLIGIBLE, RANK_TOLERANCE
-from pincal.kinematics.closure import point_velocity
+from pincal.kinematics.batches import point_velocity
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]

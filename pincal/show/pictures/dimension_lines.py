@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pincal.show.pictures.dimensions import Dimension
 from pincal.show.style import DIMENSION, PICTURE
+from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
 _GREEK = re.compile(
@@ -32,7 +33,7 @@ def symbol(name: str, leg: str = "") -> str:
         leg: Name of its leg, of which a number at the end becomes an index.
     """
     if not re.fullmatch(r"[A-Za-z0-9]+(_[A-Za-z0-9]+)*", name):
-        return name
+        return clean(name).replace("\\", "\\\\").replace("$", r"\$")
     first, *index = name.split("_")
     first = f"\\{first}" if _GREEK.fullmatch(first) else rf"\mathit{{{first}}}"
     number = re.search(r"\d+$", leg)

@@ -7,14 +7,18 @@ where it ends, a turn is an angle about where it happens.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from pincal.model.leg import Joint, Leg
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.inverse import sensor_law
+from pincal.model.leg import Joint
+from pincal.model.links import link_placements
 from pincal.model.placement import Coordinate, Step
 from pincal.model.sensor import Sensor
 
@@ -28,8 +32,8 @@ class Dimension:
     """A length or an angle in a drawing."""
 
     names: tuple[str, ...]
-    """Of the parameters: one, or those of a sensor."""
-    kind: Literal["length", "angle", "reading"]
+    """Of the parameter; of a reading that of its gain, if it has one."""
+    kind: Literal["length", "angle", "reading", "offset"]
     line: Array
     """Points along it, from where it is measured, shape (n, 3), base frame, [m]."""
     corner: Array | None = None
@@ -38,47 +42,35 @@ class Dimension:
     """Whether the line lies on a link, so that it is better drawn beside that."""
 
 
-def dimensions_of(leg: Leg, joints: Array, T_base_platform: Array, size: float) -> list[Dimension]:
+def dimensions_of(
+    closure: LegClosure, joints: Array, T_base_platform: Array, size: float
+) -> list[Dimension]:
     """Return the dimensions of a leg.
 
     Args:
-        leg: The leg, at its nominal parameters.
+        closure: The leg at its nominal parameters.
         joints: Positions of its moving joints, shape (n_joints,), [rad] or [m].
         T_base_platform: The pose, shape (4, 4).
         size: Radius of the smallest arc, [m].
+
+    Raises:
+        MechanismError: a homed sensor, and a home pose out of the leg's reach.
     """
+    leg, law = closure.leg, sensor_law(closure)
     values = leg.nominal_by_name
+    links = link_placements(leg, np.asarray(joints)[None])[0]
     found: list[Dimension] = []
-    frames = [np.eye(4)]
-    moving = iter(joints)
-    read: list[tuple[Sensor, Joint, Array, float]] = []
     for index, joint in enumerate(leg.joints):
-        found += _placed(joint, values, frames[-1], size, beside=index > 0)
-        T = frames[-1] @ joint.placement.origin()
-        position = float(next(moving)) if joint.kind != "fixed" else 0.0
-        read += [(one, joint, T, position) for one in leg.sensors if one.joint == joint.name]
-        frames.append(T @ _motion(joint, position))
-    places = np.array([T[:3, 3] for T in frames[1:]])
-    found += [_read(*one, places, size) for one in read]
+        parent = links[index - 1] if index else np.eye(4)
+        found += _placed(joint, values, parent, size, beside=index > 0)
+        for place, sensor in enumerate(leg.sensors):
+            if sensor.joint == joint.name:
+                position = float(joints[leg.active[place]])
+                start = float(law.start[place])
+                own = _Drive(joint, parent @ joint.placement.origin(), links[:, :3, 3], size)
+                found += _read(sensor, own, start - sensor.law(values)[1], start, position)
     found += _placed(leg.point, values, T_base_platform, size, beside=False)
     return found
-
-
-def _motion(joint: Joint, position: float) -> Array:
-    """Return a joint's displacement, shape (4, 4)."""
-    T = np.eye(4)
-    if joint.kind == "revolute":
-        T[:3, :3] = _turned(np.eye(3), np.array(joint.axis), position)
-    elif joint.kind == "prismatic":
-        T[:3, 3] = position * np.array(joint.axis)
-    return T
-
-
-def _turned(vectors: Array, axis: Array, angle: float | Array) -> Array:
-    """Return vectors, (..., 3), turned about a unit axis (Rodrigues); columns of a matrix too."""
-    K = np.cross(np.eye(3), axis)
-    angles = np.asarray(angle)[..., None, None]
-    return np.asarray((np.eye(3) + np.sin(angles) * K + (1.0 - np.cos(angles)) * (K @ K)) @ vectors)
 
 
 def _placed(
@@ -114,28 +106,69 @@ def _of_coordinate(
                 (step.value,), "length", np.stack((before[:3, 3], after[:3, 3])), beside=beside
             )
         else:
-            yield _angle((step.value,), step, values, before, radius * (1.0 + 0.35 * len(done)))
+            yield _angle(step.value, step, values, before, radius * (1.0 + 0.35 * len(done)))
 
 
-def _angle(
-    names: tuple[str, ...], step: Step, values: dict[str, float], T: Array, radius: float
-) -> Dimension:
+def _angle(name: str, step: Step, values: dict[str, float], T: Array, radius: float) -> Dimension:
     """Return the angle of a turn, from the axis that it turns first to where that goes."""
     axis, zero = T[:3, "xyz".index(step.axis[-1])], {"rx": 1, "ry": 2, "rz": 0}[step.axis]
     arc = _turned(T[:3, zero], axis, step.amount(values) * _ARC)
-    return Dimension(names, "angle", T[:3, 3] + radius * arc, T[:3, 3])
+    return Dimension((name,), "angle", T[:3, 3] + radius * arc, T[:3, 3])
+
+
+def _turned(vector: Array, axis: Array, angles: Array) -> Array:
+    """Return a vector (3,) turned about a unit axis by angles (n,), shape (n, 3)."""
+    turns = Rotation.from_rotvec(np.multiply.outer(angles, axis))
+    return np.asarray(turns.apply(vector))
+
+
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    """An active joint in a drawing."""
+
+    joint: Joint
+    frame: Array
+    """Where it is at its zero, ``T_base_joint``, shape (4, 4)."""
+    places: Array
+    """Of the joints and the tip, shape (n, 3), [m]."""
+    size: float
+    """Radius of the smallest arc, [m]."""
+
+    def line(self, position: float, low: float, high: float, radius: float) -> Dimension:
+        """Return a nameless dimension from one position of the joint to another.
+
+        Args:
+            position: Where the joint is now, [rad] or [m].
+            low: Where the dimension begins.
+            high: Where it ends.
+            radius: Of an arc, in those of the smallest.
+        """
+        here, axis = self.frame[:3, 3], self.frame[:3, :3] @ np.array(self.joint.axis)
+        if self.joint.kind == "prismatic":
+            ends = here + np.array([[low], [high]]) * axis
+            return Dimension((), "reading", ends, beside=True)
+        arms = self.places - here
+        away = arms[np.linalg.norm(np.cross(arms, axis), axis=1) > _SHORT * self.size]
+        link = away[0] - axis * (away[0] @ axis) if len(away) else self.frame[:3, 0]
+        arc = _turned(link / np.linalg.norm(link), axis, low - position + (high - low) * _ARC)
+        return Dimension((), "reading", here + radius * self.size * arc, here)
 
 
 def _read(
-    sensor: Sensor, joint: Joint, T: Array, position: float, places: Array, size: float
-) -> Dimension:
-    """Return what a sensor reads: the joint's angle from where it counts, or its stroke."""
-    names = tuple(one for one in (sensor.gain, sensor.offset) if isinstance(one, str))
-    here, axis = T[:3, 3], T[:3, :3] @ np.array(joint.axis)
-    counted = position - (sensor.zero if isinstance(sensor.zero, float) else 0.0)
-    if joint.kind == "prismatic":
-        return Dimension(names, "reading", np.stack((here, here + counted * axis)), beside=True)
-    away = [p - here for p in places if np.linalg.norm(np.cross(p - here, axis)) > _SHORT * size]
-    link = away[0] - axis * (away[0] @ axis) if away else T[:3, 0]
-    arc = _turned(link / np.linalg.norm(link), axis, counted * (_ARC - 1.0))
-    return Dimension(names, "reading", here + 1.7 * size * arc, here)
+    sensor: Sensor, drive: _Drive, zero: float, start: float, position: float
+) -> list[Dimension]:
+    """Return what a sensor reads, and its offset if that is a parameter.
+
+    Args:
+        sensor: The sensor.
+        drive: Its joint.
+        zero: Position from which the joint is counted, [rad] or [m].
+        start: Position at which the sensor reads zero.
+        position: Where the joint is.
+    """
+    names = (sensor.gain,) if isinstance(sensor.gain, str) else ()
+    found = [replace(drive.line(position, start, position, 1.7), names=names)]
+    if isinstance(sensor.offset, str):
+        offset = replace(drive.line(position, zero, start, 1.2), names=(sensor.offset,))
+        found.append(replace(offset, kind="offset"))
+    return found

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import joints_at
 from pincal.model.measurements import EVERY_LEG
 from pincal.show import style
@@ -108,12 +109,15 @@ def _dimension(axes: Axes, scene: Scene, row: int, legs: Sequence[str], V: Array
     """Draw the parameters of legs as dimensions, their values above."""
     mechanism, poses = scene.mechanism, scene.plan.poses[[row]]
     joints = joints_at(mechanism, poses).joints
+    if not np.isfinite(joints[legs[0]]).all():  # nothing is drawn there, as is said
+        return
     T_base_platform = mechanism.platform.matrices(poses)[0]
     size = PICTURE.arc * float(np.linalg.norm(np.ptp(_extent(scene, row), axis=0)))
     found, values = [], []
     for name in legs:
         leg = mechanism.leg(name)
-        own = dimensions_of(leg, joints[name][0], T_base_platform, size)
+        closure = nominal_legs(mechanism)[mechanism.leg_names.index(leg.name)]
+        own = dimensions_of(closure, joints[name][0], T_base_platform, size)
         found += [(name if len(legs) > 1 else "", one) for one in own]
         values += [
             f"{symbol(key, name if len(legs) > 1 else '')} = {_drawn(value, leg.units[key])}"

@@ -73,7 +73,7 @@ def picture(
     workspace: ArrayLike | None = None,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
-    dimensions: Sequence[str] | bool = False,
+    dimensions: str | Sequence[str] | bool = False,
 ) -> Picture:
     """Return a picture of a mechanism: ``save(path)``, ``figure()``, ``draw(axes)``.
 
@@ -87,8 +87,8 @@ def picture(
         workspace: As for ``view``.
         identified: The calibrated mechanism, drawn over the nominal one.
         magnify: Factor on what differs between its parameters and the nominal ones.
-        dimensions: Names of legs whose parameters are drawn as lengths and angles; True for the
-            first leg.
+        dimensions: Names of legs whose parameters are drawn as lengths and angles, or one name;
+            True for the first leg.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
@@ -102,7 +102,9 @@ def picture(
         raise MeasurementError(
             f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"
         )
-    if isinstance(dimensions, bool):
+    if isinstance(dimensions, str):
+        dimensions = (dimensions,)
+    if isinstance(dimensions, bool) or dimensions is None:
         dimensions = mechanism.leg_names[:1] if dimensions else ()
     legs = tuple(mechanism.leg(name).name for name in dimensions)
     return Picture(scene(mechanism, plan, workspace, identified, magnify), row, legs)
