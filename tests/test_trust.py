@@ -231,11 +231,20 @@ def test_the_command_holds_runs_out(tmp_path: Path) -> None:
 
 
 def test_held_out_rows_follow_the_same_start(tmp_path: Path) -> None:
-    """Zeros of motors that are far off are found for validation as for calibration."""
+    """Zeros of motors that are far off are found for validation as for calibration.
+
+    A result that was loaded starts there too, with the noise as it was.
+    """
     mechanism, _, data = machine("3RRR", 60)
     away = replace(data, readings=data.readings + np.array([0.7, 0.2, -1.6]))
     found, usual = (pincal.validate(mechanism, one, noise=NOISE) for one in (away, data))
     assert found.held_out == pytest.approx(usual.held_out, rel=0.05)
+    result = pincal.calibrate(mechanism, away, noise=NOISE)
+    result.save(tmp_path / "r")
+    loaded = pincal.load_result(tmp_path / "r").calibration
+    np.testing.assert_array_equal(loaded.start, result.calibration.start)
+    np.testing.assert_array_equal(loaded.noise.poses, result.calibration.noise.poses)
+    assert loaded.noise.source == result.calibration.noise.source
 
 
 def test_what_is_held_out_is_said_once() -> None:

@@ -16,6 +16,7 @@ from pincal.calibration.checks.validation import Validation
 from pincal.calibration.options import Options, Progress
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
+from pincal.estimation.noise import NoiseModel
 from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
 from pincal.model.instrument import Instrument
 from pincal.model.measurements import Measurements
@@ -100,12 +101,19 @@ def stored(result: CalibrationResult) -> dict[str, Any]:
     return {
         "measurements": _CONVERTER.unstructure(result.measurements),
         "options": _CONVERTER.unstructure(options) | {"loss": result.loss},
+        "start": _CONVERTER.unstructure(result.calibration.start),
+        "noise_model": _CONVERTER.unstructure(result.calibration.noise),
         **{
             one.name: _CONVERTER.unstructure(getattr(result, one.name))
             for one in fields(CalibrationResult)
             if one.name not in _APART
         },
     }
+
+
+def _kept(data: dict[str, Any], name: str, kind: Any) -> Any:
+    """Return what a calibration had worked out; None of results saved before this was kept."""
+    return None if data.get(name) is None else _CONVERTER.structure(data[name], kind)
 
 
 def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
@@ -119,6 +127,8 @@ def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
             nominal,
             _CONVERTER.structure(data["measurements"], Measurements),
             _CONVERTER.structure(data["options"], Options),
+            start=_kept(data, "start", NDArray[np.float64]),
+            known_noise=_kept(data, "noise_model", NoiseModel),
         )
         found = {
             name: _CONVERTER.structure(data[name], kind)

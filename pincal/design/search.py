@@ -45,7 +45,7 @@ class SelectionOptions:
 
     def __post_init__(self) -> None:
         as_noise(self.noise)
-        count_of(self.starts, "starts", MeasurementError)
+        count_of(self.starts, "starts", MeasurementError, 1)
         generator_of(self.seed, MeasurementError)
 
     def say(self, text: str) -> None:

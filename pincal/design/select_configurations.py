@@ -94,7 +94,7 @@ def select_configurations(
             no candidate in reach.
     """
     mechanism = as_mechanism(mechanism)
-    count_of(count, "count", MeasurementError)
+    count_of(count, "count", MeasurementError, 1)
     how = SelectionOptions(**options)
     if goal not in get_args(Goal):
         raise MeasurementError(f"no goal {goal!r}; expected one of {', '.join(get_args(Goal))}")
@@ -105,6 +105,11 @@ def select_configurations(
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
+    if len(legs.poses) < count:
+        raise ObservabilityError(
+            f"{mechanism.name!r} reaches {len(legs.poses)} of {len(own)} candidates, of which no "
+            f"two are alike; {count} are to be chosen. Give more candidates"
+        )
     rows, names, kept = information_rows(
         mechanism, legs, as_noise(how.noise), measured, as_setup(setup)
     )
@@ -112,7 +117,7 @@ def select_configurations(
     found = identifiability(flat, names)
     lengths, _, axes = scaled_axes(flat)
     blocks = (rows / lengths) @ axes[: found.rank].T
-    if count * blocks.shape[1] < found.rank or len(blocks) < count:
+    if count * blocks.shape[1] < found.rank:
         raise ObservabilityError(
             f"{count} of {len(blocks)} configurations give {count * blocks.shape[1]} equations for "
             f"{found.rank} unknowns that can be identified; choose at least "

@@ -99,14 +99,22 @@ def numbers_of(values: Any, what: str, error_type: type[PincalError]) -> Array:
         raise error_type(f"{what}: expected numbers; got {described(values)}") from fault
 
 
-def count_of(value: Any, what: str, error_type: type[PincalError]) -> int:
+def count_of(value: Any, what: str, error_type: type[PincalError], least: int | None = None) -> int:
     """Return a whole number.
 
+    Args:
+        value: What was given.
+        what: What it is, for messages.
+        error_type: Of the error.
+        least: The least that it may be.
+
     Raises:
-        PincalError: of the given type: it is something else.
+        PincalError: of the given type: it is something else, or less.
     """
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise error_type(f"{what}: expected a whole number; got {described(value)}")
+    if least is not None and value < least:
+        raise error_type(f"{what} is {value}; expected {least} or more")
     return int(value)
 
 

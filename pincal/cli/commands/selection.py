@@ -153,8 +153,9 @@ def select(
     if mechanism.by_readings or part or how.collision is not None:
         if how.independent or how.symmetric or how.orbits or how.common:
             raise typer.BadParameter(
-                "poses for single legs are of whole poses in the base frame, best for the "
-                "parameters; leave out the protocol"
+                "--symmetric, --independent, --orbits and --common choose whole poses in the base "
+                "frame that are best for the parameters; leave them out where something else is "
+                "measured or wanted: poses are then common to all legs"
             )
         choose = _together
     else:
