@@ -228,6 +228,10 @@ def test_the_command_holds_runs_out(tmp_path: Path) -> None:
     assert found.folds == expected.folds == 3
     assert found.held_out == pytest.approx(expected.held_out, rel=1e-9)
     assert f"{found.held_out:.2f} σ" in said
+    result = pincal.calibrate(mechanism, data).validated(by="run").compared()
+    assert result.validation.held_out == pytest.approx(found.held_out, rel=1e-9)
+    assert result.runs.runs == ("run 0", "run 1", "run 2")
+    assert len(set(result.contradictions)) == len(result.contradictions)
 
 
 def test_held_out_rows_follow_the_same_start(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ from pincal.model.parameter import Parameters
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
+    from pincal.calibration.checks.folds import By
     from pincal.calibration.checks.runs import RunComparison
     from pincal.calibration.checks.validation import Validation
     from pincal.show.plots import Plots
@@ -258,6 +259,35 @@ class CalibrationResult:
     def with_only(self, findings: tuple[Finding, ...]) -> CalibrationResult:
         """Return the result with these findings."""
         return replace(self, findings=findings)
+
+    def validated(self, folds: int = 5, by: By = "region") -> CalibrationResult:
+        """Return the result with its errors at held-out rows, and what these contradict.
+
+        Args:
+            folds: How many times a share of the rows is held out.
+            by: What is held out together: see ``validate``.
+
+        Raises:
+            MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not
+                converge.
+            ObservabilityError: what is left does not determine the parameters.
+        """
+        from pincal.calibration.checks.validation import held_out
+
+        found = held_out(self.calibration, folds, by)
+        return replace(self, validation=found, findings=(*self.findings, *found.findings))
+
+    def compared(self) -> CalibrationResult:
+        """Return the result with how well the runs of its measurements agree.
+
+        Raises:
+            MeasurementError: no runs, or only one; a run whose fit does not converge.
+            ObservabilityError: a run that does not determine the parameters alone.
+        """
+        from pincal.calibration.checks.runs import runs_compared
+
+        found = runs_compared(self.calibration)
+        return replace(self, runs=found, findings=(*self.findings, *found.findings))
 
     def to_dataframe(self) -> Any:
         """Return the parameters as a pandas DataFrame, one row each, ids as its index."""

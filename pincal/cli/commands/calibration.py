@@ -14,8 +14,7 @@ import typer
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import By
-from pincal.calibration.checks.runs import runs_compared
-from pincal.calibration.checks.validation import FOLDS, held_out
+from pincal.calibration.checks.validation import FOLDS
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json
@@ -310,17 +309,16 @@ def _checked(result: CalibrationResult, folds: int, by: By) -> tuple[Calibration
     said = [] if folds else ["no rows were held out (--folds 0)"]
     try:
         if folds:
-            result = replace(result, validation=held_out(result.calibration, folds, by))
+            result = result.validated(folds, by)
     except PincalError as error:
         said.append(f"no held-out validation: {error}")
     try:
         if result.measurements.runs is not None:
             result.options.report("comparing the runs")
-            result = replace(result, runs=runs_compared(result.calibration))
+            result = result.compared()
     except PincalError as error:
         said.append(f"runs not compared: {error}")
-    more = [one.findings for one in (result.validation, result.runs) if one is not None]
-    return result.with_only((*result.findings, *(f for own in more for f in own))), said
+    return result, said
 
 
 def _priors(said: Sequence[str]) -> dict[str, float]:
