@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from pincal.symmetry.detect import NearestGroup, SymmetryGroup
+from pincal.words.numbers import counted
 from pincal.words.table import Column, Table
 
 
@@ -15,7 +16,7 @@ def symmetry_table(group: SymmetryGroup, equivariance: float, near: NearestGroup
     lines += [f"broken: {text}" for text in group.breaks]
     if len(near.group.elements) > 1:
         lines.append(_nearness(near))
-    size = f"{group.name}, {len(group.elements)} elements"
+    size = f"{group.name}, {counted(len(group.elements), 'element')}"
     return Table(
         f"{group.mechanism.name}: {size}, nominal geometry and modes",
         (Column("element"), *(Column(f"{name} to") for name in names)),
@@ -32,7 +33,8 @@ def near_table(near: NearestGroup) -> Table:
     """Return how far a mechanism is from the group that it nearly has, element by element."""
     group = near.group
     return Table(
-        f"{group.mechanism.name}: nearest group {group.name}, {len(group.elements)} elements",
+        f"{group.mechanism.name}: nearest group {group.name}, "
+        f"{counted(len(group.elements), 'element')}",
         (Column("element"), Column("legs' points off", "m"), Column("axes off", "rad")),
         [
             (str(element), points, axes)
@@ -44,7 +46,7 @@ def near_table(near: NearestGroup) -> Table:
 
 def _nearness(near: NearestGroup) -> str:
     """Return how far a mechanism is from the nearest group, as a sentence."""
-    size = f"{near.group.name}, {len(near.group.elements)} elements"
+    size = f"{near.group.name}, {counted(len(near.group.elements), 'element')}"
     return (
         f"nearest group {size}: leg points are off by {1e3 * near.displacement:.3g} mm at most, "
         f"axes by {1e3 * near.turn:.3g} mrad"
@@ -65,13 +67,13 @@ def group_table(group: SymmetryGroup) -> tuple[Table, Table]:
         wrap=False,
     )
     parts = group.subgroups()
-    counted = Counter((part.name, count // len(part.elements)) for part in parts)
+    alike = Counter((part.name, count // len(part.elements)) for part in parts)
     facts = [
         ("generators", "; ".join(map(str, group.generators)) or "none"),
         *((f"orbit of {len(orbit)}", ", ".join(orbit)) for orbit in group.leg_orbits),
         *(
             (f"subgroup {name}", f"{times} of index {index}")
-            for (name, index), times in counted.items()
+            for (name, index), times in alike.items()
         ),
     ]
     return products, Table("generators, legs, subgroups", (Column("what"), Column("is")), facts)

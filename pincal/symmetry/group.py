@@ -134,6 +134,5 @@ class SymmetryGroup:
 
     def __str__(self) -> str:
         """Return a page: the elements, and what breaks the others."""
-        kind = "rotations" if not any(e.reflection for e in self.elements) else "elements"
-        lines = [f"{len(self.elements)} {kind}: {', '.join(str(e) for e in self.elements)}"]
+        lines = [f"{self.name}: {', '.join(str(e) for e in self.elements)}"]
         return "\n".join(lines + [f"  broken: {b}" for b in self.breaks])

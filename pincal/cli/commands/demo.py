@@ -71,7 +71,9 @@ def demo(
     calibrate(mech, measured, alone, replace(known, per_leg=True), force)
     _step("calibrate", mech, measured, *noise, "-o", result)
     calibrate(mech, measured, result, known, force)
-    _title("true machine driven by the nominal and by the calibrated models")
+    stdout.print(
+        "\nThe true machine, driven by the nominal and by the calibrated models:", style="bold"
+    )
     poses = read_poses(candidates, mechanism).poses
     true_mechanism = load_mechanism(truth)
     with working("driving the true machine over the workspace"):

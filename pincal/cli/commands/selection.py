@@ -56,11 +56,19 @@ class Candidates:
     """How many poses are chosen, from which."""
 
     count: Annotated[
-        int, typer.Option(min=1, help="Poses for each leg; number of orbits with --orbits.")
+        int,
+        typer.Option(
+            min=1,
+            help="Poses for each leg; orbits with --orbits; of all legs with --common, "
+            "--goal platform, --measure or an unknown frame.",
+        ),
     ] = 24
     candidates: Annotated[
         Path | None,
-        typer.Option(metavar="CSV", help="Poses to choose from; else 30000 are sampled."),
+        typer.Option(
+            metavar="CSV",
+            help="Poses to choose from; else 30000 are sampled, 3000 for all legs at once.",
+        ),
     ] = None
     collision: Annotated[
         Path | None,
@@ -164,6 +172,7 @@ def select(
         plan, offered, table, found = choose(mechanism, how, progress)
     if how.verify:
         plan = with_verification(mechanism, plan, offered, how.verify, how.seed)
+        remark(f"{how.verify} more poses of the set 'verify' are for no fit: they check it")
     plan = plan if how.by_set else in_turns(plan, how.seed)
     write_poses(output, mechanism, plan, force=force)
     stdout.print(table)
