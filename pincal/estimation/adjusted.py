@@ -18,15 +18,10 @@ from pincal.errors import MeasurementError
 from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.problem import Problem
-from pincal.estimation.solve import NEGLIGIBLE, Found
+from pincal.estimation.solve import BY, Found
 from pincal.estimation.system import Normal, System
 
 Array = NDArray[np.float64]
-_TRIALS = 30  # of steps, at most; most searches need two or three
-_SHORTEST = 1e-4  # share of a step
-_CORRECTIONS = 4  # of the readings, at most
-_SAME = 1e-3  # of a standard deviation, by which corrections may still change
-_ENOUGH = 10.0 * NEGLIGIBLE  # where steps get no better
 
 
 def adjusted(problem: Problem, linear: Linear) -> Linear:
@@ -40,10 +35,10 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
     """
     noise = np.zeros_like(problem.sigma_readings)
     found = linear
-    for _ in range(_CORRECTIONS):
+    for _ in range(BY.corrections):
         before, noise = noise, _corrections(problem, found)
         found = _at(problem, linear, noise)
-        if np.abs(noise - before).max(initial=0.0) <= _SAME:
+        if np.abs(noise - before).max(initial=0.0) <= BY.same:
             break
     return found
 
@@ -87,7 +82,7 @@ def last_steps(system: System, found: Found) -> Found:
             now = adjusted(problem, here.linear)
             normal = system.solve(now, here.weights, here.scale)
             share, tried = 1.0, 0
-            while normal.decrement > NEGLIGIBLE and tried < _TRIALS and share > _SHORTEST:
+            while normal.decrement > BY.negligible and tried < BY.last and share > BY.shortest:
                 tried += 1
                 there, trial = _stepped(system, here, normal, share)
                 costs = [system.cost(one.value, here.weights, one.state) for one in (now, trial)]
@@ -101,7 +96,7 @@ def last_steps(system: System, found: Found) -> Found:
     cost = system.cost(now.value, here.weights, here.linear.state)
     dof = max(int(now.equations[here.weights > 0.0].sum()) - system.unknowns.map.shape[1], 1)
     left = normal.decrement / (1.0 if system.known else max(float(np.sqrt(cost / dof)), 1e-300))
-    return replace(here, left=left, converged=left <= _ENOUGH)
+    return replace(here, left=left, converged=left <= 10.0 * BY.negligible)
 
 
 def _stepped(system: System, here: Found, normal: Normal, share: float) -> tuple[Found, Linear]:

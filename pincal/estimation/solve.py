@@ -25,9 +25,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-NEGLIGIBLE = 1e-3  # of a standard error: a step that is shorter changes nothing for anyone
-
-
 @dataclass(frozen=True)
 class Settings:
     """When the search ends, and how far it goes at once."""
@@ -44,7 +41,7 @@ class Settings:
     """Of a standard error: the search ends."""
     slow: float = 1e-6
     """Of a standard error: nearer only if each step halves the distance."""
-    negligible: float = NEGLIGIBLE
+    negligible: float = 1e-3
     """Of a standard error: converged, where no step falls further."""
     rows: int = 2000
     """Enough to begin near the optimum."""
@@ -52,11 +49,19 @@ class Settings:
     """Of a residual's standard deviation: the easier problem is left."""
     begin: int = 50
     """Evaluations of the easier problem, at most."""
+    last: int = 30
+    """Steps with conditions at adjusted readings, at most; most fits need two or three."""
+    shortest: float = 1e-4
+    """Share of such a step."""
+    corrections: int = 4
+    """Of the readings in such a step, at most."""
+    same: float = 1e-3
+    """Of a standard deviation, by which corrections may still change."""
     rounding: float = 1e-10
     """Of the cost: falls that are predicted smaller cannot be judged by it."""
 
 
-_BY = Settings()
+BY = Settings()
 
 
 @dataclass(frozen=True)
@@ -101,10 +106,10 @@ def search(
     left_out = np.zeros(len(weights), dtype=bool) if system.kept is None else ~system.kept
     held, cost_held = left_out, np.inf
     highest = max(cost, highest) if np.isfinite(highest) else cost
-    while normal.decrement > max(_BY.no_step, _rounding(system, here)):
+    while normal.decrement > max(BY.no_step, _rounding(system, here)):
         if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
             break
-        if evaluations >= (most or _BY.evaluations) or damping > _BY.damping[1]:
+        if evaluations >= (most or BY.evaluations) or damping > BY.damping[1]:
             break
         if progress and evaluations % 5 == 0:
             progress(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
@@ -114,7 +119,7 @@ def search(
             evaluations += 1
         trial, count = _trial(problem, here, T @ step, held)
         evaluations += count
-        blind = normal.decrement**2 <= _BY.rounding * cost
+        blind = normal.decrement**2 <= BY.rounding * cost
         better = False
         if trial is not None:
             new_weights, new_scale = system.weights(trial)
@@ -128,24 +133,24 @@ def search(
         if better and trial is not None:
             fall = cost - min(system.cost_in(here, trial, weights), new_cost)
             damping *= _change(fall / max(normal.fall(step), 1e-300))
-            damping, growth = (damping if damping > _BY.damping[0] else 0.0), 10.0
+            damping, growth = (damping if damping > BY.damping[0] else 0.0), 10.0
             slow = blind and new.decrement > 0.5 * normal.decrement
             here, weights, scale, cost, normal = trial, new_weights, new_scale, new_cost, new
             if cost < 0.5 * cost_held:
                 held, cost_held = left_out, np.inf
-            if slow and normal.decrement <= _BY.slow:  # rounding, or less than matters to anyone
+            if slow and normal.decrement <= BY.slow:  # rounding, or less than matters to anyone
                 break
         elif (astray := unsolved(problem, here) & ~held).any():
             held, cost_held = held | astray, cost
         elif blind:  # nothing but rounding is left
             break
         else:
-            damping, growth = max(damping, _BY.damping[0]) * growth, 2.0 * growth
+            damping, growth = max(damping, BY.damping[0]) * growth, 2.0 * growth
     dof = max(int(here.equations[weights > 0.0].sum()) - T.shape[1], 1)
     unit = 1.0 if system.known else np.sqrt(cost / dof)
     left = normal.decrement / max(unit, 1e-300)
-    there = normal.decrement <= max(_BY.no_step, 10.0 * _rounding(system, here))
-    return Found(here, weights, scale, evaluations, left, there or left <= _BY.negligible)
+    there = normal.decrement <= max(BY.no_step, 10.0 * _rounding(system, here))
+    return Found(here, weights, scale, evaluations, left, there or left <= BY.negligible)
 
 
 def _along_the_valley(
@@ -159,21 +164,21 @@ def _along_the_valley(
     problem, T = system.problem, system.unknowns.map
     try:
         with np.errstate(all="ignore"):
-            probe = problem.stack(problem.moved(here, _BY.probe * (T @ step)))
+            probe = problem.stack(problem.moved(here, BY.probe * (T @ step)))
     except (MeasurementError, np.linalg.LinAlgError):
         return np.zeros_like(step)
     weighted = system.problem.weighted
     there = here.white(probe.value[:, :, None])[:, :, 0] if weighted else probe.value / system.unit
-    slope = (there - system.residuals(here)) / _BY.probe
+    slope = (there - system.residuals(here)) / BY.probe
     bent = np.zeros_like(step)
     for poses in here.parts():
         J = system.derivatives(here, poses) @ T
         beside = (slope[poses] - J @ step) * weights[poses, None]
         bent += np.einsum("nmk,nm->k", J, beside)
-    change = normal.solve(-bent / _BY.probe, damping)
+    change = normal.solve(-bent / BY.probe, damping)
     if not np.isfinite(change).all():
         return np.zeros_like(step)
-    small = 2.0 * np.linalg.norm(change * normal.lengths) <= _BY.bend * np.linalg.norm(
+    small = 2.0 * np.linalg.norm(change * normal.lengths) <= BY.bend * np.linalg.norm(
         step * normal.lengths
     )
     return change if small else np.zeros_like(step)
@@ -203,13 +208,13 @@ def near_start(
     if evened is None:
         return first, 0
     start, every = problem.start(first.state.parameters), len(first.value)
-    some = spread(every, _BY.rows)
+    some = spread(every, BY.rows)
     if len(some) < every:
         evened, start = evened.part(some), start.rows(some)
     kept = None if system.kept is None else system.kept[some]
     begin, count = solve_poses(evened, evened.linearise(start))
     easy = replace(system, problem=evened, kept=kept, loss=None)
-    found = search(easy, begin, progress, enough=_BY.near, most=_BY.begin)
+    found = search(easy, begin, progress, enough=BY.near, most=BY.begin)
     there = found.linear.state
     if len(some) < every:
         there = replace(problem.start(there.parameters), external=there.external)

@@ -68,6 +68,12 @@ class PictureStyle:
     """Of a rod, at most."""
     name: float = 8.5
     """Height of a parameter's name, [point]."""
+    letter: float = 0.58
+    """Width of a letter of such a name, of its height."""
+    along: tuple[float, ...] = (0.5, 0.35, 0.65, 0.2, 0.8)
+    """Where along a dimension its name is tried, by its length."""
+    away: tuple[float, ...] = (1.0, -1.0, 1.8, -1.8)
+    """How far from it, in heights of the name."""
     arc: float = 0.055
     """Radius of the smallest angle drawn, of the scene's diagonal."""
     values: int = 6

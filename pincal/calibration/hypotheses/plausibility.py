@@ -189,7 +189,7 @@ def _turns(sample: Sample) -> tuple[Finding, ...]:
         law, (joint,) = sensor_law(nominal_legs(mechanism)[index]), leg.active
         position = law.position(given[:, None])[:, 0] - leg.home[joint]
         turned = np.nan_to_num(np.round((given - expected) / turn)) != 0.0
-        off = np.flatnonzero(turned & (np.abs(position) > np.pi + RULE.beyond))  # not at the cut
+        off = np.flatnonzero(turned & (np.abs(position) > np.pi + RULE.past))  # not at the cut
         if len(off) and np.isfinite(given - expected).sum() > 1:
             one = off[0]
             values: dict[str, Any] = {

@@ -21,7 +21,7 @@ class Rule:
     """Readings that differ by less hardly move, of a leg's size and [rad]."""
     follows: float = 0.5
     """What is left of readings that follow the nominal ones, of the stroke."""
-    beyond: float = 0.1
+    past: float = 0.1
     """Past half a turn from home that a joint may be read, [rad]: readings have their cut there."""
     slip: float = 10.0
     """Times the median that a row misses by, if fewer than one row in so many does."""

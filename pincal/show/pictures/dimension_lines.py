@@ -20,9 +20,6 @@ _GREEK = re.compile(
     "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|pi|rho|sigma|tau|phi|chi"
     "|psi|omega"
 )
-_LETTER = 0.58  # width of a letter, of its height
-_ALONG = (0.5, 0.35, 0.65, 0.2, 0.8)  # where names are tried, along the line
-_AWAY = (1.0, -1.0, 1.8, -1.8)  # and how far from it, in their heights
 
 
 def symbol(name: str, leg: str = "") -> str:
@@ -64,7 +61,7 @@ def draw_dimensions(
         text = ", ".join(symbol(name, leg) for name in one.names)
         if one.kind == "reading":
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
-        half = 0.5 * height * np.array((_LETTER * _letters(text), 1.2))
+        half = 0.5 * height * np.array((PICTURE.letter * _letters(text), 1.2))
         where = _free(line, half, seen, boxes)
         boxes.append(np.stack((where - half, where + half)))
         axes.text(
@@ -89,7 +86,7 @@ def _letters(text: str) -> int:
 def _box(name: Annotation, point: float) -> Array:
     """Return the least and largest of where a leg's name stands, shape (2, 2), [m]."""
     height = float(name.get_fontsize()) * point
-    half = 0.5 * height * np.array((_LETTER * len(name.get_text()), 1.2))
+    half = 0.5 * height * np.array((PICTURE.letter * len(name.get_text()), 1.2))
     shift = {"left": 1.0, "right": -1.0, "bottom": 1.0, "top": -1.0, "center": 0.0}
     sides = name.get_horizontalalignment(), name.get_verticalalignment()
     aligned = np.array([shift[side] for side in sides])
@@ -158,7 +155,7 @@ def _free(line: Array, half: Array, seen: Array, boxes: Sequence[Array]) -> Arra
     places = _sampled(line)
     best, least = places[0], np.inf
     thick = 0.3 * half[1]  # links are no lines
-    for rank, (along, away) in enumerate((a, b) for a in _ALONG for b in _AWAY):
+    for rank, (along, away) in enumerate((a, b) for a in PICTURE.along for b in PICTURE.away):
         at = int(along * (len(places) - 1))
         ahead = places[min(at + 1, len(places) - 1)] - places[max(at - 1, 0)]
         across = _across(ahead)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import sensor_law
+from pincal.model.checks import EXACT
 from pincal.model.leg import Joint
 from pincal.model.links import link_placements
 from pincal.model.placement import Coordinate, Step
@@ -24,7 +25,6 @@ from pincal.model.sensor import Sensor
 
 Array = NDArray[np.float64]
 _ARC = np.linspace(0.0, 1.0, 41)
-_SHORT = 1e-6  # of an arc's radius: a length that cannot be seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ class _Drive:
             ends = here + np.array([[low], [high]]) * axis
             return Dimension((), "reading", ends, beside=True)
         arms = self.places - here
-        away = arms[np.linalg.norm(np.cross(arms, axis), axis=1) > _SHORT * self.size]
+        away = arms[np.linalg.norm(np.cross(arms, axis), axis=1) > EXACT * self.size]
         link = away[0] - axis * (away[0] @ axis) if len(away) else self.frame[:3, 0]
         arc = _turned(link / np.linalg.norm(link), axis, low - position + (high - low) * _ARC)
         return Dimension((), "reading", here + radius * self.size * arc, here)
