@@ -63,7 +63,8 @@ def draw_dimensions(
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
         half = 0.5 * height * np.array((PICTURE.letter * _letters(text), 1.2))
         where = _free(line, half, seen, boxes)
-        boxes.append(np.stack((where - half, where + half)))
+        room = half + 0.3 * height  # names that touch read as one
+        boxes.append(np.stack((where - room, where + room)))
         axes.text(
             float(where[0]),
             float(where[1]),
