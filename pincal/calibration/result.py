@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.folds import FOLDS, By
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
 from pincal.calibration.options import Options
 from pincal.calibration.promise import (
@@ -33,7 +34,6 @@ from pincal.model.parameter import Parameters
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
-    from pincal.calibration.checks.folds import By
     from pincal.calibration.checks.runs import RunComparison
     from pincal.calibration.checks.validation import Validation
     from pincal.show.plots import Plots
@@ -260,7 +260,7 @@ class CalibrationResult:
         """Return the result with these findings."""
         return replace(self, findings=findings)
 
-    def validated(self, folds: int = 5, by: By = "region") -> CalibrationResult:
+    def validated(self, folds: int = FOLDS, by: By = "region") -> CalibrationResult:
         """Return the result with its errors at held-out rows, and what these contradict.
 
         Args:

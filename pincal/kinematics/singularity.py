@@ -84,13 +84,18 @@ def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
 
     Where a leg does not reach, a number without meaning. None if a leg is no rod or slide.
     """
+    side = _rods_side(mechanism)
+    lines = None if side is None else _rods(mechanism, matrices)
+    return None if side is None or lines is None else _volume(mechanism, lines) * side
+
+
+@lru_cache(maxsize=64)
+def _rods_side(mechanism: Mechanism) -> float | None:
+    """Return the sign of what the rods' lines span at home; None without rods, or out of reach."""
     if not np.isfinite(home_determinant(mechanism)):  # no leg closes there: no side is home's
         return None
-    lines = _rods(mechanism, matrices)
-    home = _rods(mechanism, mechanism.platform.home_pose.as_matrix())
-    if lines is None or home is None:
-        return None
-    return _volume(mechanism, lines) * (np.sign(_volume(mechanism, home)) or 1.0)
+    lines = _rods(mechanism, mechanism.platform.home_pose.as_matrix())
+    return None if lines is None else float(np.sign(_volume(mechanism, lines)[0])) or 1.0
 
 
 def _rods(mechanism: Mechanism, matrices: Array) -> Array | None:

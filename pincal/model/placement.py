@@ -109,6 +109,15 @@ class Coordinate:
         """Whether the coordinate turns what follows it."""
         return self.kind in ("rx", "ry", "rz")
 
+    def displacement(self, parameters: Mapping[str, float]) -> Array:
+        """Return the product of the elementary displacements, shape (4, 4)."""
+        matrix = np.eye(4)
+        for step in self.steps:
+            matrix = matrix @ step.matrix(parameters)
+        if not self.turns:  # exact: a point does not turn what follows
+            matrix[:3, :3] = np.eye(3)
+        return matrix
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -165,15 +174,10 @@ class Placement:
         return any(c.turns for c in self.coordinates)
 
     def displacement(self, parameters: Mapping[str, float]) -> Array:
-        """Return the product of the elementary displacements, shape (4, 4)."""
+        """Return the product of the coordinates' displacements, shape (4, 4)."""
         matrix = np.eye(4)
-        for c in self.coordinates:
-            part = np.eye(4)
-            for step in c.steps:
-                part = part @ step.matrix(parameters)
-            if not c.turns:  # exact: a point does not turn what follows
-                part[:3, :3] = np.eye(3)
-            matrix = matrix @ part
+        for coordinate in self.coordinates:
+            matrix = matrix @ coordinate.displacement(parameters)
         return matrix
 
     def origin(self) -> Array:

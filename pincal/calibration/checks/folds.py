@@ -12,6 +12,7 @@ from pincal.model.measurements import Measurements
 
 Array = NDArray[np.float64]
 By = Literal["region", "turn", "run"]
+FOLDS = 5
 
 
 def folds_of(data: Measurements, folds: int, by: By = "turn") -> NDArray[np.intp]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.drift import UNLIKELY, drifts
-from pincal.calibration.checks.folds import By, folds_of
+from pincal.calibration.checks.folds import FOLDS, By, folds_of
 from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.fits import Fits, fitted
@@ -37,7 +37,6 @@ from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-FOLDS = 5
 
 
 @dataclass(frozen=True, repr=False)

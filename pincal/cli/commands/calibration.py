@@ -13,8 +13,7 @@ import typer
 
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.folds import By
-from pincal.calibration.checks.validation import FOLDS
+from pincal.calibration.checks.folds import FOLDS, By
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json

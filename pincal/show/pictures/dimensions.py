@@ -79,12 +79,7 @@ def _placed(
     """Yield the dimensions of a joint's placement on its parent link, that at T, (4, 4)."""
     for coordinate in joint.placement.coordinates:
         yield from _of_coordinate(coordinate, values, T, size, beside)
-        part = np.eye(4)
-        for step in coordinate.steps:
-            part = part @ step.matrix(values)
-        if not coordinate.turns:
-            part[:3, :3] = np.eye(3)
-        T = T @ part
+        T = T @ coordinate.displacement(values)
 
 
 def _of_coordinate(
