@@ -261,7 +261,7 @@ GROSS = ("5R", "3RRR", "6UPS")
     ("kind", "count"), slow_or_fuzz([(kind, 6) for kind in GROSS], [(kind, 20) for kind in GROSS])
 )
 def test_gross_errors_do_not_break_the_search(kind: str, count: int) -> None:
-    """A fifth of the rows off by 10 mm to 3 m, losses in turn: all sets converge but one."""
+    """A fifth of the rows off by 10 mm to 3 m, losses in turn: all sets converge but one of 20."""
     broken, refused, lost = [], [], []
     for seed in range(count):
         mechanism, data = spoiled(kind, seed)
@@ -279,7 +279,7 @@ def test_gross_errors_do_not_break_the_search(kind: str, count: int) -> None:
     print(f"{kind}: {len(refused)} refused, {len(lost)} not converged")
     print(*refused, *lost, sep="\n")
     assert not broken
-    assert len(refused) + len(lost) <= 1, (refused, lost)
+    assert len(refused) + len(lost) <= count // 20, (refused, lost)
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from pincal.show.report.report import Report
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class Page(Protocol):
