@@ -36,6 +36,7 @@ from .model.platform import Platform
 from .model.platform_kind import PlatformKind
 from .model.sensor import Sensor, Term
 from .model.setup import Distance, Setup, Target
+from .model.uncertainty import Systematic, Tracker
 from .show.pictures.picture import picture
 from .show.view.view import view
 from .symmetry.detect import symmetry_group
@@ -80,8 +81,10 @@ __all__ = [
     "Sensor",
     "Setup",
     "SymmetryError",
+    "Systematic",
     "Target",
     "Term",
+    "Tracker",
     "Workspace",
     "WorkspaceError",
     "accuracy",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.ties import tie_tests
 from pincal.calibration.confidence import Confidence, confidence, exceeded, quantiles
-from pincal.calibration.covariance import chi2_freedoms, covariances
+from pincal.calibration.covariance import chi2_freedoms, covariances, systematic
 from pincal.calibration.findings import findings_of
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
@@ -43,6 +43,10 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     p_value = exceeded(chi2, free, sure.of_chi2) if calibration.noise.known else 1.0
     by = excess_of(chi2, p_value)
     covariance, outer = by**2 * covariance, None if outer is None else by**2 * outer
+    G = systematic(found)
+    n = len(covariance)
+    covariance = covariance + G[:n] @ G[:n].T
+    outer = None if outer is None else outer + G[n:] @ G[n:].T
     sizes = [len(leg.parameters) for leg in mechanism.legs]
     variances = np.split(np.diagonal(covariance), np.cumsum(sizes)[:-1])
     std = dict(zip(mechanism.leg_names, map(np.sqrt, variances), strict=True))
@@ -60,6 +64,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         legs=legs,
         external=_external(found, outer, sure),
         covariance=covariance,
+        systematic=G[:n] @ G[:n].T if G.size else None,
         noise=_noise(calibration, chi2),
         noise_source=calibration.noise.source,
         degrees_of_freedom=dof,

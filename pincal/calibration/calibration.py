@@ -61,12 +61,12 @@ class Calibration:
     def noise(self) -> NoiseModel:
         """Standard deviations of what was measured, or where their estimate begins."""
         return self.known_noise or noise_model(
-            self.mechanism, self.measurements, self.options.noise
+            self.mechanism, self.measurements, self.options.noise, self.options.setup
         )
 
     def with_noise(self, noise: Noise) -> Calibration:
         """Return the calibration with noise that was estimated."""
-        model = noise_model(self.mechanism, self.measurements, noise)
+        model = noise_model(self.mechanism, self.measurements, noise, self.options.setup)
         found = replace(self, known_noise=replace(model, source=self.noise.source))
         found.__dict__["observation"] = self.observation  # made once: it knows no noise
         return found
@@ -84,7 +84,7 @@ class Calibration:
     def rows(self, chosen: NDArray[np.intp] | Mask) -> Calibration:
         """Return the calibration on some of its rows, their noise as it is."""
         own = self.noise
-        known = replace(own, poses=own.poses[chosen], readings=own.readings[chosen])
+        known = replace(own, poses=own.poses.rows(chosen), readings=own.readings[chosen])
         return replace(self, measurements=self.measurements.rows(chosen), known_noise=known)
 
     def unknowns(self, *, tied: bool = True) -> Unknowns:
@@ -167,14 +167,16 @@ class Calibration:
         """
         every = np.arange(len(self.measurements))
         seen = self.observation
+        noise = seen.noise(self.measurements, self.noise.noise)
         found = Problem(
             tuple(self.condition(i, every) for i in range(len(self.mechanism.legs))),
             self.used
             if self.options.latent
             else np.ones((len(every), len(self.mechanism.legs)), bool),
             seen,
-            seen.sigma(self.measurements, self.noise.noise),
+            noise.sigma,
             self.noise.readings,
+            noise.correlation,
         )
         _check_equations(found)
         return found
@@ -218,8 +220,8 @@ class Calibration:
             seen,
             np.zeros(seen.measured.shape),
             self.noise.readings[np.ix_(rows, columns)],
-            roots[rows],
-            State(nominal, matrices, (None,) * len(legs), seen.external.start),
+            pose_roots=roots[rows],
+            first=State(nominal, matrices, (None,) * len(legs), seen.external.start),
         )
         return problem, rows
 
@@ -231,7 +233,7 @@ class Calibration:
         """
         platform, data = self.mechanism.platform, self.measurements
         if external is None:
-            return data.poses, self.noise.poses[:, :, None] * np.eye(platform.dof)
+            return data.poses, self.noise.poses.roots
         F = external.frame[:3, :3]
         turns = self.observation.orientations if "rad" in platform.units else None
         measured = np.zeros((len(data), 3))
@@ -245,7 +247,7 @@ class Calibration:
         by_measured[:, :3, :3] = by_measured[:, 3:, 3:] = F.T
         by_measured[:, :3, 3:] = np.cross(arm[:, None], np.eye(3)).transpose(0, 2, 1) @ F.T
         rows = list(platform.twist_rows)
-        roots = by_measured[:, rows][:, :, rows] * self.noise.poses[:, None, :]
+        roots = by_measured[:, rows][:, :, rows] @ self.noise.poses.roots
         return platform.from_matrices(matrices), roots
 
     def check_whole(self) -> None:

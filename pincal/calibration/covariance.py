@@ -13,27 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.fits import Fits
-from pincal.estimation.fit import influence
+from pincal.estimation.fit import influence, response
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
+from pincal.model.uncertainty import Systematic
 
 Array = NDArray[np.float64]
 
 
 def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
     """Return the covariance of all legs' parameters in the mechanism's order, shape (n, n)."""
-    sizes = [len(leg.parameters) for leg in mechanism.legs]
-    ends = dict(zip(mechanism.leg_names, np.cumsum(sizes).tolist(), strict=True))
-    covariance = np.zeros((sum(sizes), sum(sizes)))
+    n = sum(len(leg.parameters) for leg in mechanism.legs)
+    covariance = np.zeros((n, n))
     parts = []
     for robust in fits:
         one = robust.fit
-        legs = one.problem.legs
-        places = np.concatenate(
-            [np.arange(ends[leg.name] - len(leg.parameters), ends[leg.name]) for leg in legs]
-        )
+        places = _places(mechanism, one.problem.legs)
         covariance[np.ix_(places, places)] = one.covariance[: len(places), : len(places)]
         last = one.problem.reading_columns[-1].stop
         by_pose = influence(one)[:, : len(places), last : last + mechanism.platform.dof]
@@ -46,6 +44,15 @@ def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
                 covariance[np.ix_(places, others)] = cross
                 covariance[np.ix_(others, places)] = cross.T
     return covariance
+
+
+def _places(mechanism: Mechanism, legs: Sequence[Leg]) -> NDArray[np.intp]:
+    """Return the places of some legs' parameters among those of all."""
+    sizes = [len(leg.parameters) for leg in mechanism.legs]
+    ends = dict(zip(mechanism.leg_names, np.cumsum(sizes).tolist(), strict=True))
+    return np.concatenate(
+        [np.arange(ends[leg.name] - len(leg.parameters), ends[leg.name]) for leg in legs]
+    )
 
 
 def chi2_freedoms(fits: Sequence[Robust]) -> float:
@@ -88,14 +95,58 @@ def nearest_to_nominal(covariance: Array, gauge: Gauge, unknowns: Unknowns) -> t
         gauge: The gauge freedoms.
         unknowns: Of the legs and the external unknowns.
     """
-    n, T = len(covariance), unknowns.map
+    n = len(covariance)
+    P = _nearest(gauge, unknowns, n)
+    moved = P @ covariance @ P.T
+    return moved[:n, :n], moved[n:, n:]
+
+
+def _nearest(gauge: Gauge, unknowns: Unknowns, n: int) -> Array:
+    """Return what moves n parameters nearest to nominal, the frames following, (n + n_ext, n)."""
+    T = unknowns.map
     along = T @ gauge.directions.T
     amounts = np.linalg.solve(
         gauge.constraints @ gauge.directions.T, gauge.constraints @ np.linalg.pinv(T)[:, :n]
     )
     follows = along @ amounts
-    P = np.eye(n) - follows[:n]
-    return P @ covariance @ P.T, follows[n:] @ covariance @ follows[n:].T
+    return np.concatenate((np.eye(n) - follows[:n], -follows[n:]))
+
+
+def systematic(found: Fits) -> Array:
+    """Return how all parameters, then frames, follow what is off in all rows, shape (n, q).
+
+    Columns are for one standard uncertainty each (see ``Observation.systematic``); none where
+    nothing is uncertain so.
+    """
+    calibration, mechanism = found.calibration, found.calibration.mechanism
+    seen, n = calibration.observation, sum(len(leg.parameters) for leg in mechanism.legs)
+    if calibration.options.setup.systematic == Systematic():
+        return np.zeros((n + len(seen.external), 0))
+    if found.latent:
+        fit = found.fits[0].fit
+        own = seen.systematic(fit.last.state.matrices, fit.last.state.external)
+        errors = np.zeros((*fit.last.stack.value.shape, own.shape[2]))
+        errors[:, errors.shape[1] - own.shape[1] :] = own
+        return response(fit, errors)
+    external = found.external or seen.external.start
+    poses, _ = calibration.given_poses(found.external)
+    matrices = mechanism.platform.matrices(poses)
+    own = seen.systematic(matrices, external)
+    rows = [seen.names.index(name) for name in mechanism.platform.freedoms]
+    by_twist = seen.evaluate(matrices, external).pose[:, rows]
+    twists = -np.linalg.solve(by_twist, own[:, rows])  # where what is measured takes the poses
+    follows = np.zeros((n, own.shape[2]))
+    for robust in found.fits:
+        one = robust.fit
+        places = _places(mechanism, one.problem.legs)
+        moved = [demand.pose @ twists[robust.rows] for demand in one.last.stack.demands]
+        errors = np.zeros((*one.last.stack.value.shape, own.shape[2]))
+        for leg, error, used in zip(one.problem.leg_rows, moved, one.problem.used.T, strict=True):
+            errors[used, leg] = error[used]
+        follows[places] = response(one, errors)[: len(places)]
+    if found.gauge is None or found.unknowns is None:
+        return follows
+    return _nearest(found.gauge, found.unknowns, n) @ follows
 
 
 def covariances(found: Fits) -> tuple[Array, Array | None]:

@@ -83,6 +83,8 @@ class CalibrationResult:
     left: float
     """How far the optimum is where the search ended, to first order, in standard errors."""
     converged: bool
+    systematic: Array | None = None
+    """Part of the covariance that is off by the same in all rows (type B), shape (n, n)."""
     findings: tuple[Finding, ...] = ()
     """What to know first: warnings and remarks, as data."""
     outliers: tuple[Outlier, ...] = ()

@@ -133,7 +133,7 @@ def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
         found = {
             name: _CONVERTER.structure(data[name], kind)
             for name, kind in _HINTS.items()
-            if name not in _APART
+            if name not in _APART and name in data
         }
     except (BaseValidationError, KeyError, TypeError, ValueError) as error:
         raise MeasurementError(

@@ -15,7 +15,12 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.information import information_rows, leg_whitener, parameter_ids
+from pincal.design.information import (
+    Information,
+    information_rows,
+    leg_whitener,
+    parameter_ids,
+)
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.frames import frames_moved, split_frames
@@ -191,7 +196,7 @@ def forecast(
         _check_whole(mechanism, measured, setup)
         found = _each_leg(mechanism, as_plan(mechanism, poses), legs.reached, noise)
     else:
-        found = _all_legs(legs, *information_rows(mechanism, legs, noise, measured, setup))
+        found = _all_legs(legs, information_rows(mechanism, legs, noise, measured, setup))
     size = largest_size(mechanism.legs, platform)
     plan = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, plan, GENERIC, size))
@@ -209,16 +214,20 @@ def forecast(
     )
 
 
-def _all_legs(
-    legs: Legs, rows: Array, unknowns: Sequence[str], measured: tuple[str, ...]
-) -> Estimable:
-    """Return what all legs' rows determine, external unknowns left out of the covariance."""
-    flat, n_legs = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
-    rank, equations = identifiability(flat, unknowns), rows.shape[1]
+def _all_legs(legs: Legs, known: Information) -> Estimable:
+    """Return what all legs' rows determine, external unknowns left out of the covariance.
+
+    What is off in all rows comes on top, however many they are.
+    """
+    rows, off, n_legs = known.rows, known.off, legs.parameter.shape[2]
+    flat = rows.reshape(-1, rows.shape[2])
+    rank, equations = identifiability(flat, known.unknowns), rows.shape[1]
     root, lost = _pseudo_inverse(flat, rank.rank)
-    root = root[:, :n_legs]
+    own = root[:, :n_legs]
+    moved = own.T @ (root @ (flat.T @ off.reshape(len(flat), -1)))
+    covariance = own.T @ own + moved @ moved.T
     least = float(np.ceil(rank.rank / equations))
-    return Estimable(measured, equations, least, rank, root.T @ root, lost[:n_legs])
+    return Estimable(known.measured, equations, least, rank, covariance, lost[:n_legs])
 
 
 def _check_whole(mechanism: Mechanism, measured: Sequence[str] | None, setup: Setup) -> None:

@@ -9,6 +9,7 @@ noise of pose and readings does to it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,19 @@ Array = NDArray[np.float64]
 def parameter_ids(mechanism: Mechanism) -> tuple[str, ...]:
     """Return the ids of all parameters, leg by leg: ``leg_1.l``."""
     return tuple(f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names)
+
+
+@dataclass(frozen=True)
+class Information:
+    """What configurations say of parameters and external unknowns, pose by pose."""
+
+    rows: Array
+    """Free of the poses and whitened, shape (N, k, n): their Gram matrix is the information."""
+    off: Array
+    """Errors of these by what is off in all rows, one standard uncertainty each, (N, k, q)."""
+    unknowns: tuple[str, ...]
+    """Ids."""
+    measured: tuple[str, ...]
 
 
 def leg_whitener(demand: Demand, mechanism: Mechanism, noise: Noise) -> WhiteRows:
@@ -62,10 +76,8 @@ def information_rows(
     noise: Noise,
     measured: Sequence[str] | None,
     setup: Setup,
-) -> tuple[Array, list[str], tuple[str, ...]]:
+) -> Information:
     """Return what configurations say of parameters and external unknowns, pose by pose.
-
-    Rows free of the poses and whitened, shape (N, k, n): their Gram matrix is the information.
 
     Args:
         mechanism: The mechanism.
@@ -74,38 +86,40 @@ def information_rows(
         measured: See ``forecast``.
         setup: What measured numbers will mean.
 
-    Returns:
-        The rows, the ids of the unknowns, and what is measured.
-
     Raises:
         MeasurementError: unknown freedoms, or measurements without noise or equations.
     """
     platform = mechanism.platform
     matrices = platform.matrices(legs.poses)
-    seen, sigma, kept = _planned(mechanism, matrices, noise, measured, setup)
+    seen, off, scatter, kept = _planned(mechanism, matrices, noise, measured, setup)
     (count, n_rows, n_legs), n_readings = legs.parameter.shape, legs.reading.shape[2]
     # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
     # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
-    parameter = np.zeros((count, n_rows + len(sigma), n_legs + seen.external.shape[2]))
+    width, kinds = scatter.shape[1:]
+    parameter = np.zeros((count, n_rows + width, n_legs + seen.external.shape[2]))
     parameter[:, :n_rows, :n_legs] = legs.parameter
     parameter[:, n_rows:, n_legs:] = seen.external
-    root = np.zeros((count, n_rows + len(sigma), n_readings + len(sigma)))
+    errors = np.zeros((count, n_rows + width, off.shape[2]))
+    errors[:, n_rows:] = off
+    root = np.zeros((count, n_rows + width, n_readings + kinds))
     root[:, :n_rows, :n_readings] = noise.reading * legs.reading
-    root[:, n_rows:, n_readings:] = np.diag(sigma)
+    root[:, n_rows:, n_readings:] = scatter
     try:
-        rows = white_rows(np.concatenate((legs.pose, seen.pose), axis=1), root)(parameter)
+        white = white_rows(np.concatenate((legs.pose, seen.pose), axis=1), root)
     except NoNoiseError as error:
         raise MeasurementError(
             "some measurements carry no noise at all; give standard deviations above zero for what "
             "is measured, and for readings (--noise-reading) where there are more of them than "
             "freedoms, or positions are measured in part"
         ) from error
+    rows = white(parameter)
     if not rows.size:
         raise MeasurementError(
             f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
-    return rows, [*parameter_ids(mechanism), *_external_names(platform, setup, kept)], kept
+    unknowns = (*parameter_ids(mechanism), *_external_names(platform, setup, kept))
+    return Information(rows, white(errors), unknowns, kept)
 
 
 def _external_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:
@@ -120,8 +134,8 @@ def _planned(
     noise: Noise,
     measured: Sequence[str] | None,
     setup: Setup,
-) -> tuple[Rows, Array, tuple[str, ...]]:
-    """Return the rows of planned measurements, their standard deviations, and their names.
+) -> tuple[Rows, Array, Array, tuple[str, ...]]:
+    """Return the rows of planned measurements, what is off, roots of the noise, and names.
 
     Raises:
         MeasurementError: unknown freedoms.
@@ -149,6 +163,8 @@ def _planned(
     observation = Observation(mechanism, data, setup)
     rows = observation.evaluate(matrices, observation.external.start)
     chosen = [observation.names.index(name) for name in kept]
+    predicted = {name: rows.value[:, observation.names.index(name)] for name in columns}
+    there = replace(data, extra=predicted)  # less what was measured: zero
     some = Rows(rows.value[:, chosen], rows.pose[:, chosen], rows.external[:, chosen])
-    sigma = observation.sigma(data, noise)[0, chosen] if count else np.zeros(len(chosen))
-    return some, sigma, kept
+    off = observation.systematic(matrices, observation.external.start)
+    return some, off[:, chosen], observation.noise(there, noise).roots[:, chosen], kept

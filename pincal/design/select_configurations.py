@@ -110,9 +110,8 @@ def select_configurations(
             f"{mechanism.name!r} reaches {len(legs.poses)} of {len(own)} candidates, of which no "
             f"two are alike; {count} are to be chosen. Give more candidates"
         )
-    rows, names, kept = information_rows(
-        mechanism, legs, as_noise(how.noise), measured, as_setup(setup)
-    )
+    known = information_rows(mechanism, legs, as_noise(how.noise), measured, as_setup(setup))
+    rows, names, kept = known.rows, known.unknowns, known.measured
     flat = rows.reshape(-1, rows.shape[2])
     found = identifiability(flat, names)
     lengths, _, axes = scaled_axes(flat)
@@ -128,8 +127,8 @@ def select_configurations(
     if goal == "platform":
         frames = forecast(mechanism, plan, how.noise, measured, setup).frames
         rows = _platform_rows(mechanism, legs, frames)
-        known = rows / lengths[: rows.shape[1]] @ axes[: found.rank, : rows.shape[1]].T
-        chosen, efficiency = accurate(blocks, _root(known.T @ known), count, rng, how.starts)
+        seen = rows / lengths[: rows.shape[1]] @ axes[: found.rank, : rows.shape[1]].T
+        chosen, efficiency = accurate(blocks, _root(seen.T @ seen), count, rng, how.starts)
     else:
         chosen, efficiency = d_optimal(blocks, count, rng, how.starts)
     return ConfigurationChoice(

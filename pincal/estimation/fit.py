@@ -187,13 +187,27 @@ def influence(one: Fit) -> Array:
 
     K = −(JᵀJ)⁻¹ Jᵀ W at each pose, W = L⁻¹NᵀS.
     """
+    return one.noise_scale * _following(one, one.last.white.noise)
+
+
+def response(one: Fit, errors: Array) -> Array:
+    """Return how all unknowns follow errors of the conditions, shape (n, q).
+
+    Args:
+        one: The fit.
+        errors: By how much the conditions are off for each, shape (N, k, q).
+    """
+    return np.asarray(_following(one, errors).sum(axis=0))
+
+
+def _following(one: Fit, errors: Array) -> Array:
+    """Return −(JᵀJ)⁻¹ Jᵀ L⁻¹Nᵀ c at each pose, shape (N, n, q), of errors c, shape (N, k, q)."""
     linear, T, system = one.last, one.unknowns.map, one.system
-    weighted = system.problem.weighted
-    W = linear.white.by_noise if weighted else linear.white.noise / system.unit
+    white = linear.white(errors) if system.problem.weighted else errors / system.unit
     root = np.sqrt(one.weights)[:, None, None]
     J = system.derivatives(linear) @ T * root
     bread = T @ Normal.of(system.triangle(linear, one.weights)).covariance
-    return -one.noise_scale * (bread @ (J.transpose(0, 2, 1) @ (W * root)))
+    return -np.asarray(bread @ (J.transpose(0, 2, 1) @ (white * root)))
 
 
 def without(system: System, kept: NDArray[np.bool_]) -> System:

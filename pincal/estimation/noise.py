@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.estimation.conditions.covariances import RowNoise, row_noise
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import Setup
+from pincal.model.uncertainty import POLAR
 
 Array = NDArray[np.float64]
 Freedoms = tuple[float, float, float]
@@ -28,8 +31,8 @@ class NoiseModel:
 
     noise: Noise
     """Of quantities without standard deviations of their own."""
-    poses: Array
-    """Of the platform's freedoms, shape (N, dof)."""
+    poses: RowNoise
+    """Of the platform's freedoms."""
     readings: Array
     """Shape (N, n_readings)."""
     source: Source
@@ -42,7 +45,9 @@ class NoiseModel:
         return self.source != "estimated"
 
 
-def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -> NoiseModel:
+def noise_model(
+    mechanism: Mechanism, data: Measurements, noise: Noise | None, setup: Setup
+) -> NoiseModel:
     """Return the noise of measurements.
 
     Without ``noise`` and without columns of standard deviations, repeated rows give it if there
@@ -52,6 +57,7 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
     Raises:
         MeasurementError: given twice, or rows that give it for readings only.
     """
+    _check_tracker(mechanism, data, setup)
     rows = data.sigma_poses is not None or bool(data.sigma_extra)
     full = bool(np.isfinite(data.poses).all())
     if data.sigma_readings is not None and full and not rows:
@@ -67,17 +73,16 @@ def noise_model(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
     source: Source = "given"
     freedoms: Freedoms = (np.inf, np.inf, np.inf)
     if rows or data.sigma_readings is not None:
-        _check_sigmas(mechanism, data)
+        _check_sigmas(mechanism, data, setup)
         source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
-    elif noise is not None:
-        one = noise
+    elif noise is not None or (setup.tracker is not None and setup.tracker.said):
+        one = noise or Noise(_ASSUMED, _ASSUMED, 0.0)
     elif (repeated := noise_of_repeats(mechanism, data)) is not None:
         source, (one, freedoms) = "repeats", repeated
     else:
         source, one = "estimated", assumed_noise(mechanism, exact=full)
-    poses = np.tile(one.of_poses(mechanism), (len(data), 1))
-    if data.sigma_poses is not None:
-        poses = np.where(np.isfinite(data.sigma_poses), data.sigma_poses, poses)
+    platform = mechanism.platform
+    poses = row_noise(platform.freedoms, platform.units, data, one, setup, platform)
     readings = np.full(data.readings.shape, one.reading)
     return NoiseModel(
         one,
@@ -101,7 +106,40 @@ def assumed_noise(mechanism: Mechanism, *, exact: bool) -> Noise:
     return Noise(_ASSUMED * size, _ASSUMED, reading)
 
 
-def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
+def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
+    """Raise if a tracker's noise is not said in full, or positions have one of their own as well.
+
+    Raises:
+        MeasurementError: saying what to add or to leave out.
+    """
+    own = [name for name in POLAR if name in data.sigma_extra]
+    if setup.tracker is None:
+        if own:
+            raise MeasurementError(
+                f"a column 'sigma_{own[0]}' says how well a tracker measures; say where it stands "
+                "(Setup(tracker=Tracker(at=...)), or 'tracker: {at: [x, y, z]}' in the setup)"
+            )
+        return
+    level = mechanism.platform.space == 2 and setup.tracker.at[2] == 0.0
+    for name in POLAR:
+        column = data.sigma_extra.get(name, np.full(len(data), np.nan))
+        if not (np.isfinite(column).all() or getattr(setup.tracker, name)) and (
+            not level or name != "elevation"
+        ):
+            raise MeasurementError(
+                f"nothing says how well the tracker measures the {name}; add a column "
+                f"'sigma_{name} [{'mm' if POLAR[name] == 'm' else 'mrad'}]', or '{name}' of the "
+                "tracker in the setup"
+            )
+    sigma = np.full((0, 0), np.nan) if data.sigma_poses is None else data.sigma_poses
+    if np.isfinite(sigma[:, : mechanism.platform.lengths]).any():
+        raise MeasurementError(
+            "positions have standard deviations of their own and those of a tracker's range and "
+            "angles as well; leave out one of them"
+        )
+
+
+def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
     """Raise if some quantities have standard deviations, and others that were measured have none.
 
     Raises:
@@ -119,6 +157,8 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
     platform = mechanism.platform
     measured = np.isfinite(data.poses)
     known = np.zeros_like(measured) if data.sigma_poses is None else np.isfinite(data.sigma_poses)
+    if setup.tracker is not None:
+        known[:, : platform.lengths] = True
     if platform.kind == "spatial":  # coordinates and freedoms of the orientation are not the same
         measured[:, 3:] = measured[:, 3:].any(axis=1, keepdims=True)
     missing = [
@@ -128,6 +168,8 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements) -> None:
     ]
     for name, values in data.extra.items():
         own = data.sigma_extra.get(name, np.full(len(data), np.nan))
+        if setup.tracker is not None and name in setup.points(platform):
+            continue
         if (np.isfinite(values) & ~np.isfinite(own)).any():
             missing.append(name)
     if missing:

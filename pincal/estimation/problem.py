@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.estimation.conditions.covariances import RowNoise
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
 from pincal.estimation.linear import Block, Linear, Stack, State
@@ -52,6 +53,8 @@ class Problem:
     """Standard deviations of that, shape (N, r)."""
     sigma_readings: Array
     """Standard deviations of the readings, shape (N, n_readings)."""
+    correlation: Array | None = None
+    """Symmetric roots of the correlations of what was observed, shape (N, r, r), if there are."""
     pose_roots: Array | None = None
     """If poses are taken as measured: roots of their covariance, as twists in base axes, shape
     (N, dof, dof)."""
@@ -142,6 +145,7 @@ class Problem:
             observation=self.observation.rows(rows),
             sigma_observed=self.sigma_observed[rows],
             sigma_readings=self.sigma_readings[rows],
+            correlation=None if self.correlation is None else self.correlation[rows],
             pose_roots=None if self.pose_roots is None else self.pose_roots[rows],
             first=None if self.first is None else self.first.rows(rows),
         )
@@ -221,9 +225,14 @@ class Problem:
             if self.pose_roots is not None:
                 noise[:, rows, n_readings:] = np.where(keep, demand.pose @ self.pose_roots, 0.0)
         if self.latent:
-            diagonal = np.where(self.observation.measured, self.sigma_observed, 0.0)
-            noise[:, n_legs:, n_readings:] = diagonal[:, :, None] * np.eye(r)
+            measured = self.observation.measured[:, :, None]
+            noise[:, n_legs:, n_readings:] = np.where(measured, self.observed_roots, 0.0)
         return noise
+
+    @property
+    def observed_roots(self) -> Array:
+        """Roots of the covariance of what was observed, shape (N, r, r)."""
+        return RowNoise(self.sigma_observed, self.correlation).roots
 
     def linearise(self, state: State) -> Linear:
         """Return the conditions at a state as rows of ordinary least squares.

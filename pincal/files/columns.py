@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.covariances import covariance_headers
 from pincal.files.tables import UNITS, Table, read_table
 from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism
@@ -61,7 +62,8 @@ def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
     units |= dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
     units |= more
     units |= {f"sigma_{name}": unit for name, unit in units.items()}
-    return {"set": "", "run": "", "pose": "", **units}
+    pairs = covariance_headers(dict.fromkeys((*platform.freedoms, *more), ""))
+    return {"set": "", "run": "", "pose": "", **dict.fromkeys(pairs, ""), **units}
 
 
 def _nearly(column: str, name: str, unit: str) -> bool:

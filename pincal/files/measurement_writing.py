@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.covariances import product_unit
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import write_table
 from pincal.model.checks import array_of, must_be
@@ -116,10 +117,16 @@ def columns_of(
     if plan.sigma_readings is not None:
         read = _reading_columns(mechanism, plan.sigma_readings)
         columns |= {f"sigma_{name}": values for name, values in read.items()}
-    units = dict.fromkeys(SINGLE_ANGLES, "rad") | (setup.columns(mechanism) if setup else {})
+    units = dict.fromkeys(SINGLE_ANGLES, "rad")
+    units |= setup.columns(mechanism) | setup.polar if setup else {}
     for prefix, more in (("", plan.extra), ("sigma_", plan.sigma_extra)):
         for name, values in more.items():
             columns[f"{prefix}{name} [{units.get(name, 'm')}]"] = values
+    units |= dict(zip(platform.freedoms, platform.units, strict=True))
+    for pair, values in plan.covariances.items():
+        first, second = pair.split(",")
+        unit = product_unit(units.get(first, "m"), units.get(second, "m"))
+        columns[f"cov_{first}_{second} [{unit}]"] = values
     columns |= {} if plan.runs is None else {"run": plan.runs}
     columns |= {} if plan.places is None else {"pose": plan.places}
     return columns

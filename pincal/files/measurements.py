@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.columns import Source, table_for
+from pincal.files.covariances import read_covariances
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import Table
 from pincal.model.checks import must_be
@@ -49,7 +50,14 @@ def read_measurements(
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
-    table = table_for(path, mechanism, more)
+    polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
+    table = table_for(path, mechanism, more | polar)
+    if not polar and (own := [name for name in ("range", "elevation") if f"sigma_{name}" in table]):
+        raise MeasurementError(
+            f"{table.path}: column 'sigma_{own[0]}' says how well a tracker measures; say where it "
+            "stands in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
+            "(--setup), or leave the column out"
+        )
     for name, whose in setup.required.items():
         if name not in table:
             raise MeasurementError(
@@ -66,7 +74,9 @@ def read_measurements(
         for name, unit in more.items()
         if name in table or not partial
     }
-    named = {f"sigma_{name}": name for name in more if f"sigma_{name}" in table}
+    by_row = more | setup.polar
+    named = {f"sigma_{name}": name for name in by_row if f"sigma_{name}" in table}
+    seen = dict(zip(platform.freedoms, platform.units, strict=True)) | more
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
     readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
     data = Measurements(
@@ -79,9 +89,10 @@ def read_measurements(
         sigma_readings=_sigmas(table, units),
         extra=extra,
         sigma_extra={
-            name: _not_negative(table, column, more[name], blank=partial)
+            name: _not_negative(table, column, by_row[name], blank=partial)
             for column, name in named.items()
         },
+        covariances=read_covariances(table, seen),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,

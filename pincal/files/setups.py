@@ -12,6 +12,7 @@ from pincal.files.schema import Name, Number, Strict
 from pincal.files.yaml_reading import read_yaml
 from pincal.model.checks import must_be
 from pincal.model.setup import ORIGIN, Distance, Setup, Target
+from pincal.model.uncertainty import STEEL, Systematic, Tracker
 
 
 class _TargetSpec(Strict):
@@ -24,11 +25,27 @@ class _DistanceSpec(Strict):
     target: Name = ORIGIN
 
 
+class _TrackerSpec(Strict):
+    at: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    range: Number = 0.0
+    azimuth: Number = 0.0
+    elevation: Number = 0.0
+
+
+class _SystematicSpec(Strict):
+    scale: Number = 0.0
+    temperature: Number = 0.0
+    expansion: Number = STEEL
+    target: Number = 0.0
+
+
 class _SetupSpec(Strict):
     pincal_setup: Literal[1]
     frame: Literal["base", "unknown"] = "base"
     targets: dict[Name, _TargetSpec] = Field(default_factory=dict)
     distances: dict[Name, _DistanceSpec] = Field(default_factory=dict)
+    tracker: _TrackerSpec | None = None
+    systematic: _SystematicSpec = Field(default_factory=_SystematicSpec)
 
 
 def read_setup(path: str | Path) -> Setup:
@@ -41,6 +58,8 @@ def read_setup(path: str | Path) -> Setup:
             unknown_frame=spec.frame == "unknown",
             targets={name: Target(one.offset, one.unknown) for name, one in spec.targets.items()},
             distances=distances,
+            tracker=None if spec.tracker is None else Tracker(**spec.tracker.model_dump()),
+            systematic=Systematic(**spec.systematic.model_dump()),
         )
     except MeasurementError as error:
         raise MeasurementError(f"{path}: {error}") from error

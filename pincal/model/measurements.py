@@ -19,6 +19,7 @@ from pincal.model.setup import Setup
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 EVERY_LEG = "all"
+_COLUMNS = ("poses", "lines", "extra", "sigma_extra", "covariances")
 VERIFY = "verify"
 SMALLEST_SIGMA = 1e-50
 """Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
@@ -159,7 +160,7 @@ class Plan:
 
     def __repr__(self) -> str:
         more = [name for name, value in vars(self).items() if value is not None]
-        has = [name for name in more if name not in ("poses", "lines", "extra", "sigma_extra")]
+        has = [name for name in more if name not in _COLUMNS]
         has += getattr(self, "extra", ())
         poses = f"{counted(len(self), 'row')}: {counted(self.poses.shape[1], 'coordinate')}"
         if lacks := int(np.isnan(self.poses).any(axis=1).sum()):
@@ -218,7 +219,11 @@ class Measurements(Plan):
     """Further measured quantities by column, each of shape (N,): positions of further targets
     and distances [m] (see ``Setup``), single angles of a spatial platform [rad]."""
     sigma_extra: Mapping[str, Array] = field(default_factory=dict)
-    """Standard deviations of further quantities by column, each of shape (N,)."""
+    """Standard deviations of further quantities by column, each of shape (N,); of what a tracker
+    measures as ``range``, ``azimuth`` and ``elevation``."""
+    covariances: Mapping[str, Array] = field(default_factory=dict)
+    """Covariances within a row by a pair of quantities, ``"x,y"``, in the product of their SI
+    units, each of shape (N,); NaN where there is none."""
     runs: tuple[str, ...] | None = None
     """Run of the experiment to which each row belongs, if there were several."""
     places: tuple[str, ...] | None = None
@@ -232,13 +237,15 @@ class Measurements(Plan):
             {"sigma_poses": (dof,), "sigma_readings": (self.readings.shape[1],)},
             ("runs", "places"),
         )
-        for name in ("extra", "sigma_extra"):
+        for name in ("extra", "sigma_extra", "covariances"):
             columns = must_be(getattr(self, name), Mapping, name, MeasurementError)
             arrays = {
                 column: array_of(values, (len(self),), f"{name} {column!r}", MeasurementError)
                 for column, values in columns.items()
             }
             object.__setattr__(self, name, arrays)
+        if lone := [pair for pair in self.covariances if pair.count(",") != 1]:
+            raise MeasurementError(f"covariance of {lone[0]!r}; expected a pair such as 'x,y'")
 
     @classmethod
     def from_csv(
@@ -291,14 +298,18 @@ class Measurements(Plan):
         def names(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
             return None if values is None else tuple(values[i] for i in index)
 
+        def each(columns: Mapping[str, Array]) -> dict[str, Array]:
+            return {name: values[index] for name, values in columns.items()}
+
         return Measurements(
             poses=self.poses[index],
             sets=names(self.sets),
             readings=self.readings[index],
             sigma_poses=some(self.sigma_poses),
             sigma_readings=some(self.sigma_readings),
-            extra={name: values[index] for name, values in self.extra.items()},
-            sigma_extra={name: values[index] for name, values in self.sigma_extra.items()},
+            extra=each(self.extra),
+            sigma_extra=each(self.sigma_extra),
+            covariances=each(self.covariances),
             runs=names(self.runs),
             places=names(self.places),
             lines=None if self.lines is None else tuple(self.lines[i] for i in index),

@@ -19,6 +19,8 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
 from pincal.model.overview import one_line
 from pincal.model.parameter import listed
+from pincal.model.platform import Platform
+from pincal.model.uncertainty import POLAR, Systematic, Tracker
 
 Point = tuple[float, float, float]
 _FAR = 3.0  # times the longest leg: no target is that far from its platform
@@ -70,6 +72,10 @@ class Setup:
     """By column."""
     instruments: tuple[Instrument, ...] = ()
     """Instruments of one's own, each with its columns and unknowns."""
+    tracker: Tracker | None = None
+    """What measures positions by a range and angles, if their noise is to be said so."""
+    systematic: Systematic = field(default_factory=Systematic)
+    """Uncertainties of what is off by the same in all rows."""
 
     def __post_init__(self) -> None:
         must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
@@ -87,6 +93,9 @@ class Setup:
                     f"{', '.join(self.targets)}"
                 )
         object.__setattr__(self, "instruments", tuple(self.instruments))
+        if self.tracker is not None:
+            must_be(self.tracker, Tracker, "tracker", MeasurementError)
+        must_be(self.systematic, Systematic, "systematic", MeasurementError)
         self._check_instruments()
 
     @staticmethod
@@ -139,6 +148,8 @@ class Setup:
             f"instruments {listed(one.name for one in self.instruments)}"
             if self.instruments
             else "",
+            "" if self.tracker is None else "tracker",
+            "systematic uncertainties" if self.systematic != Systematic() else "",
         )
 
     @property
@@ -148,6 +159,11 @@ class Setup:
         return not (self.unknown_frame or further)
 
     @property
+    def polar(self) -> dict[str, str]:
+        """What a tracker measures of which columns say the noise, and the units."""
+        return {} if self.tracker is None else POLAR
+
+    @property
     def required(self) -> dict[str, str]:
         """Columns that measurements must have, and whose they are."""
         return dict.fromkeys(self.distances, "a distance that the setup names") | {
@@ -155,6 +171,11 @@ class Setup:
             for one in self.instruments
             for column in one.columns
         }
+
+    def points(self, platform: Platform) -> dict[str, str]:
+        """Return the columns of further targets' positions, and their units."""
+        further = [name for name in self.targets if name != ORIGIN]
+        return {f"{name}_{axis}": "m" for name in further for axis in "xyz"[: platform.space]}
 
     def columns(self, mechanism: Mechanism) -> dict[str, str]:
         """Return columns that this setup adds to those of the pose, and their units.
@@ -170,9 +191,7 @@ class Setup:
                     f"leg of {mechanism.name!r} is {size:.3g} m; expected metres: is this "
                     "millimetres?"
                 )
-        axes = "xyz"[: mechanism.platform.space]
-        further = [name for name in self.targets if name != ORIGIN]
-        points = {f"{name}_{axis}": "m" for name in further for axis in axes}
+        points = self.points(mechanism.platform)
         columns = points | dict.fromkeys(self.distances, "m")
         taken_twice = set(points) & set(self.distances)
         for one in self.instruments:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.angles import angle
+from pincal.estimation.conditions.covariances import RowNoise, row_noise
 from pincal.estimation.conditions.external import External, ExternalUnknowns
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.model.instrument import checked
@@ -120,18 +121,44 @@ class Observation:
     def _any(self, names: tuple[str, ...]) -> bool:
         return any(self.measured[:, self.names.index(name)].any() for name in names)
 
-    def sigma(self, data: Measurements, noise: Noise) -> Array:
-        """Return standard deviations, shape (N, r): each row's own, else those of the noise."""
-        general = [noise.position if unit == "m" else noise.orientation for unit in self.units]
-        sigma = np.tile(general, (len(data), 1)).astype(float)
-        own = dict(data.sigma_extra)
-        if data.sigma_poses is not None:
-            own |= dict(zip(self.platform.freedoms, data.sigma_poses.T, strict=True))
-        for name, values in own.items():
-            if name in self.names:
-                column = sigma[:, self.names.index(name)]
-                column[:] = np.where(np.isfinite(values), values, column)
-        return sigma
+    def noise(self, data: Measurements, noise: Noise) -> RowNoise:
+        """Return the noise of all that is measured: each row's own, else that given.
+
+        Raises:
+            MeasurementError: covariances that no errors have.
+        """
+        return row_noise(self.names, self.units, data, noise, self.setup, self.platform)
+
+    def systematic(self, matrices: Array, external: External) -> Array:
+        """Return by how much all is off for one standard uncertainty of what is off in all rows.
+
+        Columns are the scale of lengths and, axis by axis, the offset of each target that is taken
+        as known.
+
+        Returns:
+            Shape (N, r, q); no columns where nothing is uncertain so.
+        """
+        setup, r = self.setup, len(self.names)
+        off = [np.zeros((len(matrices), r, 0))]
+        if setup.systematic.relative:
+            lengths = np.array([unit == "m" for unit in self.units], dtype=bool)
+            lengths[r - self._own.shape[1] :] = False  # instruments of one's own
+            value = self.evaluate(matrices, external).value
+            value[:, : self._values.shape[1]] += self._values
+            off.append(setup.systematic.relative * np.where(lengths, value, 0.0)[:, :, None])
+        if setup.systematic.target:
+            free = {name: replace(one, unknown=True) for name, one in setup.targets.items()}
+            every = copy(self)
+            every.external = ExternalUnknowns(self.platform, replace(setup, targets=free), False)
+            first = len(every.external.frame_rows)
+            columns = [
+                first + column
+                for column, entry in enumerate(every.external.offset_entries)
+                if entry not in self.external.offset_entries
+            ]
+            by = every.evaluate(matrices, external).external[:, :, columns]
+            off.append(setup.systematic.target * by)
+        return np.concatenate(off, axis=2)
 
     def evaluate(self, matrices: Array, external: External) -> Rows:
         """Return predicted less measured quantities and their derivatives.

@@ -49,6 +49,6 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     whole = problem.observation.measured.sum(axis=1) >= problem.platform.dof
     back = np.where(whole[:, None, None], np.linalg.pinv(B, rcond=1e-9), 0.0)
     moved = demand.pose @ back  # from what was measured to the estimated pose
-    noise = np.concatenate((by_reading, moved * problem.sigma_observed[:, None]), axis=2)
+    noise = np.concatenate((by_reading, moved @ problem.observed_roots), axis=2)
     value = demand.value - (moved @ h[:, :, None])[:, :, 0]
     return LegResiduals(value, np.linalg.norm(noise, axis=2), "m", "closure")
