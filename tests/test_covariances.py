@@ -181,3 +181,194 @@ def test_positions_of_a_stewart_platform_by_a_tracker() -> None:
     assert std == pytest.approx(least, rel=0.02)
     off = (values - one.parameters) / least
     assert np.sqrt((off**2).mean()) < 1.5
+
+
+def scaled(data: pincal.Measurements, by: float) -> pincal.Measurements:
+    """Return measurements by an instrument whose scale is off by so much."""
+    poses = data.poses.copy()
+    poses[:, :2] *= 1.0 + by
+    return replace(data, poses=poses)
+
+
+@pytest.mark.parametrize("method", ["all-legs", "per-leg"])
+@pytest.mark.parametrize("unknown", [False, True])
+def test_a_scale_moves_parameters_as_far_as_is_said(method: str, unknown: bool) -> None:
+    """One standard uncertainty more of the scale: so far go the parameters; weights stay."""
+    one = cramer_rao.machine("3RRR", 24)
+    data = cramer_rao.drawn(one, cramer_rao.NOISE, 0)
+    plain = pincal.Setup(unknown_frame=unknown)
+    setup = replace(plain, systematic=pincal.Systematic(scale=1e-5))
+
+    def values(data: pincal.Measurements, setup: pincal.Setup) -> pincal.CalibrationResult:
+        return pincal.calibrate(
+            one.nominal, data, noise=cramer_rao.NOISE, setup=setup, method=method
+        )
+
+    before, said = values(data, plain), values(data, setup)
+    ends = [
+        cramer_rao.values_of(values(scaled(data, s * 1e-4), plain))[0] / (2 * s) for s in (1, -1)
+    ]
+    shift = sum(ends) / 10
+    assert said.systematic is not None
+    by = np.sqrt(np.diagonal(said.systematic))
+    assert by == pytest.approx(np.abs(shift), rel=1e-2, abs=3e-3 * np.abs(shift).max())
+    assert cramer_rao.values_of(said)[0] == pytest.approx(cramer_rao.values_of(before)[0])
+    assert said.covariance == pytest.approx(before.covariance + np.outer(shift, shift), rel=0.02)
+    assert said.reduced_chi2 == before.reduced_chi2
+
+
+def test_temperature_is_a_scale_and_more_rows_do_not_help() -> None:
+    """2 K of steel are 23 µm/m; with four times the rows the promise stays above that."""
+    warm = pincal.Systematic(temperature=2.0)
+    assert warm.relative == pytest.approx(2.3e-5)
+    one = cramer_rao.machine("3RRR", 160)
+    setup = pincal.Setup(systematic=warm)
+    errors = []
+    for rows in (slice(0, 40), slice(None)):
+        data = cramer_rao.drawn(one, pincal.Noise(1e-6, 1e-6, 1e-6), 0)
+        part = data.rows(np.arange(len(data))[rows])
+        result = pincal.calibrate(
+            one.nominal, part, noise=pincal.Noise(1e-6, 1e-6, 1e-6), setup=setup
+        )
+        errors.append(result.expected_error(data.poses[:40]).position)
+    assert errors[1] == pytest.approx(errors[0], rel=0.05)
+    assert errors[1] > 1e-6
+
+
+def test_the_offset_of_a_target_that_is_known_with_an_uncertainty() -> None:
+    """Parameters move as when the offset is off; unknown offsets have none."""
+    one = cramer_rao.machine("6UPS", 30)
+    data = cramer_rao.drawn(one, cramer_rao.NOISE, 0)
+    target = pincal.Systematic(target=1e-5)
+    known = pincal.Setup(systematic=target)
+    result = pincal.calibrate(one.nominal, data, noise=cramer_rao.NOISE, setup=known)
+    shifts = []
+    for axis in np.eye(3):
+        ends = [
+            cramer_rao.values_of(
+                pincal.calibrate(
+                    one.nominal,
+                    data,
+                    noise=cramer_rao.NOISE,
+                    setup=pincal.Setup(targets={"platform": pincal.Target(tuple(s * 1e-4 * axis))}),
+                )
+            )[0]
+            for s in (1, -1)
+        ]
+        shifts.append((ends[0] - ends[1]) / 20)
+    wanted = np.einsum("ki,ki->i", shifts, shifts)
+    assert result.systematic is not None
+    assert np.diagonal(result.systematic) == pytest.approx(wanted, rel=1e-2)
+    free = replace(known, targets={"platform": pincal.Target(unknown=True)})
+    found = pincal.calibrate(one.nominal, data, noise=cramer_rao.NOISE, setup=free)
+    assert found.systematic is None
+
+
+def test_a_forecast_knows_what_more_rows_cannot_mend() -> None:
+    """It equals the systematic part of a calibration at the same poses."""
+    one = cramer_rao.machine("3RRR", 24)
+    still = np.zeros((len(one.positions), 3))
+    data = pincal.Measurements(
+        poses=one.coordinates(still), readings=one.readings(one.parameters, still)
+    )
+    truth = one.nominal.with_parameters(
+        {
+            leg.name: values
+            for leg, values in zip(one.nominal.legs, np.split(one.parameters, 3), strict=True)
+        }
+    )
+    setup = pincal.Setup(systematic=pincal.Systematic(scale=1e-4, target=1e-4))
+    planned = pincal.forecast(truth, data.poses, cramer_rao.NOISE, setup=setup)
+    result = pincal.calibrate(truth, data, noise=cramer_rao.NOISE, setup=setup)
+    least = np.sqrt(np.diagonal(result.covariance))
+    assert np.sqrt(np.diagonal(planned.covariance)) == pytest.approx(least, rel=1e-5)
+
+
+def test_a_file_holds_covariances_and_a_tracker(tmp_path: Path) -> None:
+    """Read as written; in any units; a setup says where the tracker stands."""
+    one, covariance = planar(8)
+    data = correlated(one, covariance, 5e-5, 0)
+    data = replace(data, covariances=pairs(("x", "y", "phi"), covariance))
+    path = tmp_path / "m.csv"
+    data.to_csv(path, one.nominal)
+    text = path.read_text()
+    assert "cov_x_y [m2]" in text
+    assert "cov_x_phi [m rad]" in text
+    again = pincal.Measurements.from_csv(path, one.nominal)
+    for pair, values in data.covariances.items():
+        assert (again.covariances[pair] == values).all()
+    table = data.to_dataframe(one.nominal)
+    table["cov_phi_x [mrad mm]"] = 1e6 * table.pop("cov_x_phi [m rad]")
+    table["cov_x_y [mm²]"] = 1e6 * table.pop("cov_x_y [m2]")
+    other = pincal.Measurements.from_dataframe(table, one.nominal)
+    assert other.covariances["x,y"] == pytest.approx(data.covariances["x,y"])
+    assert other.covariances["x,phi"] == pytest.approx(data.covariances["x,phi"])
+    said = tmp_path / "setup.yaml"
+    said.write_text(
+        "pincal_setup: 1\n"
+        "tracker: {at: [3, -2, 0.5], range: 2e-6, azimuth: 2e-5, elevation: 2e-5}\n"
+        "systematic: {scale: 1e-5, temperature: 1, target: 2e-5}\n"
+    )
+    setup = pincal.Setup.from_yaml(said)
+    assert setup.tracker == TRACKER
+    assert setup.systematic == pincal.Systematic(1e-5, 1.0, target=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "words"),
+    [
+        ("cov_x_y", "mm", "expected 'cov_x_y [m2]'"),
+        ("cov_x_phi", "mm2", "expected 'cov_x_phi [m rad]'"),
+        ("cov_x_y", None, "has no unit"),
+        ("sigma_range", "mm", "say where it stands"),
+    ],
+)
+def test_a_column_that_says_too_little_is_refused(header: str, unit: str, words: str) -> None:
+    """With what to write."""
+    one, covariance = planar(6)
+    table = correlated(one, covariance, 5e-5, 0).to_dataframe(one.nominal)
+    table[f"{header} [{unit}]" if unit else header] = 1e-9
+    with pytest.raises(pincal.MeasurementError, match=words.replace("[", r"\[")):
+        pincal.Measurements.from_dataframe(table, one.nominal)
+
+
+def test_what_contradicts_itself_is_refused() -> None:
+    """A correlation above 1; noise said twice; range without angles; a tracker nowhere."""
+    one, covariance = planar(12)
+    data = correlated(one, covariance, 5e-5, 0)
+    large = {"x,y": 2.0 * np.sqrt(covariance[:, 0, 0] * covariance[:, 1, 1])}
+    polar = {"range": np.full(len(data), 1e-5)}
+    turns = np.column_stack((np.full((len(data), 2), np.nan), np.full(len(data), 1e-4)))
+    cases = [
+        (replace(data, covariances=large), pincal.Setup(), "a correlation above 1"),
+        (data, pincal.Setup(tracker=TRACKER), "leave out one of them"),
+        (
+            replace(data, sigma_poses=turns, sigma_extra=polar),
+            pincal.Setup(tracker=pincal.Tracker()),
+            "how well the tracker measures the azimuth",
+        ),
+        (
+            replace(data, sigma_poses=turns, sigma_extra=polar),
+            pincal.Setup(),
+            "say where it stands",
+        ),
+    ]
+    for given, setup, words in cases:
+        with pytest.raises(pincal.MeasurementError, match=words):
+            pincal.calibrate(one.nominal, given, setup=setup)
+    with pytest.raises(pincal.MeasurementError, match="expected 0 or more"):
+        pincal.Systematic(scale=-1.0)
+
+
+def test_a_result_keeps_them(tmp_path: Path) -> None:
+    """Saved and loaded, bit for bit."""
+    one, covariance = planar(12)
+    data = correlated(one, covariance, 5e-5, 0)
+    data = replace(data, covariances=pairs(("x", "y", "phi"), covariance))
+    setup = pincal.Setup(systematic=pincal.Systematic(scale=1e-5))
+    result = pincal.calibrate(one.nominal, data, setup=setup)
+    result.save(tmp_path / "r")
+    again = pincal.load_result(tmp_path / "r")
+    assert (again.systematic == result.systematic).all()
+    assert (again.measurements.covariances["x,y"] == data.covariances["x,y"]).all()
+    assert again.options.setup == setup
