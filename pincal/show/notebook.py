@@ -36,11 +36,18 @@ def result_text(result: CalibrationResult) -> str:
     """Return a calibration as a page of text: how it was made, tables, what to know first."""
     from pincal.show.report.answers import warning_lines
     from pincal.show.result_tables import calibration_tables
-    from pincal.show.summary import check_lines, method_line, noise_line, tie_lines
+    from pincal.show.summary import (
+        check_lines,
+        method_line,
+        noise_line,
+        systematic_lines,
+        tie_lines,
+    )
 
     parts = [f"{result.nominal.name}: {method_line(result)}; {result.message}"]
     if result.converged:
         parts += [str(table) for table in calibration_tables(result)]
-        lines = (noise_line(result), *tie_lines(result), *check_lines(result))
+        lines = [noise_line(result), *systematic_lines(result), *tie_lines(result)]
+        lines += check_lines(result)
         parts.append("\n".join(lines))
     return "\n\n".join([*parts, *(f"warning: {one}" for one in warning_lines(result))])

@@ -9,12 +9,13 @@ import numpy as np
 from pincal.calibration.checks.validation import Validation
 from pincal.calibration.result import CalibrationResult
 from pincal.design.forecast import Forecast
-from pincal.design.platform_error import PlatformError
+from pincal.design.platform_error import PlatformError, platform_error
 from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import amount, listed, shown_in, size
+from pincal.words.results import systematic
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED
 
@@ -34,7 +35,7 @@ def verdict_lines(result: CalibrationResult, errors: WorkspaceErrors | None) -> 
     Arguments are those of ``calibration_summary``, which has these lines too.
     """
     first = [result.message] if errors is None else [_platform(result, errors)]
-    return [*first, *check_lines(result), noise_line(result)]
+    return [*first, *check_lines(result), noise_line(result), *systematic_lines(result)]
 
 
 def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
@@ -46,6 +47,7 @@ def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | Non
     """
     data = result.measurements
     lines = [f"{method_line(result)}; {result.message}", noise_line(result)]
+    lines += systematic_lines(result)
     if result.gauge:
         lines.append(
             "fixed by choice, of equal parameters those nearest to nominal: "
@@ -96,6 +98,20 @@ def noise_line(result: CalibrationResult) -> str:
         f"reduced χ² {chi2:.3g} on {dof} degrees of freedom; near 1 the residuals are as large as "
         "the noise given makes them"
     )
+
+
+def systematic_lines(result: CalibrationResult) -> list[str]:
+    """Return what is off by the same in all rows, if anything is said to be."""
+    if result.systematic is None or not result.converged:
+        return []
+    part, whole = (
+        platform_error(
+            result.identified, one, result.poses, frames=result.frames_moved
+        ).where_determined[0]
+        for one in (result.systematic, result.covariance)
+    )
+    own, share = result.options.setup.systematic, (part / whole) ** 2 if whole else 0.0
+    return [systematic({"relative": own.relative, "target": own.target, "share": share})]
 
 
 def tie_lines(result: CalibrationResult) -> list[str]:

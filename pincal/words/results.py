@@ -35,6 +35,19 @@ def noise(values: Mapping[str, Any]) -> str:
     return ", ".join(parts if reading else [*parts, "readings exact"])
 
 
+def systematic(values: Mapping[str, float]) -> str:
+    """Return what is off by the same in all rows: ``relative``, ``target``, ``share`` of errors."""
+    parts = []
+    if values["relative"]:
+        parts.append(f"{1e6 * values['relative']:.3g} µm/m of all lengths")
+    if values["target"]:
+        parts.append(f"{amount(values['target'], 'm')} of each known target")
+    return (
+        f"every ± holds what more rows do not make smaller, {listed(parts)}: "
+        f"{100 * values['share']:.2g} % of the platform's expected mean square error of position"
+    )
+
+
 def _chi2(found: Finding) -> str:
     v = found.values
     larger = found.code == "chi2-too-large"
