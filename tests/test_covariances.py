@@ -128,21 +128,25 @@ def test_the_standard_errors_are_those_of_the_bound() -> None:
     assert std == pytest.approx(bound(one, covariance, 5e-5), rel=1e-4)
 
 
-def bound(one: cramer_rao.Machine, covariance: Array, sigma: float) -> Array:
-    """Return the least standard errors, poses eliminated pose by pose, by differences."""
+def slopes(one: cramer_rao.Machine) -> tuple[Array, Array]:
+    """Return readings by parameters (N, m, n) and by the platform's twist (N, m, dof)."""
     n, dof, h = len(one.parameters), one.dof, 1e-6
-    still = np.zeros((len(covariance), dof))
+    still = np.zeros((len(one.positions), dof))
 
     def slope(step: Array, twist: Array) -> Array:
         ends = [one.readings(one.parameters + s * step, still + s * twist) for s in (1, -1)]
         return (ends[0] - ends[1]) / (2 * h)
 
-    A = np.stack([slope(step, 0 * still[0]) for step in h * np.eye(n)], axis=2)
-    B = np.stack([slope(np.zeros(n), step) for step in h * np.eye(dof)], axis=2)
+    A = np.stack([slope(step, np.zeros(dof)) for step in h * np.eye(n)], axis=2)
+    return A, np.stack([slope(np.zeros(n), step) for step in h * np.eye(dof)], axis=2)
+
+
+def bound(one: cramer_rao.Machine, covariance: Array, sigma: float) -> Array:
+    """Return the least standard errors, poses eliminated pose by pose, by differences."""
+    A, B = slopes(one)
     V = sigma**2 * np.eye(A.shape[1]) + B @ covariance @ B.transpose(0, 2, 1)
-    return np.sqrt(
-        np.diagonal(np.linalg.inv((A.transpose(0, 2, 1) @ np.linalg.solve(V, A)).sum(0)))
-    )
+    F = (A.transpose(0, 2, 1) @ np.linalg.solve(V, A)).sum(axis=0)
+    return np.sqrt(np.diagonal(np.linalg.inv(F)))
 
 
 @pytest.mark.parametrize("method", ["all-legs", "per-leg"])
@@ -372,3 +376,50 @@ def test_a_result_keeps_them(tmp_path: Path) -> None:
     assert (again.systematic == result.systematic).all()
     assert (again.measurements.covariances["x,y"] == data.covariances["x,y"]).all()
     assert again.options.setup == setup
+
+
+@pytest.mark.slow
+def test_a_tracker_s_covariances_reach_the_bound() -> None:
+    """Over 100 data sets of a hexapod; taken for independent, errors are larger; they cover."""
+    one = cramer_rao.machine("6UPS", 40)
+    covariance = np.zeros((len(one.positions), 6, 6))
+    covariance[:, :3, :3] = polar_covariance(one.positions, TRACKER)
+    covariance[:, 3:, 3:] = 1e-8 * np.eye(3)
+    least, known, plain, within = bound(one, covariance, 1e-6), [], [], []
+    for seed in range(100):
+        data = correlated(one, covariance, 1e-6, seed)
+        alone = pincal.calibrate(one.nominal, data)
+        pair = pairs(one.nominal.platform.freedoms, covariance)
+        values, _, low, high = cramer_rao.values_of(
+            pincal.calibrate(one.nominal, replace(data, covariances=pair))
+        )
+        known.append((((values - one.parameters) / least) ** 2).mean())
+        plain.append((((cramer_rao.values_of(alone)[0] - one.parameters) / least) ** 2).mean())
+        within.append(((low <= one.parameters) & (one.parameters <= high)).mean())
+    ratio, without = np.sqrt(np.mean(known)), np.sqrt(np.mean(plain))
+    print(f"over the bound: {ratio:.3f}, independent {without:.3f}; cover {np.mean(within):.3f}")
+    assert ratio < 1.02 + 2.0 * np.std(known) / 20.0
+    assert without > 1.1
+    assert 0.935 < np.mean(within) < 0.965
+
+
+@pytest.mark.slow
+def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
+    """Scales drawn anew for each of 200 data sets: 95 of 100 platforms stay below; else few."""
+    one = cramer_rao.machine("3RRR", 40)
+    A, B = slopes(one)
+    gain, poses = np.linalg.solve(B, A), one.coordinates(np.zeros((len(one.positions), 3)))
+    setup = pincal.Setup(systematic=pincal.Systematic(scale=3e-4))
+    kept, without = [], []
+    for seed in range(200):
+        by = 3e-4 * np.random.default_rng([seed, 1]).standard_normal()
+        data = scaled(cramer_rao.drawn(one, cramer_rao.NOISE, seed), by)
+        for said, found in ((setup, kept), (pincal.Setup(), without)):
+            result = pincal.calibrate(one.nominal, data, noise=cramer_rao.NOISE, setup=said)
+            values, *_ = cramer_rao.values_of(result)
+            off = (gain @ (values - one.parameters))[:, :2]
+            missed = np.sqrt((off**2).sum(axis=1).mean())
+            found.append(missed <= result.expected_error(poses).limit[0])
+    print(f"kept {np.mean(kept):.3f}, without {np.mean(without):.3f}")
+    assert np.mean(kept) >= 0.93
+    assert np.mean(without) < 0.6
