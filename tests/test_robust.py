@@ -364,3 +364,35 @@ def test_the_probability_of_a_listed_row() -> None:
     for k in (1, 4):
         squares = chi2.rvs(k, size=20_000, random_state=0)
         assert outlying(squares, np.full(20_000, k)).mean() == pytest.approx(1e-3, rel=0.5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_wrong_row_is_the_verdict(method: str) -> None:
+    """One coordinate of 72 rows 3 mm off at 20 µm: that row is named, and nothing else blamed."""
+    noise = pincal.Noise(2e-5, 2e-5, 1e-5)
+    mechanism, _, data = machine("3RRR", 72, noise=noise)
+    poses = data.poses.copy()
+    poses[7, 0] += 3e-3
+    bad = replace(data, poses=poses)
+    options = {"method": method, "poses": "all", "noise": noise}
+    result = pincal.calibrate(mechanism, bad, **options)  # type: ignore[arg-type]
+    first, *others = result.findings
+    assert (first.code, first.rows) == ("wrong-rows", (7,))
+    assert not {one.code for one in others} & {"chi2-too-large", "outliers", "many-outliers"}
+    assert {one.row for one in result.outliers} == {7}
+    assert not result.promises
+    assert any("data row 8 does not fit the others" in text for text in result.warnings)
+    kept = np.arange(72) != 7
+    left = pincal.calibrate(mechanism, data.rows(kept), **options)  # type: ignore[arg-type]
+    assert first.values["without"] == pytest.approx(left.reduced_chi2, rel=0.05)
+
+
+def test_a_model_that_lacks_something_is_not_laid_on_rows() -> None:
+    """Readings that are eccentric in every row: χ², no wrong rows."""
+    noise = pincal.Noise(2e-5, 2e-5, 1e-5)
+    mechanism, _, data = machine("3RRR", 72, noise=noise)
+    readings = data.readings + 2e-3 * np.sin(2.0 * data.readings)
+    result = pincal.calibrate(mechanism, replace(data, readings=readings), noise=noise)
+    codes = {one.code for one in result.findings}
+    assert "chi2-too-large" in codes
+    assert "wrong-rows" not in codes

@@ -154,6 +154,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "curved": ({"curvature": 2.1}, (), (), "the curved part of the residuals' change is 2.1 of the straight one"),
     "step": ({"quantity": "reading of leg_2", "size": 1e-3, "unit": "rad", "p_value": 1e-5}, (29,), (), "reading of leg_2 is off by 1 mrad from data row 30 on (p = 1e-05)"),
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
+    "wrong-rows": ({"total": 72, "chi2": 217.0, "without": 1.02, "sigma": 152.0, "quantity": "measured x", "off": 150.0}, (7,), (), "data row 8 does not fit the others, by 152 standard deviations (measured x off by 150 σ): reduced χ² is 217 with it, 1.02 without, and what follows is with. Mend or remove it"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: 8 poses for 8 parameters"),
     "unused-poses": ({"unused": 24, "total": 36}, (), (), "24 of 36 measured poses serve other legs only. Leave out --per-leg, or add --poses all"),

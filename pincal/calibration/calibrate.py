@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.assemble import assemble
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.hypotheses.misaligned import misaligned
 from pincal.calibration.hypotheses.plausibility import (
@@ -56,7 +57,7 @@ def calibrate(
             twice, or leaves a residual without any; the joint residual out of reach; an unknown
             parameter or option.
     """
-    return identify(prepared(mechanism, measurements, options, **more))
+    return wrong_rows(identify(prepared(mechanism, measurements, options, **more)))
 
 
 def prepared(

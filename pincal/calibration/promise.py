@@ -36,6 +36,7 @@ _FELL = 0.5  # of the residuals: less must be left of them if anything was corre
 CONTRADICT = frozenset(
     {
         "chi2-too-large",
+        "wrong-rows",
         "curved",
         "noise-in-other-proportion",
         "model-lacks",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.calibration.checks.validation import Validation
+from pincal.calibration.checks.validation import MISSES, Validation
 from pincal.calibration.result import CalibrationResult
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError, platform_error
@@ -14,7 +14,7 @@ from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
-from pincal.words.numbers import amount, listed, shown_in, size
+from pincal.words.numbers import amount, chance, listed, shown_in, size
 from pincal.words.results import systematic
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED
@@ -23,7 +23,6 @@ _NO_FREEDOM = (
     "as many unknowns as measured values: residuals vanish whatever the machine is, and show "
     "nothing; measure more poses"
 )
-_MISSES = 10.0  # by how many σ a fit misses its own rows that is none
 FRAMES = ", but for where the base and platform frames lie"
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 _ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
@@ -118,7 +117,7 @@ def tie_lines(result: CalibrationResult) -> list[str]:
     """Return whether ties hold."""
     return [
         f"tie of {one.name}: {'holds' if one.holds else 'contradicted'} "
-        f"(p = {one.p_value:.2g}, {one.restrictions} parameters fewer)"
+        f"({chance(one.p_value)}, {one.restrictions} parameters fewer)"
         for one in result.ties
     ]
 
@@ -159,7 +158,7 @@ def check_lines(result: CalibrationResult) -> list[str]:
     lines, one = [], result.validation
     if one is not None:
         text = held_out_line(one)
-        if one.position is not None and one.fit <= _MISSES:
+        if one.position is not None and one.fit <= MISSES:
             text += f". Platform: {amount(one.position[1], 'm')} held out, "
             text += f"{1e3 * one.position[0]:.3g} in the fit"
             if one.orientation is not None:
@@ -170,14 +169,14 @@ def check_lines(result: CalibrationResult) -> list[str]:
     if result.runs is not None:
         lines.append(
             f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
-            f"much as their standard errors say (p = {result.runs.p_value:.2g})"
+            f"much as their standard errors say ({chance(result.runs.p_value)})"
         )
     return lines
 
 
 def held_out_line(one: Validation) -> str:
     """Return how rows that a fit has not seen compare with its own, where these fit at all."""
-    if one.fit > _MISSES:
+    if one.fit > MISSES:
         return (
             f"held-out rows show nothing: the fit misses even its own rows by {one.fit:.3g} σ. "
             "Look at the warnings first"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pincal.finding import Finding
-from pincal.words.numbers import counted, size
+from pincal.words.numbers import chance, counted, size
 from pincal.words.wording import Wording
 
 
@@ -91,7 +91,7 @@ def _one_body(found: Finding) -> str:
     return (
         f"{100 * v['share']:.0f} % of what the nominal model is off by (in squares) is one motion "
         f"of the {v['frame']}'s frame, by {size(v['shift'], v['turn'])}, and parameters that "
-        f"differ each in its own way hardly move so (p = {v['p_value']:.1g})"
+        f"differ each in its own way hardly move so ({chance(v['p_value'])})"
     )
 
 

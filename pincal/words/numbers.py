@@ -49,6 +49,11 @@ def rounded(value: float, digits: int = 2) -> str:
     return f"{float(f'{value:.{digits}g}'):g}"
 
 
+def chance(p_value: float) -> str:
+    """Return a probability as it is said: ``p = 0.003``, ``p < 1e-15``."""
+    return f"p = {p_value:.2g}" if p_value >= 1e-15 else "p < 1e-15"
+
+
 def percent(share: float, digits: int = 2) -> str:
     """Return a share in percent."""
     return f"{rounded(100 * share, digits)} %"

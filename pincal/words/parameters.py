@@ -159,7 +159,7 @@ PARAMETERS: dict[str, Wording] = {
     "tie-contradicted": Wording(
         "A tie does not hold",
         {"name": "name of the tied parameters, or several with commas", "p_value": P_VALUE},
-        "{name} is tied over the legs, and the measurements contradict that (p = {p_value:.2g})",
+        "{name} is tied over the legs, and the measurements contradict that ({chance})",
         "The legs differ in this parameter by more than their standard errors explain (1 %).",
         "Leave the tie out (--tie)",
     ),

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.finding import Finding
-from pincal.words.numbers import SMALL, amount, listed, shown_in
+from pincal.words.numbers import SMALL, amount, chance, counted, listed, shown_in
 from pincal.words.wording import P_VALUE, Wording
 
 
@@ -77,6 +77,24 @@ def _outliers(found: Finding) -> str:
     )
 
 
+def _wrong_rows(found: Finding) -> str:
+    v, rows = found.values, [row + 1 for row in found.rows]
+    some = f"{counted(len(rows), 'data row')} of {v['total']}, {listed(rows[:6])}"
+    some += f" and {len(rows) - 6} more" if len(rows) > 6 else ""
+    which = f"data row {rows[0]} does" if len(rows) == 1 else f"{some}, do"
+    return (
+        f"{which} not fit the others, {'by' if len(rows) == 1 else 'the first by'} "
+        f"{v['sigma']:.0f} standard deviations ({v['quantity']} off by {v['off']:.0f} σ): reduced "
+        f"χ² is {v['chi2']:.3g} with {'it' if len(rows) == 1 else 'them'}, {v['without']:.3g} "
+        "without, and what follows is with"
+    )
+
+
+def _wrong_rows_remedy(found: Finding) -> str:
+    them = "it" if len(found.rows) == 1 else "them"
+    return f"Mend or remove {them}, or leave {them} out by --robust reject"
+
+
 def _outliers_remedy(found: Finding) -> str:
     them = "it" if len(found.rows) == 1 else "them"
     return f"Look at {them}, or use a robust loss (--robust reject)"
@@ -86,7 +104,7 @@ def _proportion(found: Finding) -> str:
     v = found.values
     parts = (f"{100 * ratio:.0f} % of it in {name}" for name, ratio in v["ratios"].items())
     return (
-        f"the noise is not in the proportion given (p = {v['p_value']:.1g}): residuals "
+        f"the noise is not in the proportion given ({chance(v['p_value'])}): residuals "
         f"show {', '.join(parts)}"
     )
 
@@ -103,7 +121,7 @@ def _lacks(found: Finding) -> str:
     v = found.values
     what, cause = _TERMS[v["term"]]
     return (
-        f"{v['quantity']}: residuals follow {what} (p = {v['p_value']:.1g}), and the model has "
+        f"{v['quantity']}: residuals follow {what} ({chance(v['p_value'])}), and the model has "
         f"nothing for that: {cause}"
     )
 
@@ -112,7 +130,7 @@ def _step(found: Finding) -> str:
     v = found.values
     return (
         f"{v['quantity']} is off by {amount(v['size'], v['unit'])} from data row "
-        f"{found.rows[0] + 1} on (p = {v['p_value']:.1g})"
+        f"{found.rows[0] + 1} on ({chance(v['p_value'])})"
     )
 
 
@@ -246,6 +264,23 @@ RESULTS: dict[str, Wording] = {
         general="Look at them: a slip, a lost beam, a wrong set. --robust reject leaves them out "
         "and lists them",
     ),
+    "wrong-rows": Wording(
+        "Few rows spoil the fit",
+        {
+            "total": "number of rows",
+            "chi2": "reduced χ² with these rows",
+            "without": "reduced χ² without them",
+            "sigma": "residual of the worst row [standard deviations]",
+            "quantity": "which of its residuals is largest, such as x or leg_1",
+            "off": "size of that residual [standard deviations]",
+        },
+        _wrong_rows,
+        "Residuals are too large for the noise given, and a fit that rejects few rows has some "
+        "as large as that noise: noise and model are right, these rows are not. Parameters are "
+        "still those of all rows.",
+        _wrong_rows_remedy,
+        general="Mend or remove these rows, or leave them out by --robust reject",
+    ),
     "many-outliers": Wording(
         "Many rows do not fit",
         {"share": "share of the rows"},
@@ -262,7 +297,7 @@ RESULTS: dict[str, Wording] = {
             "p_value": P_VALUE,
         },
         "held-out rows miss by {held_out:.2f} standard deviations where {expected:.2f} are "
-        "expected (p = {p_value:.1g}): the model follows its rows more closely than the machine",
+        "expected ({chance}): the model follows its rows more closely than the machine",
         "Rows that a fit has not seen miss by more than is explained (p below 0.001).",
         "Measure more poses, or fix parameters",
     ),
@@ -270,7 +305,7 @@ RESULTS: dict[str, Wording] = {
         "Residuals follow the order of the rows",
         {"leg": "name of the leg", "correlation": "rank correlation", "p_value": "its probability"},
         "{leg}: residuals follow the order of the rows (rank correlation {correlation:+.2f}, "
-        "p = {p_value:.1g}): drift, of temperature or of a reference, is likely",
+        "{chance}): drift, of temperature or of a reference, is likely",
         "Drift: of temperature, of a reference, of the tracker.",
         "Measure in another order, or again when warm; name runs in a column run",
     ),
@@ -278,7 +313,7 @@ RESULTS: dict[str, Wording] = {
         "Runs differ",
         {"ratio": "spread over the runs, in predicted standard errors", "p_value": P_VALUE},
         "parameters differ between runs {ratio:.1f} times as much as their standard errors say "
-        "(p = {p_value:.1g}), {parameters} most: something changed between runs, or the noise is "
+        "({chance}), {parameters} most: something changed between runs, or the noise is "
         "larger than given",
         "Runs, calibrated each alone, spread more than their standard errors say (p below 0.001). "
         "The finding's parameters are the three that differ most.",

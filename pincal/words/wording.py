@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from pincal.finding import Finding, Severity
+from pincal.words.numbers import chance
 
 #: Words with the finding's values in braces, or a function of the finding.
 Words: TypeAlias = str | Callable[[Finding], str]
@@ -52,7 +53,10 @@ def _with(words: Words, found: Finding) -> str:
     """Return words with the values of a finding."""
     if not isinstance(words, str):
         return words(found)
-    return words.format(parameters=", ".join(found.parameters), **found.values)
+    said = {"parameters": ", ".join(found.parameters), **found.values}
+    if "p_value" in said:
+        said["chance"] = chance(said["p_value"])
+    return words.format(**said)
 
 
 def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = LISTED) -> str:

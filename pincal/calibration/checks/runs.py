@@ -18,6 +18,7 @@ from pincal.errors import MeasurementError
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
+from pincal.words.numbers import chance
 from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
@@ -43,14 +44,16 @@ class RunComparison:
     """Probability of such a spread, or a larger one, by noise alone."""
 
     def __repr__(self) -> str:
-        return f"RunComparison({len(self.runs)} runs, ratio {self.ratio:.2f}, p {self.p_value:.2g})"
+        return (
+            f"RunComparison({len(self.runs)} runs, ratio {self.ratio:.2f}, {chance(self.p_value)})"
+        )
 
     def __str__(self) -> str:
         worst = int(np.argmax(self.spread / np.where(self.predicted > 0, self.predicted, np.inf)))
         lines = [
             f"{len(self.runs)} runs: {', '.join(self.runs)}",
             f"parameters spread {self.ratio:.2f} times as much as their standard errors say "
-            f"(p = {self.p_value:.2g})",
+            f"({chance(self.p_value)})",
             f"{self.names[worst]} most: spread {self.spread[worst]:.3g}, predicted "
             f"{self.predicted[worst]:.3g}",
         ]

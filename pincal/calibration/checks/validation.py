@@ -32,11 +32,14 @@ from pincal.estimation.start import placed, poses_at_rest
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.words.numbers import amount
+from pincal.words.numbers import amount, chance
 from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+MISSES = 10.0
+"""Standard deviations by which a fit misses its own rows that is none, which held-out rows do not
+make worse."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -72,7 +75,7 @@ class Validation:
         lines = [
             f"{self.rows} rows, held out in {self.folds} folds",
             f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
-            f"{self.expected:.2f} σ are expected (p = {self.p_value:.2g})",
+            f"{self.expected:.2f} σ are expected ({chance(self.p_value)})",
         ]
         for name, sizes, unit in (
             ("position", self.position, "m"),
@@ -149,7 +152,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     expected = np.sqrt(fit / unit * (1.0 + growth))
     p_value = float(-np.expm1(count * np.log1p(-min(min(chances), 1.0 - 1e-16))))
     more = []
-    if p_value < UNLIKELY:
+    if p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
         more.append(
             finding(
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value

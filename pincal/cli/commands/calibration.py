@@ -14,6 +14,7 @@ import typer
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import FOLDS, By
+from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json
@@ -251,7 +252,7 @@ def calibrate(
     with working("identifying parameters") as progress:
         options = replace(calibration.options, progress=progress)
         try:
-            found = identify(replace(calibration, options=options))
+            found = wrong_rows(identify(replace(calibration, options=options)))
         except MisfitError:
             remark(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
