@@ -15,6 +15,7 @@ import pincal
 from pincal.calibration.hypotheses.misaligned import misaligned
 from pincal.calibration.hypotheses.plausibility import check_plausible, explain_misfit, said
 from pincal.estimation.observability.drawings import DIFFER, plausible_changes
+from pincal.show.workspace_errors import errors_at
 
 FRAME = pincal.Setup(unknown_frame=True)
 KINDS = ["5R", "3RRR", "6UPS"]
@@ -189,6 +190,8 @@ def test_machines_are_the_same_whatever_their_zeros(kind: str, options: dict[str
     assert ("zeros-found" in codes) == (not options.get("rough"))
     assert "zeros-found" not in [one.code for one in here.findings]
     assert "far-from-nominal" not in codes
+    before, found = (errors_at(one, one.poses).mean_before() for one in (here, there))
+    assert (np.array(found) <= 1.5 * np.array(before)).all()  # what the zeros were off by is found
 
 
 def test_zeros_that_are_not_identified_are_refused() -> None:

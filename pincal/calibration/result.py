@@ -118,6 +118,15 @@ class CalibrationResult:
         return self.calibration.mechanism
 
     @property
+    def begun(self) -> Mechanism:
+        """The mechanism at which the search began: nominal but for zeros of motors, if found."""
+        if self.calibration.start is None:
+            return self.nominal
+        sizes = np.cumsum([len(leg.parameters) for leg in self.nominal.legs])
+        values = np.split(self.calibration.start, sizes[:-1])
+        return self.nominal.with_parameters(dict(zip(self.nominal.leg_names, values, strict=True)))
+
+    @property
     def measurements(self) -> Measurements:
         """What was measured."""
         return self.calibration.measurements

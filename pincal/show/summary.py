@@ -127,6 +127,7 @@ def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     turning = turns(result)
     before = platform_size(errors.mean_before(), turning)
     text = f"platform, root mean square {errors.where}: "
+    found = ", its zeros as found," if result.begun is not result.nominal else ""
     if not result.explained:
         return (
             f"{text}the calibrated model differs from the nominal one by {before}, but no accuracy "
@@ -137,14 +138,15 @@ def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     after = platform_size(errors.mean_after(), turning)
     if not result.promises:
         return (
-            f"{text}the nominal model was off by {before}, the calibrated one by {after} or "
+            f"{text}the nominal model{found} was off by {before}, the calibrated one by {after} or "
             f"more{frames}; no limit is promised: {unpromised(result)}"
         )
     limit = platform_size(errors.limit, turning)
     return (
-        f"{text}the nominal model was off by {before}, the calibrated one by about {after}{frames} "
-        "(expected by the parameters' uncertainties; 95 of 100 such calibrations stay below "
-        f"{limit}; ± of single parameters may be larger where they compensate each other)"
+        f"{text}the nominal model{found} was off by {before}, the calibrated one by about "
+        f"{after}{frames} (expected by the parameters' uncertainties; 95 of 100 such "
+        f"calibrations stay below {limit}; ± of single parameters may be larger where they "
+        "compensate each other)"
     )
 
 

@@ -32,7 +32,8 @@ class WorkspaceErrors:
     poses: Array
     """Coordinates, shape (N, dof)."""
     before: Array
-    """Of the nominal model, position [m] and orientation [rad], shape (N, 2)."""
+    """Of the nominal model, zeros of motors as they were found, position [m] and orientation [rad],
+    shape (N, 2)."""
     expected: PlatformError
     """Of the identified one, at the same poses."""
     sampled: bool = True
@@ -147,7 +148,7 @@ def errors_at(
     result: CalibrationResult, planned: Plan | Array, *, sampled: bool = True
 ) -> WorkspaceErrors:
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
-    nominal, plan = result.nominal, as_plan(result.nominal, planned)
+    nominal, plan = result.begun, as_plan(result.nominal, planned)
     moved = platform_errors(nominal, result.identified, plan)
     both = np.isfinite(moved).all(axis=1)
     moved[both] = without_frames(
