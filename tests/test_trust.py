@@ -247,7 +247,7 @@ def test_held_out_rows_follow_the_same_start(tmp_path: Path) -> None:
     result.save(tmp_path / "r")
     loaded = pincal.load_result(tmp_path / "r").calibration
     np.testing.assert_array_equal(loaded.start, result.calibration.start)
-    np.testing.assert_array_equal(loaded.noise.poses, result.calibration.noise.poses)
+    np.testing.assert_array_equal(loaded.noise.poses.sigma, result.calibration.noise.poses.sigma)
     assert loaded.noise.source == result.calibration.noise.source
 
 
