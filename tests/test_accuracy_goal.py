@@ -13,7 +13,9 @@ from measured import workspace
 
 import pincal
 from pincal.design.accuracy_bound import accurate_design
+from pincal.design.certificate import continuous_design
 from pincal.design.criteria import Determinant, MeanVariance
+from pincal.design.exchange import exchange
 from pincal.design.search import accurate
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
@@ -67,10 +69,10 @@ def test_changes_are_those_of_values(sign: float) -> None:
     own = blocks if sign < 0 else blocks[:6]
     rows = own.reshape(-1, 5)
     for criterion in (Determinant(), MeanVariance(C)):
-        found = criterion.change(blocks, np.linalg.inv(rows.T @ rows), sign)
+        (found,) = criterion.change((blocks,), (np.linalg.inv(rows.T @ rows)[None],), sign)
         for j in range(6, 9):
             others = np.delete(own, j, axis=0) if sign < 0 else np.concatenate((own, blocks[[j]]))
-            expected = criterion.value(others.reshape(-1, 5)) - criterion.value(rows)
+            expected = criterion.value((others.reshape(-1, 5),)) - criterion.value((rows,))
             assert found[j] == pytest.approx(expected, rel=1e-9)
 
 
@@ -126,3 +128,18 @@ def test_the_command_says_what_poses_are_best_for(tmp_path: Path) -> None:
     )
     assert "the platform's accuracy" in " ".join(said.out.split())
     assert len(pincal.Plan.from_csv(tmp_path / "p.csv", "5R")) == 12
+
+
+def test_parts_of_the_parameters_are_chosen_for_as_one() -> None:
+    """Rows of two legs as parts, or along a diagonal: the same bound and choice."""
+    rng = np.random.default_rng(5)
+    parts = tuple(rng.standard_normal((200, r, n)) for r, n in ((1, 4), (2, 3)))
+    whole = np.zeros((200, 3, 7))
+    whole[:, :1, :4], whole[:, 1:, 4:] = parts
+    found = []
+    for rows in (parts, (whole,)):
+        design = continuous_design(rows)
+        chosen, value = exchange(rows, 9, design.priority, np.random.default_rng(0), 20)
+        assert design.efficiency(value, 9, 7) <= 1.0
+        found.append((design.log_det_bound, value, *chosen))
+    assert found[0] == pytest.approx(found[1], rel=1e-6)

@@ -80,7 +80,7 @@ def _blocks(seed: int, count: int, rows: int, n: int) -> np.ndarray:
 def test_the_bound_holds_and_is_tight(rows: int) -> None:
     """No weights on the candidates have more information than the bound; the design nearly does."""
     blocks = _blocks(3, 200, rows, 4)
-    design = continuous_design(blocks)
+    design = continuous_design((blocks,))
     assert design.weights.sum() == pytest.approx(1.0)
     assert design.log_det_bound - design.log_det < 4 * 2e-3
     M = np.einsum("j,jri,jrk->ik", design.weights, blocks, blocks)
@@ -95,11 +95,11 @@ def test_the_bound_holds_and_is_tight(rows: int) -> None:
 def test_the_bound_of_a_known_optimum() -> None:
     """Points of the segment: weights 1/2 on both ends; of the circle: det M = 1/4."""
     x = np.linspace(-1, 1, 101)
-    design = continuous_design(np.stack([np.ones(101), x], axis=1)[:, None, :])
+    design = continuous_design((np.stack([np.ones(101), x], axis=1)[:, None, :],))
     np.testing.assert_allclose(design.weights[[0, -1]], 0.5, atol=1e-3)
     assert design.log_det_bound == pytest.approx(0.0, abs=3e-3)
     a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    circle = continuous_design(np.stack([np.cos(a), np.sin(a)], axis=1)[:, None, :])
+    circle = continuous_design((np.stack([np.cos(a), np.sin(a)], axis=1)[:, None, :],))
     assert circle.log_det_bound == pytest.approx(np.log(0.25), abs=3e-3)
 
 
@@ -108,7 +108,7 @@ def test_candidates_that_lack_rank_are_refused() -> None:
     blocks = _blocks(5, 50, 1, 3)
     blocks[:, :, 2] = blocks[:, :, 0]
     with pytest.raises(pincal.ObservabilityError, match="undetermined"):
-        continuous_design(blocks)
+        continuous_design((blocks,))
 
 
 @pytest.mark.parametrize("rows", [1, 2])
@@ -116,9 +116,9 @@ def test_exchange_finds_the_best_of_all_sets(rows: int) -> None:
     """On 14 candidates, 5 to be chosen, the exchange finds what trying all 2002 sets finds."""
     for seed in range(5):
         blocks = _blocks(seed, 14, rows, 3)
-        design = continuous_design(blocks)
+        design = continuous_design((blocks,))
         rng = np.random.default_rng(0)
-        chosen, log_det = exchange(blocks, 5, design.weights, rng, starts=20)
+        chosen, log_det = exchange((blocks,), 5, design.weights, rng, starts=20)
 
         def value(index: tuple[int, ...], blocks: np.ndarray = blocks) -> float:
             stacked = blocks[list(index)].reshape(-1, 3)
@@ -136,7 +136,7 @@ def test_a_set_stands_against_candidates_that_the_search_began_without(rows: int
     """Of 3000, weighted at random: the best to add and then the worst to drop gain nothing."""
     rng = np.random.default_rng(4)
     blocks = rng.normal(size=(3000, rows, 4))
-    chosen, log_det = exchange(blocks, 9, rng.random(3000), rng, starts=1)
+    chosen, log_det = exchange((blocks,), 9, rng.random(3000), rng, starts=1)
 
     def value(*sets: np.ndarray) -> np.ndarray:
         total = sum(np.einsum("...ij,...ik->...jk", one, one) for one in sets)

@@ -246,7 +246,7 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
     search = Search(mechanism, found.reshape(-1, 3), SelectionOptions())
     every = block_diagonal([search.rows(leg, search.candidates) for leg in mechanism.leg_names])
     orbits = np.concatenate([search.rows("leg_1", poses) for poses in found], axis=1)
-    common = continuous_design(every).log_det_bound / len(mechanism.legs)
-    own = continuous_design(orbits).log_det_bound - orbits.shape[2] * np.log(len(elements))
+    common = continuous_design((every,)).log_det_bound / len(mechanism.legs)
+    own = continuous_design((orbits,)).log_det_bound - orbits.shape[2] * np.log(len(elements))
     assert own == pytest.approx(common, abs=2e-2)
     assert indices(orbits.reshape(-1, 8)).O1 > 0.0

@@ -336,8 +336,8 @@ def no_exchange_ends_below_its_start(draw: Draw, folder: Path) -> None:
     count = draw(st.integers(n, 2 * n + 3))
     rng = np.random.default_rng(seed)
     blocks = rng.standard_normal((count + draw(st.integers(0, 40)), r, n))
-    weights = continuous_design(blocks).weights
-    chosen, value = exchange(blocks, count, weights, np.random.default_rng(seed), starts)
+    weights = continuous_design((blocks,)).weights
+    chosen, value = exchange((blocks,), count, weights, np.random.default_rng(seed), starts)
     again = np.random.default_rng(seed)
     tried = [np.argsort(-weights, kind="stable")[:count]]
     tried += [again.permutation(len(blocks))[:count] for _ in range(starts - 1)]

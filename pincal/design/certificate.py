@@ -4,6 +4,9 @@ Weights w on the candidates maximise det M(w), M(w) = Σ wⱼ Aⱼᵀ Aⱼ. By t
 theorem of Kiefer and Wolfowitz, any weights w bound the best ones: det M(w*) ≤
 det M(w) · (maxⱼ dⱼ / n)ⁿ with dⱼ = tr Aⱼ M(w)⁻¹ Aⱼᵀ. No set of N candidates has more
 information than Nⁿ det M(w*), so the bound is a proof whether or not w has converged.
+
+Few candidates carry weight. On these, log det M is maximised by Newton's method; then those that
+violate dⱼ ≤ n most join them, until none does (column generation).
 """
 
 from __future__ import annotations
@@ -13,12 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.criteria import Parts, variance
 from pincal.design.exchange import Effort
 from pincal.errors import ObservabilityError
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
-_EFFORT = Effort(exchanges=1500, pool=400, rounds=50, tolerance=1e-3)
+_EFFORT = Effort(exchanges=100, pool=400, rounds=100, tolerance=1e-4)
+_CHUNK = 50_000  # candidates at a time
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,11 @@ class ContinuousDesign:
     log_det_bound: float
     """Upper bound of log det M of any weights."""
 
+    @property
+    def priority(self) -> Array:
+        """By which candidates come first: those with weight, then those of large dⱼ, shape (M,)."""
+        return self.weights + ROUNDING * self.variance
+
     def efficiency(self, log_det: float, count: int, n_params: int) -> float:
         """Return (det/det of the bound)^(1/n) of a set of candidates, at most 1.
 
@@ -45,111 +55,142 @@ class ContinuousDesign:
         return float(np.exp((log_det - self.log_det_bound) / n_params) / count)
 
 
-def continuous_design(blocks: Array) -> ContinuousDesign:
-    """Return a nearly D-optimal continuous design and its bound, by vertex exchange.
+def continuous_design(parts: Parts) -> ContinuousDesign:
+    """Return a nearly D-optimal continuous design and its bound.
 
     Args:
-        blocks: Rows that each candidate contributes, shape (M, r, n).
+        parts: Rows that each candidate contributes, of each part of the parameters, (M, r, n).
 
     Raises:
         ObservabilityError: all candidates together leave a parameter undetermined.
     """
-    count, r, n = blocks.shape
-    factor = np.asarray(np.linalg.qr(blocks.reshape(-1, n), mode="r"))
-    scale = np.abs(np.diagonal(factor))
-    if len(factor) < n or scale.min() <= ROUNDING * np.linalg.norm(factor, axis=0).max():
-        raise ObservabilityError("the candidate poses leave a parameter undetermined")
-    shift = 2.0 * float(np.log(scale).sum())
-    rows = np.linalg.solve(factor.T, blocks.reshape(-1, n).T).T.reshape(count, r, n)
-
-    weights = np.full(count, 1.0 / count)
-    variance = _variance(rows, weights)
-    pool = np.argsort(-variance, kind="stable")[: max(_EFFORT.pool, 4 * n)]
+    rows, shift = _normal(parts)
+    n = sum(one.shape[2] for one in rows)
+    count = len(rows[0])
+    seen = _variances(rows, tuple(np.eye(one.shape[2]) for one in rows))  # uniform: M = 1
+    pool = np.argsort(-seen, kind="stable")[: max(_EFFORT.pool, 4 * n)]
     weights = np.zeros(count)
-    weights[pool] = _multiplicative(rows[pool])
+    weights[pool] = _multiplicative(tuple(one[pool] for one in rows))
     for _ in range(_EFFORT.rounds):
-        weights[pool] = _vertex_exchange(rows[pool], weights[pool])
-        variance = _variance(rows, weights)
-        if variance.max() <= n * (1.0 + _EFFORT.tolerance):
-            break
         support = np.flatnonzero(weights)
-        worst = np.argsort(-variance, kind="stable")[: _EFFORT.pool]
-        pool = np.union1d(support, worst)
-    _, log_det = np.linalg.slogdet(_information(rows, weights))
-    log_det = float(log_det) + shift
-    bound = log_det + n * float(np.log(max(1.0, variance.max() / n)))
-    return ContinuousDesign(weights, variance, log_det, bound)
+        weights[support] = _newton(tuple(one[support] for one in rows), weights[support])
+        seen = _variances(rows, _inverse(rows, weights))
+        if seen.max() <= n * (1.0 + _EFFORT.tolerance):
+            break
+        worst = np.argpartition(-seen, min(2 * n, count - 1))[: 2 * n]
+        worst = worst[seen[worst] > n]
+        weights *= 1.0 - _EFFORT.tolerance
+        weights[worst] += _EFFORT.tolerance / len(worst)
+    log_det = sum(float(np.linalg.slogdet(M)[1]) for M in _information(rows, weights)) + shift
+    bound = log_det + n * float(np.log(max(1.0, seen.max() / n)))
+    return ContinuousDesign(weights, seen, log_det, bound)
 
 
-def _information(rows: Array, weights: Array) -> Array:
+def _normal(parts: Parts) -> tuple[Parts, float]:
+    """Return rows of which the information of uniform weights is 1, and log det of what it was.
+
+    Raises:
+        ObservabilityError: the candidates leave a parameter undetermined.
+    """
+    rows, shift = [], 0.0
+    for one in parts:
+        count, r, n = one.shape
+        factor = np.asarray(np.linalg.qr(one.reshape(-1, n), mode="r"))
+        scale = np.abs(np.diagonal(factor))
+        if len(factor) < n or scale.min() <= ROUNDING * np.linalg.norm(factor, axis=0).max():
+            raise ObservabilityError("the candidate poses leave a parameter undetermined")
+        inverse = np.linalg.inv(factor) * np.sqrt(count)
+        rows.append((one.reshape(-1, n) @ inverse).reshape(count, r, n))
+        shift += 2.0 * float(np.log(scale).sum()) - n * np.log(count)
+    return tuple(rows), shift
+
+
+def _information(rows: Parts, weights: Array) -> Parts:
     used = np.flatnonzero(weights)
-    flat = rows[used].reshape(-1, rows.shape[2])
-    return (flat * np.repeat(weights[used], rows.shape[1])[:, None]).T @ flat
+    found = []
+    for one in rows:
+        flat = (one[used] * np.sqrt(weights[used])[:, None, None]).reshape(-1, one.shape[2])
+        found.append(flat.T @ flat)
+    return tuple(found)
 
 
-def _variance(rows: Array, weights: Array) -> Array:
-    """Return dⱼ = tr Aⱼ M(w)⁻¹ Aⱼᵀ, shape (M,)."""
-    inverse = np.linalg.inv(_information(rows, weights))
-    flat = rows.reshape(-1, rows.shape[2])
-    return np.asarray(((flat @ inverse) * flat).sum(axis=1).reshape(len(rows), -1).sum(axis=1))
+def _inverse(rows: Parts, weights: Array) -> Parts:
+    return tuple(np.asarray(np.linalg.inv(M), np.float64) for M in _information(rows, weights))
 
 
-def _multiplicative(rows: Array) -> Array:
-    """Return weights after steps wⱼ ← wⱼ dⱼ / n, small ones dropped: a start for exchange."""
-    weights = np.full(len(rows), 1.0 / len(rows))
-    for _ in range(60):
-        weights = weights * _variance(rows, weights)
+def _variances(rows: Parts, inverse: Parts) -> Array:
+    """Return dⱼ = tr Aⱼ M⁻¹ Aⱼᵀ, shape (M,), in parts that memory holds."""
+    found = np.zeros(len(rows[0]))
+    for first in range(0, len(found), _CHUNK):
+        some = slice(first, first + _CHUNK)
+        for one, M in zip(rows, inverse, strict=True):
+            found[some] += variance(one[some], M[None])[0]
+    return found
+
+
+def _multiplicative(rows: Parts) -> Array:
+    """Return weights after steps wⱼ ← wⱼ dⱼ / n, small ones dropped: where Newton's steps begin."""
+    weights = np.full(len(rows[0]), 1.0 / len(rows[0]))
+    for _ in range(30):
+        weights = weights * _variances(rows, _inverse(rows, weights))
         weights /= weights.sum()
-    small = weights < 0.05 * weights.max()
-    if np.linalg.matrix_rank(rows[~small].reshape(-1, rows.shape[2])) == rows.shape[2]:
-        weights[small] = 0.0
+    large = weights >= 0.05 * weights.max()
+    ranks = [np.linalg.matrix_rank(one[large].reshape(-1, one.shape[2])) for one in rows]
+    if all(rank == one.shape[2] for rank, one in zip(ranks, rows, strict=True)):
+        weights[~large] = 0.0
     return weights / weights.sum()
 
 
-def _vertex_exchange(rows: Array, weights: Array) -> Array:
-    """Return weights after moving weight from the worst of the support to the best candidate."""
+def _newton(rows: Parts, weights: Array) -> Array:
+    """Return the weights of few candidates that maximise log det M, those at zero dropped.
+
+    With M⁻¹ = F Fᵀ, the gradient is dⱼ and the Hessian −|Aᵢ M⁻¹ Aⱼᵀ|²; weights stay a share of 1.
+    """
     weights = weights.copy()
-    n = rows.shape[2]
-    inverse = np.linalg.inv(_information(rows, weights))
-    flat = rows.reshape(-1, n)
-    for step in range(_EFFORT.exchanges):
-        if step % 50 == 49:  # rounding
-            inverse = np.linalg.inv(_information(rows, weights))
-        variance = ((flat @ inverse) * flat).sum(axis=1).reshape(len(rows), -1).sum(axis=1)
-        best = int(np.argmax(variance))
-        support = np.flatnonzero(weights)
-        worst = int(support[np.argmin(variance[support])])
-        if variance[best] - variance[worst] <= 0.5 * _EFFORT.tolerance * n:
+    n = sum(one.shape[2] for one in rows)
+    for _ in range(_EFFORT.exchanges):
+        used = np.flatnonzero(weights)
+        own = tuple(one[used] for one in rows)
+        hessian, gradient = _derivatives(own, weights[used])
+        if np.abs(gradient - n).max() <= 0.1 * _EFFORT.tolerance * n:
             break
-        both = np.concatenate((rows[best], rows[worst]))
-        sign = np.repeat([1.0, -1.0], rows.shape[1])
-        inner = both @ inverse @ both.T
-        amount = _line_search(inner, sign, float(weights[worst]))
-        weights[best] += amount
-        weights[worst] = 0.0 if amount == weights[worst] else weights[worst] - amount
-        middle = np.linalg.inv(np.diag(sign / amount) + inner)
-        product = inverse @ both.T
-        inverse = inverse - product @ middle @ product.T
+        step = _step(hessian, gradient)
+        falling = step < 0.0
+        reach = np.min(weights[used][falling] / -step[falling], initial=np.inf)
+        size, value = min(1.0, reach), _log_det(own, weights[used])
+        while size > ROUNDING:
+            trial = np.maximum(weights[used] + size * step, 0.0)
+            if _log_det(own, trial) >= value:
+                break
+            size /= 2.0
+        else:
+            break
+        trial[trial <= ROUNDING] = 0.0
+        weights[used] = trial / trial.sum()
     return weights
 
 
-def _line_search(inner: Array, sign: Array, most: float) -> float:
-    """Return the α in (0, most] that maximises log det(I + α K S), K = inner, S = diag(sign)."""
-    values, vectors = np.linalg.eigh(inner)
-    root = vectors * np.sqrt(np.clip(values, 0.0, None))
-    slopes = np.linalg.eigvalsh(root.T @ (sign[:, None] * root))
+def _derivatives(rows: Parts, weights: Array) -> tuple[Array, Array]:
+    """Return what log det M is by weights: minus its Hessian, (s, s), and its gradient, (s,)."""
+    s = len(weights)
+    hessian, gradient = np.zeros((s, s)), np.zeros(s)
+    for one, M in zip(rows, _inverse(rows, weights), strict=True):
+        r, flat = one.shape[1], one.reshape(-1, one.shape[2])
+        K = (flat @ M @ flat.T).reshape(s, r, s, r)
+        hessian += (K**2).sum(axis=(1, 3))
+        gradient += np.einsum("irir->i", K)
+    return hessian, gradient
 
-    if slopes.min() > -1.0 / most and (slopes / (1.0 + most * slopes)).sum() >= 0.0:
-        return most
-    low, high = 0.0, min(most, -1.0 / float(slopes.min()))
-    alpha = high / 2
-    for _ in range(60):  # Newton's method, kept inside the bracket
-        ratio = slopes / (1.0 + alpha * slopes)
-        slope, curvature = float(ratio.sum()), -float((ratio**2).sum())
-        low, high = (alpha, high) if slope > 0.0 else (low, alpha)
-        step = alpha - slope / curvature
-        following = step if low < step < high else (low + high) / 2
-        if abs(following - alpha) <= 1e-9 * high:
-            break
-        alpha = following
-    return alpha
+
+def _step(hessian: Array, gradient: Array) -> Array:
+    """Return Newton's step of weights whose sum stays."""
+    s = len(gradient)
+    ridge = ROUNDING * float(np.trace(hessian)) * np.eye(s)
+    both = np.linalg.solve(hessian + ridge, np.column_stack((gradient, np.ones(s))))
+    level = both[:, 0].sum() / both[:, 1].sum()
+    return np.asarray(both[:, 0] - level * both[:, 1])
+
+
+def _log_det(rows: Parts, weights: Array) -> float:
+    found = [np.linalg.slogdet(M) for M in _information(rows, weights)]
+    return sum(float(value) if sign > 0.0 else -np.inf for sign, value in found)

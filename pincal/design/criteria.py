@@ -5,102 +5,142 @@ region): −log tr L M⁻¹, the platform's mean variance over the workspace, co
 parameters included. A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with
 SAS (2007), 10.5 and 10.6. Adding A to M, or dropping it, changes both by what K = A M⁻¹ Aᵀ and
 Q = A M⁻¹ L M⁻¹ Aᵀ say, r × r matrices for a candidate of r rows (Woodbury).
+
+Parameters that share no row, such as those of two legs, share no information: M falls into parts,
+and their determinants multiply. Rows are a tuple, an array (…, M, r, n) for each part; several
+choices, S of them, are looked at together.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Parts: TypeAlias = tuple[Array, ...]
+"""Of each part of the parameters, the rows of candidates, (M, r, n), or its M⁻¹, (S, n, n)."""
 
 
 class Criterion(Protocol):
     """What is made large."""
 
-    def scaled(self, scale: Array) -> tuple[Criterion, float]:
-        """Return the criterion of rows over ``scale``, shape (n,), and what its value lacks."""
+    def scaled(self, scales: tuple[Array, ...]) -> tuple[Criterion, float]:
+        """Return the criterion of rows over ``scales``, (n,) each, and what its value lacks."""
 
-    def value(self, rows: Array) -> float:
-        """Return the value of rows, shape (m, n)."""
+    def value(self, rows: Parts) -> float:
+        """Return the value of rows, shape (m, n) for each part."""
 
-    def change(self, blocks: Array, inverse: Array, sign: float) -> Array:
-        """Return what each candidate, shape (M, r, n), changes, added (1) or dropped (-1)."""
+    def change(self, rows: Parts, inverse: Parts, sign: float) -> Array:
+        """Return what each candidate changes, added (1) or dropped (-1), shape (S, M).
 
-    def promise(self, blocks: Array, inverse: Array) -> Array:
-        """Return the change by a small weight on each candidate, to first order, shape (M,)."""
+        Args:
+            rows: Of candidates, shape (M, r, n), or of each choice its own, (S, M, r, n).
+            inverse: M⁻¹ of each choice, shape (S, n, n).
+            sign: 1 or -1.
+        """
+
+    def promise(self, rows: Parts, inverse: Parts) -> Array:
+        """Return the change by a small weight on each candidate, to first order, (S, M)."""
 
 
 @dataclass(frozen=True)
 class Determinant:
     """log det M."""
 
-    def scaled(self, scale: Array) -> tuple[Criterion, float]:
+    def scaled(self, scales: tuple[Array, ...]) -> tuple[Criterion, float]:
         """See ``Criterion``."""
-        return self, 2.0 * float(np.log(scale).sum())
+        return self, 2.0 * sum(float(np.log(scale).sum()) for scale in scales)
 
-    def value(self, rows: Array) -> float:
+    def value(self, rows: Parts) -> float:
         """See ``Criterion``."""
-        sign, value = np.linalg.slogdet(rows.T @ rows)
-        return float(value) if sign > 0 else -np.inf
+        found = [np.linalg.slogdet(one.T @ one) for one in rows]
+        return sum(float(value) if sign > 0 else -np.inf for sign, value in found)
 
-    def change(self, blocks: Array, inverse: Array, sign: float) -> Array:
+    def change(self, rows: Parts, inverse: Parts, sign: float) -> Array:
         """See ``Criterion``: log det(I ± K)."""
-        K = inner(blocks, inverse)
-        if K.shape[1] == 1:
-            det = 1.0 + sign * K[:, 0, 0]
-        else:
-            det = np.linalg.det(np.eye(K.shape[1]) + sign * K)
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(np.maximum(det, 0.0)))
+        found = [_log_det(inner(*pair), sign) for pair in zip(rows, inverse, strict=True)]
+        return np.asarray(sum(found))
 
-    def promise(self, blocks: Array, inverse: Array) -> Array:
+    def promise(self, rows: Parts, inverse: Parts) -> Array:
         """See ``Criterion``: tr K."""
-        return np.asarray(np.trace(inner(blocks, inverse), axis1=1, axis2=2))
+        return np.asarray(sum(variance(*pair) for pair in zip(rows, inverse, strict=True)))
 
 
 @dataclass(frozen=True)
 class MeanVariance:
-    """−log tr C Cᵀ M⁻¹: of quantities Cᵀφ, the sum of the variances."""
+    """−log tr C Cᵀ M⁻¹: of quantities Cᵀφ, the sum of the variances; parameters are one part."""
 
     C: Array
     """What is to be known, in the unknowns, shape (n, q)."""
 
-    def scaled(self, scale: Array) -> tuple[Criterion, float]:
+    def scaled(self, scales: tuple[Array, ...]) -> tuple[Criterion, float]:
         """See ``Criterion``."""
+        (scale,) = scales
         return MeanVariance(self.C / scale[:, None]), 0.0
 
-    def value(self, rows: Array) -> float:
+    def value(self, rows: Parts) -> float:
         """See ``Criterion``."""
-        triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+        (own,) = rows
+        triangle = np.asarray(np.linalg.qr(own, mode="r"))
         if len(triangle) < len(self.C) or not np.abs(np.diagonal(triangle)).min() > 0.0:
             return -np.inf
         return -float(np.log((np.linalg.solve(triangle.T, self.C) ** 2).sum()))
 
-    def change(self, blocks: Array, inverse: Array, sign: float) -> Array:
+    def change(self, rows: Parts, inverse: Parts, sign: float) -> Array:
         """See ``Criterion``: tr L M⁻¹ falls, or grows, by tr (I ± K)⁻¹ Q."""
-        flat = blocks.reshape(-1, blocks.shape[2]) @ (inverse @ self.C)
-        half = flat.reshape(*blocks.shape[:2], -1)
-        middle = np.eye(blocks.shape[1]) + sign * inner(blocks, inverse)
-        now = float(np.einsum("nq,nm,mq->", self.C, inverse, self.C))
-        by = (half * np.linalg.solve(middle, half)).sum(axis=(1, 2))
+        (own,), (by,) = rows, inverse
+        half = _times(own, by @ self.C)
+        middle = np.eye(own.shape[-2]) + sign * inner(own, by)
+        change = (half * np.linalg.solve(middle, half)).sum(axis=(2, 3))
         with np.errstate(divide="ignore", invalid="ignore"):
-            changed = -np.log(np.maximum(1.0 - sign * by / now, 0.0))
-        return np.where(by >= 0.0, changed, -np.inf)  # below, what is dropped was all there was
+            changed = -np.log(np.maximum(1.0 - sign * change / self._now(by), 0.0))
+        return np.where(change >= 0.0, changed, -np.inf)  # below, what is dropped was all there was
 
-    def promise(self, blocks: Array, inverse: Array) -> Array:
+    def promise(self, rows: Parts, inverse: Parts) -> Array:
         """See ``Criterion``: tr Q over tr L M⁻¹."""
-        flat = blocks.reshape(-1, blocks.shape[2]) @ (inverse @ self.C)
-        now = float(np.einsum("nq,nm,mq->", self.C, inverse, self.C))
-        return np.asarray((flat**2).sum(axis=1).reshape(len(blocks), -1).sum(axis=1) / now)
+        (own,), (by,) = rows, inverse
+        return np.asarray((_times(own, by @ self.C) ** 2).sum(axis=(2, 3)) / self._now(by))
+
+    def _now(self, inverse: Array) -> Array:
+        """Return tr L M⁻¹ of each choice, shape (S, 1)."""
+        return np.einsum("nq,snm,mq->s", self.C, inverse, self.C)[:, None]
 
 
-def inner(blocks: Array, inverse: Array) -> Array:
-    """Return K = Aⱼ M⁻¹ Aⱼᵀ, shape (M, r, r), of candidates of shape (M, r, n)."""
-    left = (blocks.reshape(-1, blocks.shape[2]) @ inverse).reshape(blocks.shape)
-    if blocks.shape[1] == 1:
-        return (left * blocks).sum(axis=2)[:, :, None]
-    return left @ blocks.transpose(0, 2, 1)
+def _times(rows: Array, matrix: Array) -> Array:
+    """Return rows (M, r, n) or (S, M, r, n) times matrices (S, n, q), shape (S, M, r, q)."""
+    flat = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
+    return (flat @ matrix).reshape(len(matrix), *rows.shape[-3:-1], matrix.shape[2])
+
+
+def inner(rows: Array, inverse: Array) -> Array:
+    """Return K = Aⱼ M⁻¹ Aⱼᵀ, shape (S, M, r, r), of candidates and choices."""
+    left, r, own = _times(rows, inverse), rows.shape[-2], rows.reshape(-1, *rows.shape[-3:])
+    K = np.empty((*left.shape[:2], r, r))
+    for a in range(r):
+        for b in range(a, r):
+            both = np.einsum("smn,smn->sm", left[:, :, a], own[:, :, b])
+            K[:, :, a, b] = K[:, :, b, a] = both
+    return K
+
+
+def variance(rows: Array, inverse: Array) -> Array:
+    """Return tr K, shape (S, M), of candidates and choices."""
+    left, own = _times(rows, inverse), rows.reshape(-1, *rows.shape[-3:])
+    return np.einsum("smrn,smrn->sm", left, own)
+
+
+def _log_det(K: Array, sign: float) -> Array:
+    """Return log det(I ± K) by elimination, shape (S, M); −∞ where it is not above zero."""
+    r = K.shape[-1]
+    A, found = np.eye(r) + sign * K, np.zeros(K.shape[:2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i in range(r):
+            pivot = np.maximum(A[..., i, i], 0.0)
+            found = found + np.log(pivot)
+            for j in range(i + 1, r):
+                factor = np.where(pivot > 0.0, A[..., j, i] / pivot, 0.0)
+                A[..., j, i + 1 :] -= factor[..., None] * A[..., i, i + 1 :]
+    return found

@@ -51,7 +51,7 @@ def distinct(platform: Platform, poses: Poses, readings: Array | None = None) ->
         MechanismError: a pose of a wrong shape, or not finite.
     """
     places = places_of(platform, poses, readings)
-    alike = _perhaps_alike(places)
+    alike = perhaps_alike(places)
     places, others = places[alike], np.flatnonzero(~alike)
     kept = np.sort(np.unique(places, axis=0, return_index=True)[1])
     while len(kept) > 1:  # of a pair of nearest neighbours the later one goes
@@ -65,7 +65,7 @@ def distinct(platform: Platform, poses: Poses, readings: Array | None = None) ->
     return np.sort(np.concatenate((others, np.flatnonzero(alike)[kept])))
 
 
-def _perhaps_alike(places: Array) -> NDArray[np.bool_]:
+def perhaps_alike(places: Array) -> NDArray[np.bool_]:
     """Return which places may be copies: they lie together along every line, shape (N,)."""
     alike = np.ones(len(places), dtype=bool)
     for line in np.random.default_rng(0).uniform(-1.0, 1.0, (_LINES, places.shape[1])):

@@ -2,6 +2,7 @@
 
 Sun and Hollerbach (2008), for candidates that contribute one row or several, and for any
 criterion that says what adding or dropping a candidate changes; M⁻¹ follows by low-rank updates.
+All starts are exchanged at once.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.criteria import Criterion, Determinant
+from pincal.design.criteria import Criterion, Determinant, Parts
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
@@ -30,94 +31,146 @@ class Effort:
     """Looks at all, at most."""
     tolerance: float = 0.0
     """Of the bound on det^(1/n), where it ends."""
+    at_once: int = 1
+    """Of the best sets, those that are exchanged against all candidates."""
 
 
-_EFFORT = Effort(exchanges=1000, pool=500)
+_EFFORT = Effort(exchanges=1000, pool=500, rounds=100, tolerance=1e-9, at_once=5)
+_FEW = 40  # candidates of several rows whose gain is looked at exactly
+_CHUNK = 50_000  # candidates of one look at all at a time
 
 
 def exchange(
-    blocks: Array,
+    parts: Parts,
     count: int,
-    weights: Array,
+    priority: Array,
     rng: np.random.Generator,
     starts: int,
     criterion: Criterion | None = None,
 ) -> tuple[Index, float]:
     """Return the best set of candidates found from several starts, and its value.
 
-    The first start rounds the continuous design, the others are drawn at random. Exchange
-    runs in a pool that grows by the candidates that would improve the set, so that the
-    result is exchanged against all candidates.
+    The first start rounds the continuous design, the others are drawn at random. Exchange runs in
+    a pool; the best sets are then exchanged against all candidates, the pool growing by those that
+    would improve them, until none does.
 
     Args:
-        blocks: Rows that each candidate contributes, shape (M, r, n); together of rank n.
+        parts: Rows that each candidate contributes, of each part of the parameters, shape
+            (M, r, n); together of rank n.
         count: Size of the set, without repetition.
-        weights: Continuous design on the candidates, shape (M,).
+        priority: By which candidates come first into the pool, shape (M,): the continuous design.
         rng: Source of the random starts.
         starts: Number of starts.
         criterion: What is made large; log det if not given.
     """
-    n = blocks.shape[2]
-    scale = np.linalg.norm(blocks.reshape(-1, n), axis=0)
-    blocks = blocks / scale
-    criterion, lacking = (criterion or Determinant()).scaled(scale)
-    pool = np.argsort(-weights, kind="stable")[: max(_EFFORT.pool, 2 * count)]
-    best, best_value = pool[:count], -np.inf
-    for number in range(starts):
-        chosen = pool[:count] if number == 0 else rng.permutation(len(blocks))[:count]
-        chosen, value, pool = _improve_among_all(blocks, chosen, pool, criterion)
-        if value > best_value:
-            best, best_value = chosen, value
-    return np.sort(best), best_value + lacking
-
-
-def _improve_among_all(
-    blocks: Array, chosen: Index, pool: Index, criterion: Criterion
-) -> tuple[Index, float, Index]:
-    """Return a set that no exchange improves, its value, and the pool with what was needed."""
-    value = -np.inf
-    while True:
-        pool = np.union1d(pool, chosen)
-        inside, new_value = _improve(blocks[pool], np.searchsorted(pool, chosen), criterion)
-        if new_value <= value + 1e-9:
-            return chosen, value, pool
-        chosen, value = pool[inside], new_value
-        gain = criterion.promise(blocks, _inverse(blocks[chosen]))
-        pool = np.union1d(pool, np.argsort(-gain, kind="stable")[: _EFFORT.pool])
-
-
-def _improve(blocks: Array, chosen: Index, criterion: Criterion) -> tuple[Index, float]:
-    """Return a set that no exchange of the best addition for the worst member improves."""
-    members = np.zeros(len(blocks), dtype=bool)
-    members[chosen] = True
-    inverse = _inverse(blocks[members])
-    for step in range(0 if members.all() else _EFFORT.exchanges):
-        if step % 25 == 24:  # rounding
-            inverse = _inverse(blocks[members])
-        gain = criterion.change(blocks, inverse, 1.0)
-        gain[members] = -np.inf
-        added = int(np.argmax(gain))
-        inverse = _updated(inverse, blocks[added], 1.0)
-        members[added] = True
-        inside = np.flatnonzero(members)
-        loss = criterion.change(blocks[inside], inverse, -1.0)
-        dropped = int(inside[np.argmax(loss)])
-        if dropped == added or gain[added] + loss.max() <= 1e-9:
-            members[added] = False
+    scales = tuple(np.linalg.norm(one.reshape(-1, one.shape[2]), axis=0) for one in parts)
+    rows = tuple(one / scale for one, scale in zip(parts, scales, strict=True))
+    criterion, lacking = (criterion or Determinant()).scaled(scales)
+    total = len(parts[0])
+    pool = np.argsort(-priority, kind="stable")[: max(_EFFORT.pool, 2 * count)]
+    drawn = [pool[:count], *(rng.permutation(total)[:count] for _ in range(starts - 1))]
+    sets = np.array(drawn)
+    best = np.full(len(sets), -np.inf)
+    for _ in range(_EFFORT.rounds):
+        pool = np.union1d(pool, sets)
+        own = tuple(one[pool] for one in rows)
+        sets = pool[_improved(own, np.searchsorted(pool, sets), criterion)]
+        values = np.array([_value(rows, one, criterion) for one in sets])
+        order = np.argsort(-values, kind="stable")
+        sets, values = sets[order], values[order]
+        sets, first = np.unique(np.sort(sets, axis=1), axis=0, return_index=True)
+        order = np.argsort(-values[first], kind="stable")[: _EFFORT.at_once]
+        sets, values = sets[order], values[first][order]
+        if not values[0] > best[0] + _EFFORT.tolerance:
             break
-        members[dropped] = False
-        inverse = _updated(inverse, blocks[dropped], -1.0)
-    chosen = np.flatnonzero(members)
-    return chosen, criterion.value(blocks[chosen].reshape(-1, blocks.shape[2]))
+        best = values
+        pool = np.union1d(pool, _promising(rows, sets, criterion))
+    return sets[0], float(values[0]) + lacking
 
 
-def _inverse(blocks: Array) -> Array:
-    """Return (Σ Aᵀ A)⁻¹, shape (n, n), with a ridge: a random start may lack rank."""
-    rows = blocks.reshape(-1, blocks.shape[2])
-    return np.asarray(np.linalg.inv(rows.T @ rows + ROUNDING * np.eye(rows.shape[1])), np.float64)
+def _value(rows: Parts, chosen: Index, criterion: Criterion) -> float:
+    return criterion.value(tuple(one[chosen].reshape(-1, one.shape[2]) for one in rows))
 
 
-def _updated(inverse: Array, rows: Array, sign: float) -> Array:
-    """Return (M ± Aᵀ A)⁻¹ from M⁻¹ (Sherman, Morrison, Woodbury)."""
-    product = inverse @ rows.T
-    return inverse - product @ np.linalg.solve(sign * np.eye(len(rows)) + rows @ product, product.T)
+def _promising(rows: Parts, sets: Index, criterion: Criterion) -> Index:
+    """Return the candidates that would improve one of some sets most."""
+    inverse = _inverses(rows, sets)
+    total = len(rows[0])
+    gain = np.concatenate(
+        [
+            criterion.promise(tuple(one[first : first + _CHUNK] for one in rows), inverse)
+            for first in range(0, total, _CHUNK)
+        ],
+        axis=1,
+    )
+    if total <= _EFFORT.pool:
+        return np.arange(total)
+    return np.unique(np.argpartition(-gain, _EFFORT.pool, axis=1)[:, : _EFFORT.pool])
+
+
+def _improved(rows: Parts, sets: Index, criterion: Criterion) -> Index:
+    """Return sets, shape (S, count), that no exchange improves: the best added, the worst dropped.
+
+    Args:
+        rows: Of the candidates.
+        sets: Where the exchanges start.
+        criterion: What is made large.
+    """
+    sets, count, total = sets.copy(), sets.shape[1], len(rows[0])
+    active = np.arange(len(sets) if count < total else 0)
+    inverse = _inverses(rows, sets)
+    for step in range(_EFFORT.exchanges):
+        if not len(active):
+            break
+        if step % 25 == 24:  # rounding
+            inverse = _inverses(rows, sets[active])
+        own, each = sets[active], np.arange(len(active))
+        added = _best(rows, own, inverse, criterion)
+        larger = _updated(inverse, rows, added, 1.0)
+        loss = criterion.change(tuple(one[own] for one in rows), larger, -1.0)
+        place = loss.argmax(axis=1)
+        gain = criterion.change(tuple(one[added][:, None] for one in rows), inverse, 1.0)[:, 0]
+        gains = gain + loss[each, place] > _EFFORT.tolerance
+        dropped = own[each, place]
+        sets[active[gains], place[gains]] = added[gains]
+        active = active[gains]
+        larger = tuple(one[gains] for one in larger)
+        inverse = _updated(larger, rows, dropped[gains], -1.0)
+    return sets
+
+
+def _best(rows: Parts, sets: Index, inverse: Parts, criterion: Criterion) -> Index:
+    """Return the candidate that each set, shape (S, count), gains most by, shape (S,).
+
+    Where candidates have several rows, of those that promise most: log det(I + K) is tr K at most.
+    """
+    several = any(one.shape[1] > 1 for one in rows)
+    promised = several and len(rows[0]) > sets.shape[1] + _FEW
+    gain = criterion.promise(rows, inverse) if promised else criterion.change(rows, inverse, 1.0)
+    np.put_along_axis(gain, sets, -np.inf, axis=1)
+    if not promised:
+        return np.asarray(gain.argmax(axis=1))
+    few = np.argpartition(-gain, _FEW, axis=1)[:, :_FEW]
+    exact = criterion.change(tuple(one[few] for one in rows), inverse, 1.0)
+    return np.take_along_axis(few, exact.argmax(axis=1)[:, None], axis=1)[:, 0]
+
+
+def _inverses(rows: Parts, sets: Index) -> Parts:
+    """Return (Σ Aᵀ A)⁻¹ of sets (S, n, n), with a ridge: a random start may lack rank."""
+    found = []
+    for one in rows:
+        flat = one[sets].reshape(len(sets), -1, one.shape[2])
+        M = flat.transpose(0, 2, 1) @ flat
+        found.append(np.asarray(np.linalg.inv(M + ROUNDING * np.eye(len(M[0]))), np.float64))
+    return tuple(found)
+
+
+def _updated(inverse: Parts, rows: Parts, which: Index, sign: float) -> Parts:
+    """Return (M ± Aᵀ A)⁻¹ of each choice from M⁻¹, for a candidate each (Woodbury)."""
+    found = []
+    for one, candidates in zip(inverse, rows, strict=True):
+        A = candidates[which]
+        product = one @ A.transpose(0, 2, 1)
+        middle = sign * np.eye(A.shape[1]) + A @ product
+        found.append(one - product @ np.linalg.solve(middle, product.transpose(0, 2, 1)))
+    return tuple(found)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from pincal.design.distinct import SAME, places_of
+from pincal.design.distinct import SAME, perhaps_alike, places_of
 from pincal.errors import SymmetryError
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.singularity import margins
@@ -147,11 +147,13 @@ def images(
         for earlier in range(1, later):
             apart = np.abs(places[later, fixed] - places[earlier, fixed]).max(axis=1)
             own[later, fixed] &= apart > SAME
-    tree, order = KDTree(places[0]), np.arange(len(poses))
-    repeated = np.zeros(len(poses), dtype=bool)
-    for image in places[1:]:
-        distance, other = tree.query(image, p=np.inf)
-        repeated |= (distance <= SAME) & (other < order)
+    alike = perhaps_alike(places.reshape(count * len(poses), -1)).reshape(count, -1)
+    repeated, first = np.zeros(len(poses), dtype=bool), np.flatnonzero(alike[0])
+    tree = KDTree(places[0, first])
+    for image, where in zip(places[1:], alike[1:], strict=True):
+        rows = np.flatnonzero(where) if len(first) else first
+        distance, other = tree.query(image[rows], p=np.inf)
+        repeated[rows] |= (distance <= SAME) & (first[other] < rows)
     return found, own, repeated
 
 

@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from pincal.design.accuracy_bound import accurate_design
 from pincal.design.certificate import continuous_design
-from pincal.design.criteria import MeanVariance
+from pincal.design.criteria import MeanVariance, Parts
 from pincal.design.distinct import distinct
 from pincal.design.exchange import exchange
-from pincal.design.information import leg_whitener, parameter_ids
+from pincal.design.information import leg_whitener
 from pincal.design.orbits import images
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.given import as_noise
-from pincal.kinematics.configurations import block_diagonal
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.inverse import reached
 from pincal.model.checks import count_of, generator_of
@@ -86,7 +85,7 @@ class Search:
     def own(self, leg: str, count: int) -> tuple[Index, float]:
         """Return the chosen candidates for one leg, and their efficiency."""
         self.options.say(f"choosing poses for {leg}")
-        return self._choose(self.rows(leg, self.candidates), count, leg)
+        return self._choose((self.rows(leg, self.candidates),), count, [leg])
 
     def orbits(
         self, legs: Sequence[str], count: int, elements: Sequence[Element]
@@ -102,14 +101,14 @@ class Search:
         found, own, repeated = images(self.mechanism.platform, elements, self.candidates)
         rows = {}
         for leg in dict.fromkeys(legs):
-            parts = [self.rows(leg, poses) for poses in found]
-            for part, counts in zip(parts, own, strict=True):
-                part[~counts] = 0.0  # measured once
-            rows[leg] = np.concatenate(parts, axis=1)
-        blocks = block_diagonal([rows[leg] for leg in legs]) if len(legs) > 1 else rows[legs[0]]
-        blocks[repeated] = np.nan
-        ids = [one for leg in legs for one in self._ids(leg)]
-        chosen, efficiency = self._choose(blocks, count, self.mechanism.name, ids)
+            images_of = [self.rows(leg, poses) for poses in found]
+            for image, counts in zip(images_of, own, strict=True):
+                image[~counts] = 0.0  # measured once
+            rows[leg] = np.concatenate(images_of, axis=1)
+        parts = tuple(rows[leg] for leg in legs)
+        for one in parts:
+            one[repeated] = np.nan
+        chosen, efficiency = self._choose(parts, count, legs)
         kept = own[:, chosen]
         return found[:, chosen][kept], efficiency
 
@@ -122,7 +121,7 @@ class Search:
             chosen: Which of them are chosen.
         """
         blocks = self.rows(leg, poses)
-        design = continuous_design(blocks[np.isfinite(blocks).all(axis=(1, 2))])
+        design = continuous_design((blocks[np.isfinite(blocks).all(axis=(1, 2))],))
         own = blocks[chosen].reshape(-1, blocks.shape[2])
         log_det = float(np.linalg.slogdet(own.T @ own)[1])
         return design.efficiency(log_det, len(chosen), blocks.shape[2])
@@ -130,49 +129,49 @@ class Search:
     def common(self, count: int) -> tuple[Index, float]:
         """Return the candidates chosen for all legs together, and their efficiency."""
         self.options.say("choosing common poses")
-        legs = self.mechanism.legs
-        blocks = block_diagonal([self.rows(leg.name, self.candidates) for leg in legs])
-        return self._choose(blocks, count, self.mechanism.name)
+        legs = self.mechanism.leg_names
+        return self._choose(tuple(self.rows(leg, self.candidates) for leg in legs), count, legs)
 
-    def _choose(
-        self, blocks: Array, count: int, where: str, ids: Sequence[str] | None = None
-    ) -> tuple[Index, float]:
-        """Return the candidates chosen by their rows, shape (M, r, n), and their efficiency.
+    def _choose(self, parts: Parts, count: int, legs: Sequence[str]) -> tuple[Index, float]:
+        """Return the candidates chosen by their rows, and their efficiency.
+
+        Args:
+            parts: Rows of each leg, shape (M, r, n).
+            count: How many.
+            legs: The legs.
 
         Raises:
             ObservabilityError: too few poses or candidates, or some parameter undetermined.
         """
-        n, names = blocks.shape[2], ids or self._ids(where)
-        usable = np.flatnonzero(np.isfinite(blocks).all(axis=(1, 2)) & self.reached)
+        where = legs[0] if len(legs) == 1 else self.mechanism.name
+        n, r = (sum(one.shape[axis] for one in parts) for axis in (2, 1))
+        whole = [np.isfinite(one).all(axis=(1, 2)) for one in parts]
+        usable = np.flatnonzero(np.logical_and.reduce(whole) & self.reached)
         self.usable = min(self.usable, len(usable))
         self.unreachable = max(self.unreachable, len(self.candidates) - len(usable))
-        if count * blocks.shape[1] < n:
+        if count * r < n:
             raise ObservabilityError(
-                f"{count} poses give {count * blocks.shape[1]} equations for the {n} parameters of "
-                f"{where}; choose at least {-(-n // blocks.shape[1])}, better two or three times "
-                "as many"
+                f"{count} poses give {count * r} equations for the {n} parameters of {where}; "
+                f"choose at least {-(-n // r)}, better two or three times as many"
             )
         if len(usable) < count:
             raise ObservabilityError(
                 f"{self.mechanism.name} reaches {len(usable)} of {len(self.candidates)} candidate "
                 f"poses; {count} are to be chosen"
             )
-        blocks = blocks[usable]
-        found = identifiability(blocks.reshape(-1, n), names)
-        if not found.complete:
+        parts = tuple(one[usable] for one in parts)
+        lost = []
+        for leg, one in zip(legs, parts, strict=True):
+            ids = [f"{leg}.{name}" for name in self.mechanism.leg(leg).parameter_names]
+            found = identifiability(one.reshape(-1, one.shape[2]), ids)
+            lost += [] if found.complete else [found.describe()]
+        if lost:
             raise ObservabilityError(
-                f"the candidate poses leave parameters undetermined: {found.describe()}. "
+                f"the candidate poses leave parameters undetermined: {'; '.join(lost)}. "
                 "Add poses that determine each of them, or make one of them a constant"
             )
-        chosen, efficiency = d_optimal(blocks, count, self.rng, self.options.starts)
+        chosen, efficiency = d_optimal(parts, count, self.rng, self.options.starts)
         return usable[chosen], efficiency
-
-    def _ids(self, where: str) -> Sequence[str]:
-        """Return the ids of the parameters of one leg, or of all legs of the mechanism."""
-        ids = parameter_ids(self.mechanism)
-        if where not in self.mechanism.leg_names:
-            return ids
-        return [f"{where}.{name}" for name in self.mechanism.leg(where).parameter_names]
 
 
 def accurate(
@@ -181,28 +180,29 @@ def accurate(
     """Return a choice by which quantities Cᵀφ are known best, and its efficiency.
 
     Args:
-        blocks: See ``d_optimal``.
+        blocks: Rows that each candidate contributes, shape (M, r, n); together of rank n.
         C: Shape (n, q).
         count: Size of the choice, without repetition.
         rng: Source of the random starts.
         starts: Number of starts.
     """
     design = accurate_design(blocks, C)
-    chosen, value = exchange(blocks, count, design.weights, rng, starts, MeanVariance(C))
+    chosen, value = exchange((blocks,), count, design.weights, rng, starts, MeanVariance(C))
     return chosen, design.efficiency(float(np.exp(-value)), count)
 
 
 def d_optimal(
-    blocks: Array, count: int, rng: np.random.Generator, starts: int
+    parts: Parts, count: int, rng: np.random.Generator, starts: int
 ) -> tuple[Index, float]:
     """Return a D-optimal choice, and its efficiency against the bound on any choice.
 
     Args:
-        blocks: Rows that each candidate contributes, shape (M, r, n); together of rank n.
+        parts: Rows that each candidate contributes, of each part of the parameters, shape
+            (M, r, n); together of rank n.
         count: Size of the choice, without repetition.
         rng: Source of the random starts.
         starts: Number of starts.
     """
-    design = continuous_design(blocks)
-    chosen, log_det = exchange(blocks, count, design.weights, rng, starts)
-    return chosen, design.efficiency(log_det, count, blocks.shape[2])
+    design = continuous_design(parts)
+    chosen, log_det = exchange(parts, count, design.priority, rng, starts)
+    return chosen, design.efficiency(log_det, count, sum(one.shape[2] for one in parts))

@@ -130,7 +130,7 @@ def select_configurations(
         seen = rows / lengths[: rows.shape[1]] @ axes[: found.rank, : rows.shape[1]].T
         chosen, efficiency = accurate(blocks, _root(seen.T @ seen), count, rng, how.starts)
     else:
-        chosen, efficiency = d_optimal(blocks, count, rng, how.starts)
+        chosen, efficiency = d_optimal((blocks,), count, rng, how.starts)
     return ConfigurationChoice(
         Plan(
             legs.poses[chosen],
