@@ -1,4 +1,4 @@
-"""What parameters are, in words beside their names: kept wherever they go, shown where people read."""
+"""What parameters are, beside their names: kept wherever they go, shown where people read."""
 
 from __future__ import annotations
 
