@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import cycle
 from math import acos, asin, pi, radians, sqrt
 
 from pincal.architectures.dimension import Architecture, Dimension, Values
@@ -22,7 +23,7 @@ Limits = Mapping[str, tuple[float, float]]
 
 
 def _resized(
-    bundled: str, legs: list[dict[str, float]], home: tuple[float, ...], limits: Limits
+    bundled: str, legs: list[dict[str, float]], home: tuple[float, ...], *limits: Limits
 ) -> Mechanism:
     """Return a bundled mechanism with other parameters, home pose and limits of joints.
 
@@ -30,16 +31,19 @@ def _resized(
         bundled: Its name.
         legs: For each leg, parameters by name, SI; others are kept.
         home: Home pose.
-        limits: By name of a joint, [rad] or [m]; others are kept.
+        *limits: By name of a joint, [rad] or [m]; others are kept. One for all legs, or one each.
     """
     template = load_mechanism(bundled)
     made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))
 
-    def moved(joint: Joint) -> Joint:
-        lower, upper = limits.get(joint.name, (joint.lower, joint.upper))
+    def moved(joint: Joint, own: Limits) -> Joint:
+        lower, upper = own.get(joint.name, (joint.lower, joint.upper))
         return replace(joint, lower=lower, upper=upper)
 
-    limited = [replace(leg, joints=tuple(map(moved, leg.joints))) for leg in made.legs]
+    limited = [
+        replace(leg, joints=tuple(moved(joint, own) for joint in leg.joints))
+        for leg, own in zip(made.legs, cycle(limits or ({},)), strict=False)
+    ]
     platform = replace(made.platform, home=home)
     return replace(made, platform=platform, legs=tuple(limited), description="")
 
@@ -98,17 +102,18 @@ def _linear_delta(d: Values) -> Mechanism:
 
 
 def _five_bar(d: Values) -> Mechanism:
-    """Motors on x beside the origin, elbows outward."""
+    """Motors on x beside the origin, elbows outward; the right leg is the left one's mirror."""
     links = {"l": d["driving_link"], "L": d["conducted_link"]}
     x = d["motor_distance"] / 2
-    free = {"shoulder": (-2 * pi, 2 * pi)}
-    return _resized("5R", [links | {"A_x": -x}, links | {"A_x": x}], (0.0, d["height"]), free)
+    least, most = d["motor_least"], d["motor_most"]
+    sides = {"shoulder": (least, most)}, {"shoulder": (pi - most, pi - least)}
+    return _resized("5R", [links | {"A_x": -x}, links | {"A_x": x}], (0.0, d["height"]), *sides)
 
 
 def _3rrr(d: Values) -> Mechanism:
     """Motors at azimuths −150°, −30°, 90°, platform joints before them at home."""
     names = {"OA": "base_radius", "ob": "platform_radius", "l": "proximal", "L": "distal"}
-    return _resized("3RRR", [{key: d[name] for key, name in names.items()}] * 3, (0.0,) * 3, {})
+    return _resized("3RRR", [{key: d[name] for key, name in names.items()}] * 3, (0.0,) * 3)
 
 
 _BY_HALF = radians(60)
@@ -216,6 +221,21 @@ RESIZED = (
                 "distance of the end from the motors' line at home",
                 default=1.0,
                 of="conducted_link",
+            ),
+            Dimension(
+                "motor_least",
+                "angle of a motor, 0 towards the other one, least",
+                "rad",
+                radians(30),
+                least=-2 * pi,
+            ),
+            Dimension(
+                "motor_most",
+                "angle of a motor, 0 towards the other one, most",
+                "rad",
+                radians(225),
+                most=2 * pi,
+                above="motor_least",
             ),
         ),
         _five_bar,
