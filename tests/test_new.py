@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import shlex
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,9 @@ import pincal
 from pincal.architectures.arms import dh_joints
 from pincal.architectures.new import ARCHITECTURES, architecture_of
 
+PAGE = Path(__file__).parents[1] / "docs" / "your_mechanism.md"
 KINDS = list(FORMS)
-NOISE = "--noise-position 1e-9 --noise-orientation 1e-9 --noise-reading 1e-9".split()
+NOISE = ["--noise-position", "1e-9", "--noise-orientation", "1e-9", "--noise-reading", "1e-9"]
 DH = """a [mm],alpha [deg],d [mm],theta [deg],lower [deg],upper [deg]
 30,90,400,0,-170,170
 350,0,20,10,-110,120
@@ -144,7 +146,11 @@ def test_what_is_written_can_be_checked_planned_measured_and_calibrated(
     assert mechanism.name == "own"
     assert all(one.label for one in mechanism.parameters)
     assert "closes at home within" in done("check", folder).out
-    some = ("--candidates", folder / "plan.csv", *"--measure pose --count 8 --starts 1".split())
+    some = (
+        "--candidates",
+        folder / "plan.csv",
+        *["--measure", "pose", "--count", "8", "--starts", "1"],
+    )
     done("select", folder, *some, *NOISE, "-o", tmp_path / "plan.csv")
     data, result = tmp_path / "measured.csv", tmp_path / "result"
     error = ("--disturb", 1e-4, "--truth", truth)
@@ -349,8 +355,26 @@ def test_architectures_are_found_however_they_are_written(name: str) -> None:
     assert architecture_of(name).name.lower().replace("-", "") == plain
 
 
+def test_python_on_the_page_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each block as it stands; the legs that differ close at home and are calibrated."""
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    for block in blocks:
+        exec(compile(block, str(PAGE), "exec"), {})
+    assert "right.L: conducted link, new" in capsys.readouterr().out
+    assert pincal.load_mechanism("my_hexapod").parameters["leg_3.OA"].nominal == 0.402
+    bar = pincal.load_mechanism("my_bar")
+    poses = pincal.sample_workspace(bar, 12, seed=0)
+    truth = pincal.disturb(bar, 1e-4, seed=1)
+    data = pincal.simulate(bar, truth, poses, pincal.Noise(1e-9), seed=2).measurements
+    found = pincal.calibrate(bar, data, noise=pincal.Noise(1e-9)).identified
+    np.testing.assert_allclose(found.parameters.values, truth.parameters.values, atol=1e-6)
+
+
 def test_the_page_names_each_dimension() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "your_mechanism.md").read_text("utf-8")
+    page = PAGE.read_text("utf-8")
     for one in ARCHITECTURES.values():
         assert f"`{one.name}`" in page
         for each in one.dimensions:

@@ -88,7 +88,8 @@ def new(
     size: PlanSize,
     sizes: DimensionOptions,  # type: ignore[valid-type]
     architecture: Annotated[
-        str | None, typer.Argument(metavar=f"[{'|'.join(ARCHITECTURES)}]", show_default=False)
+        str | None,
+        typer.Argument(metavar="[ARCHITECTURE]", help=f"{', '.join(ARCHITECTURES)}; else asked."),
     ] = None,
     force: Force = False,
 ) -> None:
