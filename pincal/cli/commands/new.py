@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pincal.architectures.dimension import Architecture, Dimension
+from pincal.architectures.dimension import Architecture
 from pincal.architectures.new import ARCHITECTURES, architecture_of, new_mechanism
 from pincal.cli.app import (
     Force,
@@ -53,14 +53,14 @@ _BARE = {"m": "mm", "rad": "deg"}
 
 def _options() -> type[Any]:
     """Return all dimensions of all architectures as a group of options."""
-    meanings: dict[str, list[tuple[str, Dimension]]] = defaultdict(list)
+    meanings: dict[str, list[tuple[str, str]]] = defaultdict(list)
     for architecture in ARCHITECTURES.values():
         for one in architecture.dimensions:
-            meanings[one.name].append((architecture.name, one))
+            choices = f" ({' or '.join(one.choices)})" if one.choices else ""
+            meanings[one.name].append((f"{architecture.name}: {one.label}{choices}", one.unit))
     fields: list[Any] = []
     for name, own in meanings.items():
-        help_ = "; ".join(f"{whose}: {one.label}" for whose, one in own) + "."
-        unit = own[0][1].unit
+        help_, unit = "; ".join(what for what, _ in own) + ".", own[0][1]
         kind: Any = float if unit else str
         option = with_unit(unit, help_, None) if unit else typer.Option(metavar="TEXT", help=help_)
         fields.append((name, Annotated[kind | None, option], None))
@@ -89,7 +89,7 @@ def new(
     sizes: DimensionOptions,  # type: ignore[valid-type]
     architecture: Annotated[
         str | None,
-        typer.Argument(metavar="[ARCHITECTURE]", help=f"{', '.join(ARCHITECTURES)}; else asked."),
+        typer.Argument(metavar="ARCHITECTURE", help=f"{', '.join(ARCHITECTURES)}; else asked."),
     ] = None,
     force: Force = False,
 ) -> None:
