@@ -162,6 +162,17 @@ def test_what_is_written_can_be_checked_planned_measured_and_calibrated(
     np.testing.assert_allclose(identified, true, atol=2e-7)
 
 
+@pytest.mark.parametrize("stroke", [0.003, 0.02])
+def test_strokes_that_are_small_against_the_machine_are_sampled_in_full(stroke: float) -> None:
+    """All legs go from end to end of a stroke of a hundredth of their length."""
+    hexapod = pincal.new_mechanism("hexapod", shortest=0.399, longest=0.399 + stroke)
+    poses = pincal.sample_workspace(hexapod, 1000, seed=0)
+    assert len(np.unique(poses, axis=0)) == 1000
+    gone = np.ptp(pincal.inverse(hexapod, poses).readings, axis=0)
+    assert (gone > 0.98 * stroke).all()
+    assert (gone <= stroke + 1e-12).all()
+
+
 def dh_pose(q: np.ndarray, modified: bool) -> np.ndarray:
     """Return the tool of the table's arm at angles, by products of its four displacements."""
     rows = np.array([[float(cell) for cell in line.split(",")[:4]] for line in DH.splitlines()[1:]])

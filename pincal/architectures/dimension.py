@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import degrees, inf
+from math import degrees
 from typing import Any, TypeAlias
 
 from pincal.errors import MechanismError
@@ -31,7 +31,7 @@ class Dimension:
     """Dimension before it, of which the default is a multiple."""
     least: float = 1e-6
     """[m] or [rad]."""
-    most: float = inf
+    most: float = 1e3
     """[m] or [rad]."""
     above: str = ""
     """Dimension before it, than which it must be more."""
@@ -68,9 +68,9 @@ class Dimension:
             return text
         number = number_of(value, self.said, MechanismError)
         if not self.least <= number <= self.most:
-            wanted = "more than zero" if self.least == LEAST else f"{self.text(self.least)} or more"
-            if self.most < inf:
-                wanted = f"{self.text(self.least)} to {self.text(self.most)}"
+            wanted = f"{self.text(self.least)} to {self.text(self.most)}"
+            if self.least == LEAST and not number >= LEAST:
+                wanted = "more than zero"
             raise MechanismError(f"{self.said} is {self.text(number)}; expected {wanted}")
         for other, word, sign in ((self.above, "more", 1.0), (self.below, "less", -1.0)):
             if other and not sign * number > sign * before[other]:
