@@ -34,7 +34,7 @@ def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Me
 
     Raises:
         MechanismError: no such architecture or dimension; one that cannot be; dimensions with
-            which a leg does not reach home, or stands there outside its limits, or with which the
+            which a leg does not reach home, or is outside its limits there, or with which the
             legs do not hold the platform there.
         FileError: a file of an arm is missing or cannot be read.
         MeasurementError: a table of an arm with a column or cell that is missing or wrong.

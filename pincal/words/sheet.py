@@ -14,6 +14,6 @@ MEASURED = "{name} as measured, in the base frame; leave the column empty if it 
 READ = "what the machine reads at joint {joint} of {leg}, {counted}; needed in every row"
 COUNTED = {
     True: "counted from the home pose",
-    False: "as it stands, with the zero of the drawing",
+    False: "with the zero of the drawing",
 }
 """From where a reading counts, by whether its sensor is zeroed at home."""

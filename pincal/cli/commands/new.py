@@ -39,7 +39,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.tables import choice_table
 from pincal.workspace.sampling import sample_configurations
 
-#: What stands in the folder beside the mechanism, and what it is.
+#: Files in the folder beside the mechanism, and what they are.
 BESIDE = {
     "picture.svg": "a picture with dimensions",
     "plan.csv": "poses to measure",
