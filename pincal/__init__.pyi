@@ -1,5 +1,6 @@
 """The names of ``pincal``, and where each is: imported when it is first used."""
 
+from .architectures.new import new_mechanism
 from .calibration.calibrate import calibrate
 from .calibration.checks.validation import validate
 from .calibration.options import Options
@@ -105,6 +106,7 @@ __all__ = [
     "load_mechanism",
     "load_result",
     "margins",
+    "new_mechanism",
     "picture",
     "sample_configurations",
     "sample_workspace",

@@ -27,6 +27,15 @@ PARAMETERS = {
     "beta_b": -pi / 2,
     "k": 1.0,  # sensor gain; an offset would move the zero along the rail
 }
+LABELS = {
+    "OA": "rail, radius",
+    "beta": "rail, azimuth",
+    "delta": "direction of the rail",
+    "L": "rod",
+    "ob": "platform joint, radius",
+    "beta_b": "platform joint, azimuth",
+    "k": "gain of the reading",
+}
 GROUP: tuple[Element, ...] = Element.rotations(3)
 
 
@@ -53,7 +62,9 @@ def mechanism() -> Mechanism:
         parameters=tuple(PARAMETERS.items()),
     )
     platform = Platform("planar", home=(0.0, 0.0, 0.0))
-    return generate("3PRR", leg, GROUP, platform, "Planar 3-PRR (Gosselin, Lemieux, Merlet, 1996).")
+    return generate(
+        "3PRR", leg, GROUP, platform, "Planar 3-PRR (Gosselin, Lemieux, Merlet, 1996).", LABELS
+    )
 
 
 if __name__ == "__main__":

@@ -29,6 +29,15 @@ PARAMETERS = {
     "L": 0.31,  # rods of the parallelogram [m]
     "k": 1.0,  # sensor gain; an offset would move the zero along the drive
 }
+LABELS = {
+    "OA": "rail, radius",
+    "alpha": "rail, angle from z",
+    "beta": "rail, azimuth",
+    "yaw": "direction of the drive, yaw",
+    "pitch": "direction of the drive, pitch",
+    "L": "rods",
+    "k": "gain of the reading",
+}
 LEGS = Element.rotations(3)
 GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(k * pi / 3) for k in range(3)))
 
@@ -52,7 +61,9 @@ def mechanism() -> Mechanism:
         parameters=tuple(PARAMETERS.items()),
     )
     platform = Platform("translational", home=(0.0, 0.0, 0.0))
-    return generate("3PUU", leg, LEGS, platform, "Orthogonal 3-PUU (Wenger, Chablat, 2002).")
+    return generate(
+        "3PUU", leg, LEGS, platform, "Orthogonal 3-PUU (Wenger, Chablat, 2002).", LABELS
+    )
 
 
 if __name__ == "__main__":

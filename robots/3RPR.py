@@ -26,6 +26,14 @@ PARAMETERS = {
     "k": 1.0,  # sensor gain, and length of the strut [m] where it reads zero
     "gamma": 0.5,
 }
+LABELS = {
+    "OA": "base joint, radius",
+    "beta": "base joint, azimuth",
+    "ob": "platform joint, radius",
+    "beta_b": "platform joint, azimuth",
+    "k": "gain of the reading",
+    "gamma": "length at reading zero",
+}
 GROUP: tuple[Element, ...] = Element.rotations(3)
 
 
@@ -43,7 +51,9 @@ def mechanism() -> Mechanism:
         parameters=tuple(PARAMETERS.items()),
     )
     platform = Platform("planar", home=(0.0, 0.0, 0.0))
-    return generate("3RPR", leg, GROUP, platform, "Planar 3-RPR (Merlet, Gosselin, Mouly, 1998).")
+    return generate(
+        "3RPR", leg, GROUP, platform, "Planar 3-RPR (Merlet, Gosselin, Mouly, 1998).", LABELS
+    )
 
 
 if __name__ == "__main__":

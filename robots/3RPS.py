@@ -29,6 +29,17 @@ PARAMETERS = {
     "k": 1.0,  # sensor gain and offset [m]
     "gamma": 0.0,
 }
+LABELS = {
+    "OA": "hinge, radius",
+    "alpha": "hinge, angle from z",
+    "beta": "hinge, azimuth",
+    "psi": "plane of the leg, azimuth",
+    "ob": "platform joint, radius",
+    "alpha_b": "platform joint, angle from z",
+    "beta_b": "platform joint, azimuth",
+    "k": "gain of the reading",
+    "gamma": "length at reading zero",
+}
 
 
 def mechanism() -> Mechanism:
@@ -53,6 +64,7 @@ def mechanism() -> Mechanism:
         Element.rotations(3),
         Platform("spatial", home=(0.0, 0.0, 0.786, 0.0, 0.0, 0.0)),
         "3-RPS parallel manipulator (Hunt 1983): one translation and two tilts.",
+        LABELS,
     )
 
 

@@ -24,6 +24,16 @@ PARAMETERS = {
     "k": 1.0,  # sensor gain and offset [rad], Eqs. 6 and 19
     "gamma": pi / 6,
 }
+LABELS = {
+    "l": "proximal link",
+    "L": "distal link",
+    "OA": "base joint, radius",
+    "beta": "base joint, azimuth",
+    "ob": "platform joint, radius",
+    "beta_b": "platform joint, azimuth",
+    "k": "gain of the reading",
+    "gamma": "angle at reading zero",
+}
 
 
 def mechanism() -> Mechanism:
@@ -45,6 +55,7 @@ def mechanism() -> Mechanism:
         Element.rotations(3),
         Platform("planar", home=(0.0, 0.0, 0.0)),
         "Planar 3-RRR, dyads [-1 -1 -1] (Durango et al., symmetrical observability, Fig. 5).",
+        LABELS,
     )
 
 

@@ -14,6 +14,12 @@ from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor
 RADIUS, HEIGHT = 1.6, -0.12  # of the low anchors [m]
 HIGH = 2.35  # [m]
 AZIMUTHS = {"line_A": -pi / 2, "line_B": pi / 6, "line_C": 5 * pi / 6}
+LABELS = {
+    "A_x": "anchor, x",
+    "A_y": "anchor, y",
+    "A_z": "anchor, z",
+    "k": "gain of the reading",
+}
 
 
 def line(name: str, anchor: tuple[float, float, float], azimuth: float) -> Leg:
@@ -50,6 +56,7 @@ def mechanism() -> Mechanism:
         Platform("translational", home=(0.0, 0.0, 0.0)),
         (*low, line("line_D", (0.0, 0.0, HIGH), 0.0)),
         "Cable robot, four lines to a point, zeroed at home; one line more than freedoms.",
+        tuple(LABELS.items()),
     )
 
 

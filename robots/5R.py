@@ -22,6 +22,14 @@ PARAMETERS = {
     "k": 1.0,  # sensor gain and offset [rad], Eq. 9
     "gamma": 0.0,
 }
+LABELS = {
+    "l": "driving link",
+    "L": "conducted link",
+    "A_x": "motor, x",
+    "A_y": "motor, y",
+    "k": "gain of the reading",
+    "gamma": "offset of the reading",
+}
 
 
 def mechanism() -> Mechanism:
@@ -50,6 +58,7 @@ def mechanism() -> Mechanism:
         (Element(0.0), Element.mirror(pi / 2)),
         Platform("point", home=(0.0, 1.1)),
         "Planar symmetrical five-bar, elbows outward (divide-and-conquer paper, Fig. 2).",
+        LABELS,
     )
 
 

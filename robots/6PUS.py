@@ -22,6 +22,10 @@ PARAMETERS = {
     "beta_b": radians(50),
     "k": 1.0,  # sensor gain
 }
+LABELS = dict(zip(PARAMETERS, (
+    "rail, radius", "rail, angle from z", "rail, azimuth", "drive, turn about y",
+    "drive, turn about x", "rod", "platform joint, radius", "platform joint, angle from z",
+    "platform joint, azimuth", "gain of the reading"), strict=True))  # fmt: skip
 GROUP = tuple(
     element
     for k, turn in enumerate(pincal.Element.rotations(3))
@@ -32,6 +36,7 @@ GROUP = tuple(
 def mechanism() -> pincal.Mechanism:
     """Return the mechanism: leg 1 carried by the rotations and mirrors of D_6."""
     drive = Placement.of(PARAMETERS, ry="pitch", rx="roll")
+    ball = Placement.of(PARAMETERS, spherical=("ob", "alpha_b", "beta_b"))
     leg = pincal.Leg(
         name="leg_1",
         joints=(
@@ -41,14 +46,13 @@ def mechanism() -> pincal.Mechanism:
             Joint("universal_y", "revolute", Placement(), (0.0, 1.0, 0.0), -0.75, 0.75),
             Joint("tip", "fixed", Placement.of(PARAMETERS, z="L")),
         ),
-        point=Joint(
-            "b_1", "fixed", Placement.of(PARAMETERS, spherical=("ob", "alpha_b", "beta_b"))
-        ),
+        point=Joint("b_1", "fixed", ball),
         sensors=(pincal.Sensor("drive", form="joint", gain="k"),),
         parameters=tuple(PARAMETERS.items()),
     )
     platform = pincal.Platform("spatial", home=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
-    return pincal.generate("6PUS", leg, GROUP, platform, "Active wrist (Merlet, Gosselin, 1991).")
+    what = "Active wrist (Merlet, Gosselin, 1991)."
+    return pincal.generate("6PUS", leg, GROUP, platform, what, LABELS)
 
 
 if __name__ == "__main__":

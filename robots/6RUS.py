@@ -31,6 +31,19 @@ PARAMETERS = {
     "beta_b": radians(50),
     "gamma": 0.0,  # crank's angle below the horizontal where the drive reads zero [rad]
 }
+LABELS = {
+    "OA": "crank's axis, radius",
+    "alpha": "crank's axis, angle from z",
+    "beta": "crank's axis, azimuth",
+    "yaw": "crank's axis, turn about z",
+    "roll": "crank's axis, turn about the crank's zero",
+    "l": "crank",
+    "L": "rod",
+    "ob": "platform joint, radius",
+    "alpha_b": "platform joint, angle from z",
+    "beta_b": "platform joint, azimuth",
+    "gamma": "crank below the horizontal at reading zero",
+}
 GROUP: tuple[Element, ...] = tuple(
     element
     for k, turn in enumerate(Element.rotations(3))
@@ -60,7 +73,9 @@ def mechanism() -> Mechanism:
         parameters=tuple(PARAMETERS.items()),
     )
     platform = Platform("spatial", home=(0.0, 0.0, 0.51, 0.0, 0.0, 0.0))
-    return generate("6RUS", leg, GROUP, platform, "Hexapod with rotary drives (Hunt, 1983).")
+    return generate(
+        "6RUS", leg, GROUP, platform, "Hexapod with rotary drives (Hunt, 1983).", LABELS
+    )
 
 
 if __name__ == "__main__":

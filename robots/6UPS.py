@@ -27,6 +27,16 @@ PARAMETERS = {
     "k": 1.0,  # sensor gain and offset [m]
     "gamma": 0.0,
 }
+LABELS = {
+    "OA": "base joint, radius",
+    "alpha": "base joint, angle from z",
+    "beta": "base joint, azimuth",
+    "ob": "platform joint, radius",
+    "alpha_b": "platform joint, angle from z",
+    "beta_b": "platform joint, azimuth",
+    "k": "gain of the reading",
+    "gamma": "length at reading zero",
+}
 
 
 def mechanism() -> Mechanism:
@@ -68,6 +78,7 @@ def mechanism() -> Mechanism:
         elements,
         Platform("spatial", home=(0.0, 0.0, 1.8, 0.0, 0.0, 0.0)),
         "Hexapod (Gough-Stewart platform) of the symmetrical-workspace paper, Table 1.",
+        LABELS,
     )
 
 

@@ -24,6 +24,15 @@ PARAMETERS = {
     "b_z": 0.4,
     "k": 1.0,  # sensor gain
 }
+LABELS = {
+    "A_x": "anchor, x",
+    "A_y": "anchor, y",
+    "A_z": "anchor, z",
+    "b_x": "platform's point, x",
+    "b_y": "platform's point, y",
+    "b_z": "platform's point, z",
+    "k": "gain of the reading",
+}
 
 
 def group(posts: int) -> tuple[Element, ...]:
@@ -59,7 +68,7 @@ def mechanism(posts: int = 4) -> Mechanism:
     )
     platform = pincal.Platform("spatial", home=(*HOME, 0.0, 0.0, 0.0))
     what = "Cable robot, two lines from each post to a platform, zeroed at home."
-    return pincal.generate(f"{2 * posts}cable", line, group(posts), platform, what)
+    return pincal.generate(f"{2 * posts}cable", line, group(posts), platform, what, LABELS)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,16 @@ PARAMETERS = {
     "L": 0.55,  # rods of the parallelogram [m]
     "gamma": 0.0,  # arm's angle below the horizontal where the drive reads zero [rad]
 }
+LABELS = {
+    "OA": "drive's axis, radius",
+    "beta": "drive's axis, azimuth",
+    "h": "drive's axis, height",
+    "yaw": "drive's axis, turn about z",
+    "roll": "drive's axis, turn about the radius",
+    "l": "arm",
+    "L": "rods",
+    "gamma": "arm below the horizontal at reading zero",
+}
 LEGS = Element.rotations(3)
 GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(k * pi / 3) for k in range(3)))
 
@@ -52,7 +62,9 @@ def mechanism() -> Mechanism:
         parameters=tuple(PARAMETERS.items()),
     )
     platform = Platform("translational", home=(0.0, 0.0, -0.5))
-    return generate("delta", leg, LEGS, platform, "Delta robot with rotary drives (Clavel, 1988).")
+    return generate(
+        "delta", leg, LEGS, platform, "Delta robot with rotary drives (Clavel, 1988).", LABELS
+    )
 
 
 if __name__ == "__main__":

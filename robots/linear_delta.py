@@ -26,6 +26,12 @@ PARAMETERS = {
     "arm": 0.333,  # length of the rod [m]
     "endstop": 0.29705,  # height of the nozzle over the bed, carriages at their endstops [m]
 }
+LABELS = {
+    "radius": "delta radius",
+    "angle": "tower, azimuth",
+    "arm": "rods",
+    "endstop": "nozzle over the bed, at the endstops",
+}
 LEGS = Element.rotations(3)
 GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(pi / 6 + k * pi / 3) for k in range(3)))
 PRINT_RADIUS = 0.12  # that the limits of carriages and rods leave on the bed [m]
@@ -71,6 +77,7 @@ def mechanism() -> Mechanism:
         LEGS,
         Platform("translational", home=(0.0, 0.0, 0.0)),
         "Linear delta printer of Klipper's example; readings: way down from the endstops.",
+        LABELS,
     )
 
 

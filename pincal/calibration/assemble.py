@@ -116,6 +116,7 @@ def _identified(
         low=float(value - quantile * std),
         high=float(value + quantile * std),
         given=given,
+        label=one.label,
     )
 
 

@@ -303,7 +303,7 @@ class CalibrationResult:
         """Return the parameters as a pandas DataFrame, one row each, ids as its index."""
         import pandas as pd  # an extra
 
-        names = ("unit", "nominal", "identified", "change", "std", "low", "high", "given")
+        names = ("unit", "nominal", "identified", "change", "std", "low", "high", "given", "label")
         rows = [{name: getattr(p, name) for name in names} for p in self.parameters]
         return pd.DataFrame(rows, index=pd.Index(self.parameters.ids, name="parameter"))
 

@@ -161,6 +161,7 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
         "std": _number(p.std),
         "interval_95": [_number(p.low), _number(p.high)],
         "given": p.given or None,
+        "label": p.label or None,
     }
 
 

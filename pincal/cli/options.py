@@ -21,27 +21,39 @@ from pincal.model.setup import ORIGIN, Setup
 _NUMBER = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf))\s*\[?([^\d\s\]]*)\]?\s*")
 
 
-def with_unit(dimensions: str, what: str) -> typer.models.OptionInfo:
-    """Return an option for a number that may have a unit: 2e-5, 20um, '20 µm', 5mrad.
+def in_si(text: str | float, dimensions: str, bare: str | None = "") -> float:
+    """Return a number that may have a unit, in SI: 2e-5, 20um, '20 µm', 5mrad.
 
     Args:
+        text: What was typed.
         dimensions: Those of the units that it may have: ``"m"``, ``"rad"``, or both with a blank.
-        what: Help.
+        bare: Unit of a number without one: SI if empty; None if it must have one.
+
+    Raises:
+        BadParameter: no number, or another unit.
     """
+    if isinstance(text, float):
+        return text
+    found = _NUMBER.fullmatch(text)
+    number, unit = found.groups() if found else (text, "")
+    value = plain_number(number)
+    lacks = bare is None and not unit
+    dimension, factor = UNITS.get(unit or bare or "", ("", 1.0))
+    wrong = (isnan(value) and "nan" not in number) or (unit and dimension not in dimensions.split())
+    if wrong or lacks:
+        some = [one for one, (kind, _) in UNITS.items() if kind in dimensions.split()]
+        raise typer.BadParameter(f"{text!r}: expected a number, with one of {', '.join(some)}")
+    return value * factor
+
+
+def with_unit(dimensions: str, what: str, bare: str | None = "") -> typer.models.OptionInfo:
+    """Return an option for a number that may have a unit, or must: see ``in_si``."""
 
     def parse(text: str | float) -> float:
-        if isinstance(text, float):
-            return text
-        found = _NUMBER.fullmatch(text)
-        number, unit = found.groups() if found else (text, "")
-        value = plain_number(number)
-        dimension, factor = UNITS.get(unit, ("", 1.0))
-        if (isnan(value) and "nan" not in number) or (unit and dimension not in dimensions.split()):
-            some = [one for one, (kind, _) in UNITS.items() if kind in dimensions.split()]
-            raise typer.BadParameter(f"{text!r}: expected a number, with one of {', '.join(some)}")
-        return value * factor
+        return in_si(text, dimensions, bare)
 
-    option: typer.models.OptionInfo = typer.Option(parser=parse, metavar="NUMBER[UNIT]", help=what)
+    metavar = "NUMBER[UNIT]" if bare is not None else "NUMBER+UNIT"
+    option: typer.models.OptionInfo = typer.Option(parser=parse, metavar=metavar, help=what)
     return option
 
 

@@ -16,6 +16,7 @@ from typer.models import CommandInfo
 #: Modules and the commands in them, as people come to need them.
 MODULES = {
     "mechanisms": "mechanisms check symmetry",
+    "new": "new",
     "view": "view picture",
     "kinematics": "inverse forward",
     "workspace": "workspace",

@@ -146,7 +146,7 @@ def _mechanism(spec: MechanismSpec, folder: Path) -> Mechanism:
         )
     points = read_points(_inside(folder, spec.platform.urdf))
     legs = tuple(_leg(leg, folder, points) for leg in spec.legs)
-    mechanism = Mechanism(spec.name, platform, legs, spec.description)
+    mechanism = Mechanism(spec.name, platform, legs, spec.description, tuple(spec.labels.items()))
     identified = (folder.parent / "result.json").is_file()  # at the nominal home
     for leg in () if identified else legs:
         check_home(leg, platform)
@@ -254,6 +254,7 @@ def _dump(mechanism: Mechanism) -> str:
             "home": _Flow(zip(platform.coordinates, platform.home, strict=True)),
         },
         "legs": [_dump_leg(leg) for leg in mechanism.legs],
+        **({"labels": dict(mechanism.labels)} if mechanism.labels else {}),
     }
     header = "# A mechanism of pincal. Lengths in m, angles in rad. See docs/mechanism_files.md\n"
     return header + yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=100)

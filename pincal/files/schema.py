@@ -103,6 +103,7 @@ class MechanismSpec(Strict):
     name: str
     description: str = ""
     platform: PlatformSpec
+    labels: dict[str, str] = Field(default_factory=dict)
     legs: list[LegSpec] = Field(min_length=1)
 
 

@@ -17,7 +17,7 @@ from pincal.model.checks import must_be
 from pincal.model.leg import Leg
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.overview import ROWS, counted, one_line
-from pincal.model.parameter import Parameter, Parameters
+from pincal.model.parameter import Parameter, Parameters, labels_of
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
 
@@ -36,8 +36,12 @@ class Mechanism:
     platform: Platform
     legs: tuple[Leg, ...]
     description: str = ""
+    labels: tuple[tuple[str, str], ...] = ()
+    """What parameters are, for people, by name (of all legs) or by id (of one): ``("l", "crank")``,
+    ``("leg_2.l", "short crank")``. A mapping will do; those of no parameter are not shown."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", labels_of(self.labels, self.name))
         names = [leg.name for leg in self.legs]
         if not names:
             raise MechanismError(f"mechanism {self.name!r} has no legs")
@@ -182,10 +186,26 @@ class Mechanism:
     def parameters(self) -> Parameters:
         """Identified parameters of all legs, in order; ``parameters["leg_1.l"]`` is one."""
         return Parameters(
-            Parameter(leg.name, name, leg.units[name], value)
+            Parameter(leg.name, name, leg.units[name], value, label=self.label(leg.name, name))
             for leg in self.legs
             for name, value in leg.parameters
         )
+
+    @property
+    def used_labels(self) -> dict[str, str]:
+        """Labels of parameters that there are, by name or id."""
+        own = {key for one in self.parameters for key in (one.name, one.id)}
+        return {key: text for key, text in self.labels if key in own}
+
+    @property
+    def labelled(self) -> str:
+        """What parameters are, in a line; empty if nobody said."""
+        return "; ".join(f"{key}: {text}" for key, text in self.used_labels.items())
+
+    def label(self, leg: str, name: str) -> str:
+        """Return what a leg's parameter is, for people; empty if nobody said."""
+        labels = dict(self.labels)
+        return labels.get(f"{leg}.{name}", labels.get(name, ""))
 
     @property
     def nominal(self) -> dict[str, Array]:
@@ -261,6 +281,7 @@ def _page(mechanism: Mechanism) -> str:
     table = _columns(grid)
     lines += table[: ROWS + 1]
     lines += [f"… and {len(table) - ROWS - 1} rows more"] * (len(table) > ROWS + 1)
+    lines += [f"  {key}: {text}" for key, text in mechanism.used_labels.items()]
     return "\n".join(lines)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from pincal.errors import MechanismError
 
 Array = NDArray[np.float64]
+#: Letters of a parameter's label, at most.
+LONGEST_LABEL = 60
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,8 @@ class Parameter:
     """m, rad, or 1 for a gain."""
     nominal: float
     """Nominal value, SI."""
+    label: str = field(default="", kw_only=True, compare=False)
+    """What it is, for people: ``"radius of the base joint"``; empty if nobody said."""
 
     @property
     def id(self) -> str:
@@ -75,7 +79,31 @@ class Parameters(tuple[Parameter, ...]):
 
     def __str__(self) -> str:
         width = max(map(len, self.ids), default=0)
-        return "\n".join(f"{p.id:{width}}  {p.nominal: .6g} {p.unit}" for p in self)
+        lines = (f"{p.id:{width}}  {p.nominal: .6g} {p.unit:3} {p.label}" for p in self)
+        return "\n".join(line.rstrip() for line in lines)
+
+
+def labels_of(given: object, name: str) -> tuple[tuple[str, str], ...]:
+    """Return what parameters of a mechanism are called for people, as pairs of key and text.
+
+    Raises:
+        MechanismError: something else, or a text that cannot be shown in a line.
+    """
+    where = f"mechanism {name!r}: labels"
+    try:
+        found: dict[object, object] = dict(given)  # type: ignore[call-overload]
+    except (TypeError, ValueError) as error:
+        raise MechanismError(
+            f"{where} are {str(given)[:80]}; expected texts by parameter's name or id, such as "
+            "{'l': 'crank'}"
+        ) from error
+    for key, text in found.items():
+        if not (isinstance(text, str) and text.isprintable() and 0 < len(text) <= LONGEST_LABEL):
+            raise MechanismError(
+                f"{where}: that of {str(key)[:80]!r} is {str(text)[:80]!r}; expected a few words, "
+                f"{LONGEST_LABEL} letters at most"
+            )
+    return tuple((str(key), str(text)) for key, text in found.items())
 
 
 def listed(names: Iterable[str], most: int = 6) -> str:

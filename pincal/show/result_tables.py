@@ -21,6 +21,7 @@ from pincal.words.table import Cell, Table, Value, columns
 _MANY = 1e6  # standard errors, above which their number says nothing
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
 _SIZES = ("rms before", "rms after", "σ", "unit")
+_SHIFT = "change [σ]: by how many standard errors the parameter moved"
 _SIGMA = "σ: what the noise alone makes of residuals"
 _CONDITION = "condition: of the leg's whitened identification Jacobian, columns scaled"
 
@@ -45,7 +46,7 @@ def parameters_table(result: CalibrationResult) -> Table:
             (leg.name, *_cells(p), *[one] * len(more))
             for (leg, p), one in zip(parameters(result), given, strict=True)
         ],
-        "change [σ]: by how many standard errors the parameter moved",
+        "; ".join(filter(None, (_SHIFT, result.nominal.labelled))),
         grouped=True,
     )
 

@@ -77,7 +77,9 @@ class PictureStyle:
     arc: float = 0.055
     """Radius of the smallest angle drawn, of the scene's diagonal."""
     values: int = 6
-    """Of parameters, in a line."""
+    """Of parameters, in a line, at most."""
+    title: int = 100
+    """Letters of a line of them."""
 
 
 PAGE, PICTURE = PageStyle(), PictureStyle()

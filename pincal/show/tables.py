@@ -34,7 +34,7 @@ def nominal_table(mechanism: Mechanism) -> Table:
         grid = [list(row) for row in zip(*grid, strict=True)]
     heads, *rows = grid
     shown = tuple(Column(str(head), format=".6f") for head in heads)
-    return Table(f"{mechanism.name}: nominal parameters", shown, rows)
+    return Table(f"{mechanism.name}: nominal parameters", shown, rows, mechanism.labelled)
 
 
 def selection_table(selection: Selection) -> Table:

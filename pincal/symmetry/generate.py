@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -22,12 +22,14 @@ def generate(
     elements: Sequence[Element],
     platform: Platform,
     description: str = "",
+    labels: Mapping[str, str] | None = None,
 ) -> Mechanism:
     """Return the mechanism whose legs are one leg carried by the elements, in order.
 
     Legs are named ``leg_1``, ``leg_2``, …; a platform point whose name ends in ``_1`` is
     numbered alike. The leg's home may be rough: all legs are closed at the home pose, on the
-    side (working mode) that the rough home is on.
+    side (working mode) that the rough home is on. Labels say by parameter's name what it is, for
+    people.
 
     Raises:
         MechanismError: a leg does not close at the home pose.
@@ -41,7 +43,7 @@ def generate(
             point = f"{point[:-2]}_{number}"
         carried = carry(closed, element, f"leg_{number}", point)
         legs.append(at_home(carried, platform))
-    return Mechanism(name, platform, tuple(legs), description)
+    return Mechanism(name, platform, tuple(legs), description, tuple((labels or {}).items()))
 
 
 def at_home(leg: Leg, platform: Platform) -> Leg:

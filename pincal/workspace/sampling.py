@@ -47,6 +47,10 @@ class Effort:
     """Of the box around the accepted poses, on each side."""
     most: int = 400
     """Batches without enough poses before giving up."""
+    far: int = 64
+    """Batches without hits after which poses are drawn near home, nearer each time."""
+    hits: int = 8
+    """Accepted poses that say where to look closer."""
 
 
 _EFFORT = Effort()
@@ -194,12 +198,15 @@ def _explore(
 
     low, high = reach
     kept = home[None]
-    for _ in range(_EFFORT.most):
-        poses = rng.uniform(low, high, (_EFFORT.batch, len(low)))
+    for batch in range(_EFFORT.most):
+        if batch < _EFFORT.far or len(kept) > _EFFORT.hits:
+            poses = rng.uniform(low, high, (_EFFORT.batch, len(low)))
+        else:  # strokes that are small against the machine
+            poses = _near_home(mechanism, rng, 0.5 ** (batch - _EFFORT.far))
         kept = np.concatenate((kept, poses[counts(poses)]))
         if len(kept) >= _EFFORT.pilot:
             break
-        if len(kept) > 8:  # few hits: look closer to where they are
+        if len(kept) > _EFFORT.hits:  # few: look closer to where they are
             low, high = _around(kept, 0.5, *reach)
     connected = HomeComponent(mechanism.platform, kept, counts)
     for _ in range(2):  # tighten to the part around home, and widen where the box cut
@@ -208,6 +215,15 @@ def _explore(
         kept = np.concatenate((kept, poses[counts(poses)]))
         connected = HomeComponent(mechanism.platform, kept[-2 * _EFFORT.pilot :], counts)
     return *_around(kept[connected(kept)], _EFFORT.widen / 4, *reach), connected
+
+
+def _near_home(mechanism: Mechanism, rng: np.random.Generator, part: float) -> Array:
+    """Return poses around home, within a part of the reach and of a radian, shape (batch, dof)."""
+    platform = mechanism.platform
+    low, high = reach_box(mechanism)
+    size = np.where([unit == "m" for unit in platform.units], high - low, 1.0)
+    twists = rng.uniform(-part * size, part * size, (_EFFORT.batch, platform.dof))
+    return platform.moved(np.tile(platform.home, (_EFFORT.batch, 1)), twists)
 
 
 def _why_not_home(mechanism: Mechanism, least: Margins) -> str:

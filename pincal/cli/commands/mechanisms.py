@@ -91,7 +91,14 @@ def check(mech: Mech) -> None:
     group = symmetry_group(mechanism)
     if len(mechanism.legs) > 1:
         stdout.print(f"symmetry: {group}", markup=False)
-    answer({"mechanism": mechanism.name, "legs": legs, "symmetry": group.name})
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "legs": legs,
+            "labels": mechanism.used_labels,
+            "symmetry": group.name,
+        }
+    )
 
 
 @command(answers=True)

@@ -93,7 +93,7 @@ class DeltaPrinter:
         """
         template = load_mechanism(_TEMPLATE)
         legs = tuple(self._leg(template, i) for i in range(3))
-        return Mechanism(name, template.platform, legs, description)
+        return Mechanism(name, template.platform, legs, description, template.labels)
 
     def _leg(self, template: Mechanism, index: int) -> Leg:
         first = template.legs[0]

@@ -41,6 +41,11 @@ class Dimension:
     beside: bool = False
     """Whether the line lies on a link, so that it is better drawn beside that."""
 
+    @property
+    def extent(self) -> float:
+        """How far the line goes, [m]: nothing where the parameter is zero."""
+        return float(np.linalg.norm(np.diff(self.line, axis=0), axis=1).sum())
+
 
 def dimensions_of(
     closure: LegClosure, joints: Array, T_base_platform: Array, size: float

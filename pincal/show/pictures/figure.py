@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import joints_at
+from pincal.model.checks import EXACT
 from pincal.model.measurements import EVERY_LEG
 from pincal.show import style
 from pincal.show.pictures.dimension_lines import draw_dimensions, symbol
@@ -106,30 +107,31 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
 
 
 def _dimension(axes: Axes, scene: Scene, row: int, legs: Sequence[str], V: Array) -> None:
-    """Draw the parameters of legs as dimensions, their values above."""
+    """Draw the parameters of legs as dimensions, values above: of those that are zero alone."""
     mechanism, poses = scene.mechanism, scene.plan.poses[[row]]
     joints = joints_at(mechanism, poses).joints
     if not np.isfinite(joints[legs[0]]).all():  # nothing is drawn there, as is said
         return
     T_base_platform = mechanism.platform.matrices(poses)[0]
     size = PICTURE.arc * float(np.linalg.norm(np.ptp(_extent(scene, row), axis=0)))
-    found, values = [], []
+    found, values, longest = [], [], 1
     for name in legs:
         leg = mechanism.leg(name)
         closure = nominal_legs(mechanism)[mechanism.leg_names.index(leg.name)]
         own = dimensions_of(closure, joints[name][0], T_base_platform, size)
-        found += [(name if len(legs) > 1 else "", one) for one in own]
-        values += [
-            f"{symbol(key, name if len(legs) > 1 else '')} = {_drawn(value, leg.units[key])}"
-            for key, value in leg.nominal_by_name.items()
-        ]
+        index = name if len(legs) > 1 else ""
+        found += [(index, one) for one in own if one.extent > EXACT * size]
+        for key, value in leg.nominal_by_name.items():
+            label = clean(mechanism.label(name, key)).replace("$", r"\$")
+            text = f" = {_drawn(value, leg.units[key])}" + f" ({label})" * bool(label)
+            values.append(symbol(key, index) + text)
+            longest = max(longest, len(key + index + text))
     links = scene.body.skeletons()[row]
     along = np.linspace(0.0, 1.0, 60)[:, None, None]
     busy = ((1.0 - along) * links[:, 0] + along * links[:, 1]).reshape(-1, 3)
     draw_dimensions(axes, found, V, busy)
-    lines = [
-        ",  ".join(values[i : i + PICTURE.values]) for i in range(0, len(values), PICTURE.values)
-    ]
+    many = int(np.clip(PICTURE.title / longest, 1, PICTURE.values))
+    lines = [",  ".join(values[i : i + many]) for i in range(0, len(values), many)]
     axes.set_title("\n".join(lines), size=7.5, pad=14.0, parse_math=True)
 
 

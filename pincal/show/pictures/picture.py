@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
@@ -97,7 +98,7 @@ def picture(
             shape; a factor that is not positive.
     """
     mechanism = as_mechanism(mechanism)
-    plan = plan_of(mechanism, [mechanism.platform.home] if poses is None else poses)
+    plan = plan_of(mechanism, home_of(mechanism) if poses is None else poses)
     if not 0 <= row < max(len(plan.poses), 1):
         raise MeasurementError(
             f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"

@@ -1,0 +1,1 @@
+"""Mechanisms from the dimensions of a data sheet."""

@@ -1,0 +1,172 @@
+"""Cable robots from two boxes: anchors at the corners of a frame, cables to those of a platform.
+
+A cable is a swivel at its anchor and a line, zeroed at home: in the plane one revolute joint, in
+space a universal joint that is far from singular where it points home.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from math import atan2, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.architectures.dimension import Architecture, Dimension, Values
+from pincal.model.leg import Joint, Leg
+from pincal.model.mechanism import Mechanism
+from pincal.model.placement import Placement
+from pincal.model.platform import Platform
+from pincal.model.sensor import Sensor
+
+Array = NDArray[np.float64]
+_LABELS = {
+    f"{letter}_{axis}": f"{what}, {axis}"
+    for letter, what in (("A", "anchor"), ("b", "platform's corner"))
+    for axis in "xyz"
+} | {"k": "gain of the reading"}
+
+
+def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
+    """Return a cable.
+
+    Args:
+        number: Of the cable, from 1.
+        anchor: In the base frame, shape (2,) or (3,), [m].
+        corner: In the platform's frame, alike.
+        home: Of the platform's origin, alike.
+    """
+    axes = "xyz"[: len(anchor)]
+    values = {f"A_{axis}": float(value) for axis, value in zip(axes, anchor, strict=True)}
+    values |= {f"b_{axis}": float(value) for axis, value in zip(axes, corner, strict=True)}
+    along = home + corner - anchor
+    length = float(np.linalg.norm(along))
+    foot = Placement.of(values, **{axis: f"A_{axis}" for axis in axes})
+    lower, upper = 0.02 * length, 3.0 * length
+    swivel: tuple[Joint, ...]
+    if len(axes) == 2:
+        swivel = (Joint("swivel", "revolute", foot, home=atan2(along[1], along[0])),)
+        line = Joint("line", "prismatic", Placement(), (1.0, 0.0, 0.0), lower, upper, length)
+    else:
+        frame = np.eye(4)  # z along the cable, y level
+        frame[:3, 2] = along / length
+        level = np.cross((0.0, 0.0, 1.0), along)
+        frame[:3, 1] = level / np.linalg.norm(level) if level.any() else (0.0, 1.0, 0.0)
+        frame[:3, 0] = np.cross(frame[:3, 1], frame[:3, 2])
+        swivel = (
+            Joint("swivel_x", "revolute", foot.at(values, frame), (1.0, 0.0, 0.0), -pi / 2, pi / 2),
+            Joint("swivel_y", "revolute", Placement(), (0.0, 1.0, 0.0), -pi / 2, pi / 2),
+        )
+        line = Joint("line", "prismatic", Placement(), (0.0, 0.0, 1.0), lower, upper, length)
+    end = Placement.of(values, **{axis: f"b_{axis}" for axis in axes})
+    return Leg(
+        name=f"cable_{number}",
+        joints=(*swivel, line, Joint("tip", "fixed")),
+        point=Joint(f"b_{number}", "fixed", end),
+        sensors=(Sensor("line", form="reading", gain="k", zero="home"),),
+        parameters=(*values.items(), ("k", 1.0)),
+    )
+
+
+def _robot(anchors: Array, corners: Array, platform: Platform) -> Mechanism:
+    """Return a cable robot of anchors and corners, shape (n_cables, 2) or (n_cables, 3), [m]."""
+    home = np.array(platform.home[: anchors.shape[1]])
+    pairs = zip(anchors, corners, strict=True)
+    legs = tuple(_cable(i, *pair, home) for i, pair in enumerate(pairs, start=1))
+    return Mechanism("cables", platform, legs, labels=tuple(_LABELS.items()))
+
+
+def _planar(d: Values) -> Mechanism:
+    """Frame and platform have their middle at the origin; crossed, cables of one side cross."""
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
+    side = (1, -1) if d["cables"] == "crossed" else (1, 1)
+    anchors = signs * (d["frame_width"] / 2, d["frame_height"] / 2)
+    corners = signs * side * np.array((d["platform_width"] / 2, d["platform_height"] / 2))
+    return _robot(anchors, corners, Platform("planar", (0.0, 0.0, 0.0)))
+
+
+def _spatial(d: Values) -> Mechanism:
+    """The frame's middle is over the origin; a quarter turn goes one way above, the other below."""
+    anchors, corners = [], []
+    for level, (x, y) in product((1, -1), ((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        z = d["upper"] if level > 0 else d["lower"]
+        anchors.append((x * d["frame_length"] / 2, y * d["frame_width"] / 2, z))
+        own = -level
+        if d["cables"] == "turned":
+            x, y = (-y, x) if level > 0 else (y, -x)
+        elif d["cables"] == "straight":
+            own = level
+        sides = d["platform_length"], d["platform_width"], d["platform_height"]
+        corners.append(np.multiply((x, y, own), sides) / 2)
+    home = Platform("spatial", (0.0, 0.0, d["height"], 0.0, 0.0, 0.0))
+    return _robot(np.array(anchors), np.array(corners), home)
+
+
+CABLES = (
+    Architecture(
+        "cable-4",
+        "Planar cable robot, four cables",
+        (
+            Dimension("frame_width", "distance of the anchors along x", default=2.0),
+            Dimension(
+                "frame_height", "distance of the anchors along y", default=0.75, of="frame_width"
+            ),
+            Dimension(
+                "platform_width",
+                "width of the platform along x",
+                default=0.15,
+                of="frame_width",
+                below="frame_width",
+            ),
+            Dimension(
+                "platform_height",
+                "height of the platform along y",
+                default=1.0,
+                of="platform_width",
+                below="frame_height",
+            ),
+            Dimension(
+                "cables", "way of the cables", "", "crossed", choices=("crossed", "straight")
+            ),
+        ),
+        _planar,
+    ),
+    Architecture(
+        "cable-8",
+        "Cable robot in space, eight cables",
+        (
+            Dimension("frame_length", "distance of the anchors along x", default=4.0),
+            Dimension(
+                "frame_width", "distance of the anchors along y", default=1.0, of="frame_length"
+            ),
+            Dimension("upper", "height of the upper anchors", default=0.75, of="frame_length"),
+            Dimension("lower", "height of the lower anchors", default=0.1, of="upper", least=0.0),
+            Dimension(
+                "platform_length",
+                "length of the platform along x",
+                default=0.2,
+                of="frame_length",
+                below="frame_length",
+            ),
+            Dimension(
+                "platform_width",
+                "width of the platform along y",
+                default=0.2,
+                of="frame_width",
+                below="frame_width",
+            ),
+            Dimension(
+                "platform_height", "height of the platform", default=1.0, of="platform_width"
+            ),
+            Dimension("height", "height of the platform's middle at home", default=0.5, of="upper"),
+            Dimension(
+                "cables",
+                "way of the cables",
+                "",
+                "turned",
+                choices=("turned", "crossed", "straight"),
+            ),
+        ),
+        _spatial,
+    ),
+)

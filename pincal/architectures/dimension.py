@@ -1,0 +1,130 @@
+"""A dimension of a data sheet: its name, what it is, its unit, what it may be, and a default."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import degrees
+from typing import Any, TypeAlias
+
+from pincal.errors import MechanismError
+from pincal.model.checks import must_be, number_of
+from pincal.model.mechanism import Mechanism
+
+#: Dimensions by name: lengths [m], angles [rad], and texts.
+Values: TypeAlias = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One dimension of an architecture."""
+
+    name: str
+    """Of the argument, and of the option: ``base_radius``, ``--base-radius``."""
+    label: str
+    """What it is, for people."""
+    unit: str = "m"
+    """``"m"``, ``"rad"``, or ``""`` of a text."""
+    default: float | str = ""
+    """[m], [rad], or a text; with ``of`` a factor."""
+    of: str = ""
+    """Dimension before it, of which the default is a multiple."""
+    least: float = 1e-6
+    """[m] or [rad]."""
+    most: float = 1e3
+    """[m] or [rad]."""
+    above: str = ""
+    """Dimension before it, than which it must be more."""
+    below: str = ""
+    """Dimension before it, than which it must be less."""
+    goes_with: str = ""
+    """Text before it, without which it means nothing."""
+    instead_of: str = ""
+    """Text before it, with which it means nothing."""
+    choices: tuple[str, ...] = ()
+    """What a text may be; anything if there are none."""
+
+    def usual(self, before: Values) -> float | str:
+        """Return the default, where other dimensions are what they are."""
+        return float(self.default) * before[self.of] if self.of else self.default
+
+    def asked(self, before: Values) -> bool:
+        """Return whether it means something, where others before it are what they are."""
+        meant = not self.goes_with or bool(before[self.goes_with])
+        return meant and not (self.instead_of and before[self.instead_of])
+
+    def checked(self, value: Any, before: Values) -> float | str:
+        """Return a value that the dimension may have, where those before it are what they are.
+
+        Raises:
+            MechanismError: something else.
+        """
+        if not self.unit:
+            text = str(must_be(value, (str,), self.said, MechanismError)) if self.choices else value
+            if self.choices and text not in self.choices:
+                raise MechanismError(
+                    f"{self.said} is {text!r}; expected {' or '.join(self.choices)}"
+                )
+            return text
+        number = number_of(value, self.said, MechanismError)
+        if not self.least <= number <= self.most:
+            wanted = f"{self.text(self.least)} to {self.text(self.most)}"
+            if self.least == LEAST and not number >= LEAST:
+                wanted = "more than zero"
+            raise MechanismError(f"{self.said} is {self.text(number)}; expected {wanted}")
+        for other, word, sign in ((self.above, "more", 1.0), (self.below, "less", -1.0)):
+            if other and not sign * number > sign * before[other]:
+                raise MechanismError(
+                    f"{self.said} is {self.text(number)}; expected {word} than {other}, "
+                    f"{self.text(before[other])}"
+                )
+        return number
+
+    @property
+    def said(self) -> str:
+        """Return what it is and its name, for messages."""
+        return f"the {self.label} ({self.name})"
+
+    def text(self, value: float | str, *, typed: bool = False) -> str:
+        """Return a value with its unit as data sheets have it, in mm or degrees; or as typed."""
+        if not self.unit:
+            return str(value)
+        number = 1e3 * float(value) if self.unit == "m" else degrees(float(value))
+        unit = "mm" if self.unit == "m" else "deg"
+        return f"{number:.12g}{unit}" if typed else f"{number:.6g} {unit}"
+
+
+LEAST = Dimension.least
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """A kind of mechanism, and how one is made from its dimensions."""
+
+    name: str
+    title: str
+    dimensions: tuple[Dimension, ...]
+    make: Callable[[Values], Mechanism]
+
+    def complete(self, given: Values) -> dict[str, float | str]:
+        """Return all dimensions in order: those given, others in proportion to these.
+
+        Raises:
+            MechanismError: one that the architecture does not have, or that cannot be.
+        """
+        names = [one.name for one in self.dimensions]
+        if other := [name for name in given if name not in names]:
+            raise MechanismError(
+                f"{other[0]} is no dimension of a {self.name}; it has {', '.join(names)}"
+            )
+        found: dict[str, float | str] = {}
+        for one in self.dimensions:
+            value = given.get(one.name)
+            found[one.name] = one.checked(one.usual(found) if value is None else value, found)
+        return found
+
+    def described(self, values: Values) -> str:
+        """Return title and dimensions in a line."""
+        kept = [one for one in self.dimensions if one.unit or one.choices]
+        given = [f"{one.name} {one.text(values[one.name])}" for one in kept]
+        return f"{self.title}{': ' * bool(given)}{', '.join(given)}."

@@ -1,0 +1,102 @@
+"""A new mechanism: an architecture, its dimensions, and what a machine of them cannot do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from difflib import get_close_matches
+from math import isfinite
+from typing import Any
+
+from pincal.architectures.arms import ARM
+from pincal.architectures.cables import CABLES
+from pincal.architectures.dimension import Architecture, Dimension, Values
+from pincal.architectures.resized import RESIZED
+from pincal.errors import MechanismError
+from pincal.kinematics.singularity import home_determinant
+from pincal.model.checks import ROUNDING, must_be
+from pincal.model.mechanism import Mechanism
+from pincal.symmetry.generate import at_home
+
+ARCHITECTURES = {one.name: one for one in (*RESIZED, *CABLES, ARM)}
+LENGTH, ANGLE = Dimension("", "", "m"), Dimension("", "", "rad")
+_FLAT = 1e-3  # of what the legs' lines span at home
+
+
+def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Mechanism:
+    """Return a mechanism of a data sheet's dimensions: ``new_mechanism("hexapod", height=0.4)``.
+
+    Args:
+        architecture: ``"hexapod"``, ``"delta"``, ``"linear-delta"``, ``"five-bar"``, ``"3-RRR"``,
+            ``"cable-4"``, ``"cable-8"``, or ``"arm"``.
+        name: Of the mechanism; that of the architecture if not given.
+        **dimensions: By name (``pincal new --help`` lists them): lengths [m], angles [rad], texts.
+            Those not given are in proportion to these.
+
+    Raises:
+        MechanismError: no such architecture or dimension; one that cannot be; dimensions with
+            which a leg does not reach home, or is outside its limits there, or with which the
+            legs do not hold the platform there.
+        FileError: a file of an arm is missing or cannot be read.
+        MeasurementError: a table of an arm with a column or cell that is missing or wrong.
+    """
+    one = architecture_of(architecture)
+    values = one.complete(dimensions)
+    made = one.make(values)
+    made = replace(
+        made,
+        name=name or one.name.replace("-", "_"),
+        description=made.description or one.described(values),
+    )
+    return made if made.by_readings else _at_home(made, one, values)
+
+
+def architecture_of(name: str) -> Architecture:
+    """Return an architecture by its name.
+
+    Raises:
+        MechanismError: no such architecture.
+    """
+    known = {key.lower().replace("-", ""): key for key in ARCHITECTURES}
+    plain = str(must_be(name, (str,), "the architecture", MechanismError)).lower()
+    plain = plain.replace("-", "").replace("_", "")
+    if plain not in known:
+        near = get_close_matches(plain, known, 1)
+        meant = f"; did you mean {known[near[0]]!r}?" if near else ""
+        raise MechanismError(
+            f"no architecture {name[:80]!r}; expected one of {', '.join(ARCHITECTURES)}{meant}"
+        )
+    return ARCHITECTURES[known[plain]]
+
+
+def _at_home(made: Mechanism, one: Architecture, values: Values) -> Mechanism:
+    """Return a mechanism with its legs closed at home.
+
+    Raises:
+        MechanismError: one does not reach it, or not within its limits; nothing holds the platform.
+    """
+    numbers = {d.name: d.text(values[d.name]) for d in one.dimensions if d.unit or d.choices}
+    change = "change one of " + ", ".join(f"{key} {text}" for key, text in numbers.items())
+    platform, legs = made.platform, []
+    for leg in made.legs:
+        try:
+            legs.append(at_home(leg, platform))
+        except MechanismError as error:
+            raise MechanismError(
+                f"{one.name}: {leg.name} is too short or too long for the home pose; {change}"
+            ) from error
+        for joint in (j for j in legs[-1].moving if j.limited):
+            slack = ROUNDING * max(abs(joint.lower), abs(joint.upper))
+            if not joint.lower - slack <= joint.home <= joint.upper + slack:
+                unit = ANGLE if joint.turns else LENGTH
+                at, lower, upper = map(unit.text, (joint.home, joint.lower, joint.upper))
+                raise MechanismError(
+                    f"{one.name}: at home joint {joint.name!r} of {leg.name} is at {at}, outside "
+                    f"its limits {lower} to {upper}; {change}"
+                )
+    made = replace(made, legs=tuple(legs))
+    span = home_determinant(made)
+    if not isfinite(span) or abs(span) < _FLAT:
+        raise MechanismError(
+            f"{one.name}: the legs do not hold the platform at home, a singular pose; {change}"
+        )
+    return made

@@ -1,0 +1,256 @@
+"""Hexapods, deltas, five-bars and 3-RRRs: the bundled mechanisms with other dimensions.
+
+Each is a few lines that say what the parameters of the bundled mechanism's legs are, where its
+home is, and how far its joints go; joints, placements, sensors and labels are the bundled ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import cycle
+from math import acos, asin, pi, radians, sqrt
+
+from pincal.architectures.dimension import Architecture, Dimension, Values
+from pincal.errors import MechanismError
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.model.leg import Joint
+from pincal.model.mechanism import Mechanism
+from pincal.model.placement import Placement
+from pincal.symmetry.elements import wrapped
+
+Limits = Mapping[str, tuple[float, float]]
+
+
+def _resized(
+    bundled: str, legs: list[dict[str, float]], home: tuple[float, ...], *limits: Limits
+) -> Mechanism:
+    """Return a bundled mechanism with other parameters, home pose and limits of joints.
+
+    Args:
+        bundled: Its name.
+        legs: For each leg, parameters by name, SI; others are kept.
+        home: Home pose.
+        *limits: By name of a joint, [rad] or [m]; others are kept. One for all legs, or one each.
+    """
+    template = load_mechanism(bundled)
+    made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))
+
+    def moved(joint: Joint, own: Limits) -> Joint:
+        lower, upper = own.get(joint.name, (joint.lower, joint.upper))
+        return replace(joint, lower=lower, upper=upper)
+
+    limited = [
+        replace(leg, joints=tuple(moved(joint, own) for joint in leg.joints))
+        for leg, own in zip(made.legs, cycle(limits or ({},)), strict=False)
+    ]
+    platform = replace(made.platform, home=home)
+    return replace(made, platform=platform, legs=tuple(limited), description="")
+
+
+def _hexapod(d: Values) -> Mechanism:
+    """Pairs of base joints at azimuths 0°, 120°, 240°, pairs of platform joints halfway."""
+    legs = []
+    for k in range(6):
+        side = 1 - 2 * (k % 2)
+        base = 2 * pi / 3 * ((k + 1) // 2) + side * d["base_half_angle"]
+        platform = pi / 3 + 2 * pi / 3 * (k // 2) - side * d["platform_half_angle"]
+        legs.append(
+            {
+                "OA": d["base_radius"],
+                "beta": wrapped(base),
+                "ob": d["platform_radius"],
+                "beta_b": wrapped(platform),
+                "gamma": d["zero_length"],
+            }
+        )
+    stroke = {"leg": (d["shortest"], d["longest"])}
+    return _resized("6UPS", legs, (0.0, 0.0, d["height"], 0.0, 0.0, 0.0), stroke)
+
+
+def _delta(d: Values) -> Mechanism:
+    """Drives at azimuths 0°, 120°, 240°; the platform hangs below them."""
+    legs = [{"OA": d["base_radius"], "l": d["arm"], "L": d["rod"]}] * 3
+    limits = {"drive": (d["arm_up"], d["arm_down"])}
+    made = _resized("delta", legs, (0.0, 0.0, -d["height"]), limits)
+
+    def pointed(point: Joint) -> Joint:
+        _, azimuth = point.placement.coordinates[0].values
+        return replace(point, placement=Placement.of({}, polar=(d["platform_radius"], azimuth)))
+
+    return replace(made, legs=tuple(replace(leg, point=pointed(leg.point)) for leg in made.legs))
+
+
+def _linear_delta(d: Values) -> Mechanism:
+    """Towers at azimuths −150°, −30°, 90°; home is the nozzle on the middle of the bed."""
+    radius, rod, reach = d["delta_radius"], d["rod"], d["delta_radius"] + d["print_radius"]
+    if rod <= reach:
+        raise MechanismError(
+            f"a rod of {1e3 * rod:.6g} mm does not reach from a tower to the far side of the bed, "
+            f"{1e3 * reach:.6g} mm away; it must be longer than delta_radius + print_radius"
+        )
+    tilt, home = asin(reach / rod), sqrt(rod**2 - radius**2)
+    limits = {
+        "carriage": (sqrt(rod**2 - reach**2), home + d["endstop_height"]),
+        "swing": (pi / 2 - tilt, pi / 2 + tilt),
+        "sway": (-tilt, tilt),
+    }
+    legs = [{"radius": radius, "arm": rod, "endstop": d["endstop_height"]}] * 3
+    made = _resized("linear_delta", legs, (0.0, 0.0, 0.0), limits)
+    rough = (home, acos(radius / rod), 0.0)
+    return replace(made, legs=tuple(leg.with_home(rough) for leg in made.legs))
+
+
+def _five_bar(d: Values) -> Mechanism:
+    """Motors on x beside the origin, elbows outward; the right leg is the left one's mirror."""
+    links = {"l": d["driving_link"], "L": d["conducted_link"]}
+    x = d["motor_distance"] / 2
+    least, most = d["motor_least"], d["motor_most"]
+    sides = {"shoulder": (least, most)}, {"shoulder": (pi - most, pi - least)}
+    return _resized("5R", [links | {"A_x": -x}, links | {"A_x": x}], (0.0, d["height"]), *sides)
+
+
+def _3rrr(d: Values) -> Mechanism:
+    """Motors at azimuths −150°, −30°, 90°, platform joints before them at home."""
+    names = {"OA": "base_radius", "ob": "platform_radius", "l": "proximal", "L": "distal"}
+    return _resized("3RRR", [{key: d[name] for key, name in names.items()}] * 3, (0.0,) * 3)
+
+
+_BY_HALF = radians(60)
+RESIZED = (
+    Architecture(
+        "hexapod",
+        "Hexapod (Gough-Stewart platform), six legs with linear drives",
+        (
+            Dimension("base_radius", "radius of the base joints", default=0.25),
+            Dimension(
+                "platform_radius", "radius of the platform joints", default=0.6, of="base_radius"
+            ),
+            Dimension(
+                "base_half_angle",
+                "half the angle between paired base joints",
+                "rad",
+                radians(15),
+                least=0.0,
+                most=_BY_HALF,
+            ),
+            Dimension(
+                "platform_half_angle",
+                "half the angle between paired platform joints",
+                "rad",
+                radians(15),
+                least=0.0,
+                most=_BY_HALF,
+            ),
+            Dimension(
+                "height", "height of the platform joints at home", default=1.5, of="base_radius"
+            ),
+            Dimension("shortest", "length of a leg drawn in", default=0.9, of="height"),
+            Dimension(
+                "longest", "length of a leg drawn out", default=1.5, of="shortest", above="shortest"
+            ),
+            Dimension("zero_length", "length of a leg where it reads zero", default=0.0, least=0.0),
+        ),
+        _hexapod,
+    ),
+    Architecture(
+        "delta",
+        "Delta robot, three rotary drives",
+        (
+            Dimension("base_radius", "radius of the drives' axes", default=0.2),
+            Dimension("platform_radius", "radius of the rods' ends", default=0.3, of="base_radius"),
+            Dimension("arm", "length of the arms", default=1.25, of="base_radius"),
+            Dimension("rod", "length of the rods", default=2.2, of="arm"),
+            Dimension(
+                "height", "depth of the platform below the drives at home", default=0.9, of="rod"
+            ),
+            Dimension(
+                "arm_up",
+                "angle of an arm below the horizontal, least",
+                "rad",
+                radians(-35),
+                least=-pi,
+            ),
+            Dimension(
+                "arm_down",
+                "angle of an arm below the horizontal, most",
+                "rad",
+                radians(80),
+                least=-pi,
+                most=pi,
+                above="arm_up",
+            ),
+        ),
+        _delta,
+    ),
+    Architecture(
+        "linear-delta",
+        "Linear delta, three carriages on upright towers",
+        (
+            Dimension(
+                "delta_radius",
+                "radius of the towers less the offsets of carriage and effector",
+                default=0.175,
+            ),
+            Dimension("rod", "length of the rods", default=1.9, of="delta_radius"),
+            Dimension(
+                "endstop_height",
+                "height of the nozzle over the bed, carriages at their endstops",
+                default=1.7,
+                of="delta_radius",
+            ),
+            Dimension(
+                "print_radius", "radius of the bed that is reached", default=0.65, of="delta_radius"
+            ),
+        ),
+        _linear_delta,
+    ),
+    Architecture(
+        "five-bar",
+        "Planar five-bar, two motors, elbows outward",
+        (
+            Dimension("motor_distance", "distance between the motors", default=0.2),
+            Dimension(
+                "driving_link", "length of the driving links", default=0.75, of="motor_distance"
+            ),
+            Dimension(
+                "conducted_link", "length of the conducted links", default=1.1, of="motor_distance"
+            ),
+            Dimension(
+                "height",
+                "distance of the end from the motors' line at home",
+                default=1.0,
+                of="conducted_link",
+            ),
+            Dimension(
+                "motor_least",
+                "angle of a motor, 0 towards the other one, least",
+                "rad",
+                radians(30),
+                least=-2 * pi,
+            ),
+            Dimension(
+                "motor_most",
+                "angle of a motor, 0 towards the other one, most",
+                "rad",
+                radians(225),
+                most=2 * pi,
+                above="motor_least",
+            ),
+        ),
+        _five_bar,
+    ),
+    Architecture(
+        "3-RRR",
+        "Planar 3-RRR, three motors",
+        (
+            Dimension("base_radius", "radius of the motors", default=0.3),
+            Dimension(
+                "platform_radius", "radius of the platform joints", default=0.25, of="base_radius"
+            ),
+            Dimension("proximal", "length of the proximal links", default=0.45, of="base_radius"),
+            Dimension("distal", "length of the distal links", default=1.0, of="proximal"),
+        ),
+        _3rrr,
+    ),
+)
