@@ -285,6 +285,7 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
                 offset=sensor.offset,
                 direction=sensor.direction,
                 zero=sensor.zero if isinstance(sensor.zero, str) else float(sensor.zero),
+                **({} if (by := sensor.counts_per_unit) is None else {"counts_per_unit": by}),
             )
             for sensor in leg.sensors
         ],

@@ -12,7 +12,7 @@ import math
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,25 +22,11 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, plain_number, read_bytes, read_text, why_no_number
 from pincal.files.output import writing
+from pincal.files.units import COUNTS, SI, UNITS, Units, scale_said
 from pincal.model.checks import LARGEST, must_be
 
 Array = NDArray[np.float64]
 
-#: Units as people write them: dimension, and factor to SI.
-UNITS: dict[str, tuple[str, float]] = {
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "µm": ("m", 1e-6),  # micro sign
-    "μm": ("m", 1e-6),  # Greek letter
-    "in": ("m", 0.0254),
-    "1": ("1", 1.0),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", np.pi / 180),
-    "°": ("rad", np.pi / 180),
-}
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _MOST_COLUMNS = 1000
 _SHEETS = (".xlsx", ".xls", ".ods", ".parquet")
@@ -63,6 +49,8 @@ class Table:
     """Line of the file in which each row ends, or number of the row of a DataFrame."""
     counted: str = "line"
     """What ``lines`` are: lines, or rows."""
+    counts: Mapping[str, float | None] = field(default_factory=dict)
+    """Encoder counts of one rad or m, by column that may be in counts; None if not known."""
 
     @property
     def file_lines(self) -> tuple[int, ...] | None:
@@ -95,6 +83,13 @@ class Table:
                 f"has {', '.join(self.units)}"
             )
         unit = self.units[column]
+        if unit == COUNTS and column in self.counts:
+            if (by := self.counts[column]) is None:
+                raise MeasurementError(
+                    f"{self.path}: column {column!r} is in counts; say how many are in one "
+                    f"{dimension}, by {scale_said(column, dimension)}"
+                )
+            return self.plain(column, blank=blank) / by
         if unit is None:
             raise MeasurementError(
                 f"{self.path}: column {column!r} has no unit; write it in the header, for example "
@@ -129,12 +124,14 @@ class Table:
 
 
 def read_table(source: str | Path | Any) -> Table:
-    """Return the columns of a CSV file, or of a pandas DataFrame, as text.
+    """Return the columns of a CSV file, or of a pandas DataFrame, as text; a table is as it is.
 
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: no header, no rows, repeated columns, or rows of uneven length.
     """
+    if isinstance(source, Table):
+        return source
     if is_dataframe(source):
         return _of_dataframe(source)
     path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
@@ -297,9 +294,16 @@ def write_table(
     path: str | Path,
     columns: Mapping[str, Iterable[float] | Iterable[str]],
     *,
+    units: Units = SI,
     force: bool = False,
 ) -> None:
     """Write columns (header to values, SI) to a CSV file, whole or not at all.
+
+    Args:
+        path: The file.
+        columns: Header with the SI unit, ``x [m]``, to values.
+        units: In which units they are written.
+        force: Whether to replace the file if it exists.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
@@ -309,6 +313,7 @@ def write_table(
         scratch.open("w", newline="", encoding="utf-8") as file,
     ):
         writer = csv.writer(file, lineterminator="\n")
+        columns = units.written(columns)
         writer.writerow(columns)
         cells = (map(_cell, values) for values in columns.values())
         writer.writerows(zip(*cells, strict=True))

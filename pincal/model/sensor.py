@@ -121,6 +121,8 @@ class Sensor:
     platform's home pose, whatever the parameters, as on machines that are zeroed there."""
     terms: tuple[Term, ...] = ()
     """What is added to the joint's position in either form: Σ a_j b_j(ψ)."""
+    counts_per_unit: float | None = None
+    """Encoder counts of one rad or m of the reading, above 0; None if it is not read in counts."""
 
     @property
     def homed(self) -> bool:

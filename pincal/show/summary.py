@@ -14,7 +14,7 @@ from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
-from pincal.words.numbers import amount, listed, shown_in, size
+from pincal.words.numbers import amount, listed, number, size
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED
 
@@ -145,9 +145,10 @@ def check_lines(result: CalibrationResult) -> list[str]:
         text = held_out_line(one)
         if one.position is not None and one.fit <= _MISSES:
             text += f". Platform: {amount(one.position[1], 'm')} held out, "
-            text += f"{1e3 * one.position[0]:.3g} in the fit"
+            text += f"{number(one.position[0], 'm')} in the fit"
             if one.orientation is not None:
-                text += f"; {amount(one.orientation[1], 'rad')} and {1e3 * one.orientation[0]:.3g}"
+                fit, held = (number(turned, "rad") for turned in one.orientation)
+                text += f"; {held} mrad and {fit}"
             text += " (measuring noise included)"
         by = f"{one.folds} folds" if one.folds > 1 else f"{one.rows} rows of the set verify"
         lines.append(f"{text} ({by})")
@@ -199,8 +200,9 @@ def _weak_line(pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
         whose = " of every leg" if len(legs) == len(mechanism.legs) else f" of {', '.join(legs)}"
     units = [mechanism.leg(leg).units[name] for leg, name in both]
     known = [
-        f"{amount(now, unit)} instead of {shown_in(std, unit):.3g} for {id_}"
+        f"{amount(now, unit)} instead of {number(std, unit)} for {id_}"
         for now, std, unit, id_ in zip(worst.known, worst.std, units, ids, strict=True)
+        if number(now, unit) != number(std, unit)
     ]
     return (
         f"{ids[0]} and {ids[1]}{whose} are weakly determined together, correlation "

@@ -46,7 +46,7 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     if inscribed:
         handles.append(Patch(fill=False, edgecolor=COLOURS[1], label="largest inscribed"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-    size = f"{workspace.measure:.4g} ± {workspace.uncertainty:.2g} {workspace.unit}"
+    size = workspace.size
     if not workspace.count:
         size = "empty"
     elif isinstance(asked, Grid):

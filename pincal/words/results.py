@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.finding import Finding
-from pincal.words.numbers import SMALL, amount, listed, shown_in
+from pincal.words.numbers import SMALL, amount, listed, number
 from pincal.words.wording import P_VALUE, Wording
 
 
@@ -31,7 +31,7 @@ def noise(values: Mapping[str, Any]) -> str:
     reading = values["reading"]
     if reading:
         units = listed((SMALL[unit] for unit in values["units"]), "or")
-        parts.append(f"{shown_in(reading, values['units'][0]):.3g} {units} in readings")
+        parts.append(f"{number(reading, values['units'][0])} {units} in readings")
     return ", ".join(parts if reading else [*parts, "readings exact"])
 
 
