@@ -45,8 +45,18 @@ def parameters_table(result: CalibrationResult) -> Table:
             (leg.name, *_cells(p), *[one] * len(more))
             for (leg, p), one in zip(parameters(result), given, strict=True)
         ],
-        "change [σ]: by how many standard errors the parameter moved",
+        f"change [σ]: by how many standard errors the parameter moved{_chosen(result)}",
         grouped=True,
+    )
+
+
+def _chosen(result: CalibrationResult) -> str:
+    """Return what values and ± depend on, where freedoms were fixed by choice."""
+    if not result.gauge:
+        return ""
+    return (
+        ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
+        "nominal; errors of the platform do not"
     )
 
 
@@ -78,7 +88,8 @@ def outside_table(result: CalibrationResult) -> Table:
         columns("unknown", "start", *_HEADS[2:5], units=VALUES),
         [(p.id, *_cells(p)[1:5]) for p in result.external],
         "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
-        "vector); others: where what was measured is on the platform",
+        "vector); others: where what was measured is on the platform; start: where the search "
+        f"began, measured positions laid on those of the nominal machine{_chosen(result)}",
     )
 
 

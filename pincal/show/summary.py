@@ -14,7 +14,7 @@ from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
-from pincal.words.numbers import amount, listed, number, size
+from pincal.words.numbers import amount, listed, number, rounded, size
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED
 
@@ -89,12 +89,12 @@ def noise_line(result: CalibrationResult) -> str:
         text = f"noise estimated from {where}: {noise_said(result, result.noise)}"
         if result.noise_source == "estimated":
             return text
-        return f"{text}; {f'reduced χ² {chi2:.3g}' if dof else _NO_FREEDOM}"
+        return f"{text}; {f'reduced χ² {rounded(chi2, 3)}' if dof else _NO_FREEDOM}"
     if not dof:
         return _NO_FREEDOM
     return (
-        f"reduced χ² {chi2:.3g} on {dof} degrees of freedom; near 1 the residuals are as large as "
-        "the noise given makes them"
+        f"reduced χ² {rounded(chi2, 3)} on {dof} degrees of freedom; near 1 the residuals are as "
+        "large as the noise given makes them"
     )
 
 

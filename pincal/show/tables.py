@@ -203,7 +203,9 @@ def articular_table(
             ends = (Cell(float(low), f"{low:.3f}"), Cell(float(high), f"{high:.3f} [{unit}]"))
             rows.append((*heads, reading, *ends))
             heads = ("", None)
-    lines = [
+    sampled = f"{len(spaces['all']):,} random poses" if "all" in spaces else ""
+    lines = [f"all: {sampled}, so the space reaches a little farther"] * bool(sampled)
+    lines += [
         f"{check.element}: {check.solved} of {check.asked} permuted readings solved, "
         f"{check.inside} in the workspace, at most {check.off:.2g} from the carried pose"
         for check in checks
@@ -212,6 +214,6 @@ def articular_table(
         f"{mechanism.name}: articular-variables space",
         columns("space", "poses", "leg", "from", "to"),
         rows,
-        "\n".join(lines or ["no symmetry but the identity"]),
+        "\n".join(lines if checks else [*lines, "no symmetry but the identity"]),
         wrap=False,
     )

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.finding import Finding
-from pincal.words.numbers import SMALL, amount, listed, number
+from pincal.words.numbers import SMALL, amount, listed, number, rounded
 from pincal.words.wording import P_VALUE, Wording
 
 
@@ -40,7 +40,7 @@ def _chi2(found: Finding) -> str:
     larger = found.code == "chi2-too-large"
     given = "repeated rows show" if v["source"] == "repeats" else "given"
     return (
-        f"reduced χ² is {v['chi2']:.3g} where 1 is expected: the noise is "
+        f"reduced χ² is {rounded(v['chi2'], 3)} where 1 is expected: the noise is "
         f"{'larger' if larger else 'smaller'} than {given}"
         f"{', or the model lacks something' if larger else ''}; the uncertainties assume that noise"
     )
@@ -236,10 +236,13 @@ RESULTS: dict[str, Wording] = {
     "many-outliers": Wording(
         "Many rows do not fit",
         {"share": "share of the rows"},
-        lambda f: f"{100 * f.values['share']:.0f} % of the rows do not fit",
+        lambda f: (
+            f"{100 * f.values['share']:.0f} % of the rows do not fit the others, data row "
+            f"{f.rows[0] + 1} least"
+        ),
         "More than a tenth of the rows are outliers: rather the noise is larger than given, or the "
-        "model lacks something, than that so many are wrong.",
-        "Correct the noise or the model before leaving rows out",
+        "model lacks something, than that so many are wrong. The finding's rows are those.",
+        "Correct the noise or the model before leaving rows out (--robust reject)",
     ),
     "held-out-worse": Wording(
         "Held-out rows miss by more than is expected",

@@ -275,11 +275,7 @@ def calibrate(
     if not result.converged:
         raise typer.Exit(1)
     if result.excess > 1.0 and not how.accept:
-        warn(
-            f"exit code 1: residuals are {result.excess:.3g} times as large as the noise given "
-            "makes them, so the standard errors do not hold. Look at the warnings above, or take "
-            "the result as it is by --accept"
-        )
+        warn("exit code 1, since χ² contradicts the noise; --accept takes the result as it is")
         raise typer.Exit(1)
 
 
