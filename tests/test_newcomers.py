@@ -99,8 +99,8 @@ def test_a_small_workspace_fills_its_picture() -> None:
     """Base points far outside are left out, and that is said; those near are drawn."""
     mechanism = pincal.load_mechanism("3RRR")
     size = largest_size(mechanism.legs, mechanism.platform)
-    for reach, bases in ((0.03, False), (1.0, True)):
-        step = reach / 4
+    for reach, bases in ((0.03, False), (2.0, True)):
+        step = reach / 8
         axes = [Axis.parse(f"{name}={-reach}:{reach}:{step}") for name in "xy"]
         grid = default_grid(mechanism, axes)
         found = compute_workspace(mechanism, "reachable", grid, None, Margins.none())

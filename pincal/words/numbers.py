@@ -54,7 +54,7 @@ def number(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = 
     shown, finest = shown_in(value, unit, units), _FINEST[units[unit]]
     if units[unit] and 0.0 < abs(shown) < 0.5 * 10.0**-finest:
         return _below(finest)
-    return rounded(round(shown, finest), digits)
+    return rounded(round(shown, finest) if units[unit] else shown, digits)
 
 
 def _below(digits: int) -> str:

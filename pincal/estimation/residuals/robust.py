@@ -113,7 +113,7 @@ def _fitted(
 ) -> Robust:
     if loss is None:
         one = search(system)
-        return Robust(one, rows, _outliers(one, _seen_scale(one), rows), None)
+        return Robust(one, rows, _outliers(one, one.noise_scale, rows, _seen_scale(one)), None)
     rejecting = loss.name == "reject"
     coarse = search(replace(system, loss=LOSSES["cauchy"]))
     fine = LOSSES["tukey"] if rejecting else loss
@@ -172,16 +172,25 @@ def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
     return one
 
 
-def _outliers(one: Fit, scale: float, rows: NDArray[np.intp]) -> tuple[Outlier, ...]:
-    """Return the rows that do not fit, the worst first."""
+def _outliers(
+    one: Fit, scale: float, rows: NDArray[np.intp], judged: float = 0.0
+) -> tuple[Outlier, ...]:
+    """Return the rows that do not fit, the worst first.
+
+    Args:
+        one: The fit.
+        scale: Of the noise.
+        rows: Rows of the measurements.
+        judged: Scale by which rows in use are judged, if larger.
+    """
     linear = one.last
     if not (one.converged and scale > 0.0):
         return ()
     equations = np.maximum(linear.equations, 1)
     relative = linear.squares / scale**2
     left_out = outlying(relative, equations) & (one.weights == 0.0)
-    far = suspected(np.where(linear.equations > 0, relative, 0.0), equations)
-    listed = np.flatnonzero((left_out | far) & (linear.equations > 0))
+    far = np.where(linear.equations > 0, linear.squares / max(scale, judged) ** 2, 0.0)
+    listed = np.flatnonzero((left_out | suspected(far, equations)) & (linear.equations > 0))
     legs = tuple(leg.name for leg in one.problem.legs)
     noise = np.abs(linear.noise[:, : len(one.problem.quantities)]) / scale
     worst = noise.argmax(axis=1)
