@@ -13,13 +13,11 @@ from measured import machine
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.kinematics.closure import largest_size
 from pincal.show.result_tables import outside_table, parameters_table
 from pincal.show.tables import articular_table
 from pincal.show.workspace_plots import workspace_figure
 from pincal.workspace.axes import Axis
 from pincal.workspace.box import default_grid
-from pincal.workspace.criteria import Margins
 from pincal.workspace.region import compute_workspace
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
@@ -97,18 +95,16 @@ def test_print_of_a_parameter_is_a_line_of_words() -> None:
 
 def test_a_small_workspace_fills_its_picture() -> None:
     """Base points far outside are left out, and that is said; those near are drawn."""
-    mechanism = pincal.load_mechanism("3RRR")
-    size = largest_size(mechanism.legs, mechanism.platform)
-    for reach, bases in ((0.03, False), (2.0, True)):
-        step = reach / 8
-        axes = [Axis.parse(f"{name}={-reach}:{reach}:{step}") for name in "xy"]
+    for name, reach, bases in (("3RRR", 0.03, False), ("5R", 0.4, True)):
+        mechanism = pincal.load_mechanism(name)
+        axes = [Axis.parse(f"{axis}={-reach}:{reach}:{reach / 8}") for axis in "xy"]
         grid = default_grid(mechanism, axes)
-        found = compute_workspace(mechanism, "reachable", grid, None, Margins.none())
-        figure = workspace_figure(found)
+        figure = workspace_figure(compute_workspace(mechanism, "reachable", grid))
         left, right = figure.axes[0].get_xlim()
-        assert right - left > size if bases else right - left < 4.0 * reach
-        said = figure.get_suptitle()
-        assert ("base points lie outside" in said) is not bases
+        points = [leg.joints[0].placement.xyz[0] for leg in mechanism.legs]
+        assert (left < min(points) < max(points) < right) == bases
+        assert right - left < 4.0 * reach
+        assert ("base points lie outside" in figure.get_suptitle()) is not bases
 
 
 def test_articular_all_is_said_to_be_a_sample(tmp_path: Path) -> None:

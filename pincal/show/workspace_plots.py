@@ -19,7 +19,7 @@ from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]
-_SEEN = 0.25  # of a picture: less of it than this shows nothing
+_SEEN = 0.2  # of a picture: less of it than this shows nothing
 
 
 def _panels(count: int, edge: float, share: bool = False) -> tuple[Figure, list[Axes]]:
