@@ -12,7 +12,7 @@ def sheet(path: Path, cells: list[list[str | float]]) -> None:
     def cell(value: str | float) -> str:
         if isinstance(value, str):
             return f'<c t="inlineStr"><is><t>{value}</t></is></c>' if value else "<c/>"
-        return f"<c><v>{value!r}</v></c>"
+        return f"<c><v>{float(value)!r}</v></c>"
 
     rows = "".join(f"<row>{''.join(map(cell, row))}</row>" for row in cells)
     main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"

@@ -277,11 +277,11 @@ OTHERWISE = {
         lambda data: _semicolons(data.replace(b"phi [mrad]", b"phi [\xb0]")),
         "decimal commas",
     ),
-    "parentheses": (lambda data: data.replace(b"x [mm]", b"x (mm)"), "is read as 'x [mm]'"),
-    "underscore": (lambda data: data.replace(b"x [mm]", b"x_mm"), "is read as 'x [mm]'"),
-    "blank": (lambda data: data.replace(b"x [mm]", b"x mm"), "is read as 'x [mm]'"),
-    "slash": (lambda data: data.replace(b"x [mm]", b"x/mm"), "is read as 'x [mm]'"),
-    "capitals": (lambda data: data.replace(b"x [mm]", b"X [mm]"), "is read as 'x [mm]'"),
+    "parentheses": (lambda data: data.replace(b"x [mm]", b"x (mm)"), "as 'x [mm]'"),
+    "underscore": (lambda data: data.replace(b"x [mm]", b"x_mm"), "as 'x [mm]'"),
+    "blank": (lambda data: data.replace(b"x [mm]", b"x mm"), "as 'x [mm]'"),
+    "slash": (lambda data: data.replace(b"x [mm]", b"x/mm"), "as 'x [mm]'"),
+    "capitals": (lambda data: data.replace(b"x [mm]", b"X [mm]"), "as 'x [mm]'"),
 }
 
 

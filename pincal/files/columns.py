@@ -37,7 +37,6 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
             name, said = meant[0], own or _said_in(column, meant[0], units[meant[0]])
             if said and len(meant) == 1 and meant[0] not in other.values():
                 other[column] = name
-                _log.info("%s: column %r is read as '%s [%s]'", table.path, column, name, said)
                 continue
             unit = own or _unit_in(column, meant[0], units[meant[0]])
             written = f"{column} [{own}]" if own else column
@@ -48,6 +47,9 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
     for column, name in other.items():
         table.units[name] = table.units.pop(column) or _said_in(column, name, units[name])
         table.text[name] = table.text.pop(column)
+    if other:
+        read = (f"{column!r} as '{name} [{table.units[name]}]'" for column, name in other.items())
+        _log.info("%s: columns read: %s", table.path, ", ".join(read))
     if unused := list(unknown_columns(table, mechanism, more)):
         names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
         names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)

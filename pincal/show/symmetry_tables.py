@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from pincal.symmetry.detect import NearestGroup, SymmetryGroup
-from pincal.words.numbers import counted
+from pincal.words.numbers import amount, counted
 from pincal.words.table import Column, Table
 
 
