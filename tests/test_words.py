@@ -275,7 +275,7 @@ def test_hypotheses_that_explain_alike_are_one_sentence() -> None:
         "the readings of leg_1 are in mm under a metre header and the base is elsewhere in "
         "their frame. Change their sign, or the sensor's 'direction' in mechanism.yaml; or: "
         "Correct the units in the headers; or: Say that the base is elsewhere in that frame "
-        "(--unknown-frame)"
+        "(--unknown-frame; in Python Setup(unknown_frame=True))"
     )
     assert len(sentences([sign, unit, finding("many-outliers", (3,), share=0.2)])) == 2
 

@@ -6,7 +6,7 @@ q = k ψ + γ + Σ a_j b_j(ψ): linear in all that is unknown.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -121,7 +121,7 @@ class Sensor:
     platform's home pose, whatever the parameters, as on machines that are zeroed there."""
     terms: tuple[Term, ...] = ()
     """What is added to the joint's position in either form: Σ a_j b_j(ψ)."""
-    counts_per_unit: float | None = None
+    counts_per_unit: float | None = field(default=None, repr=False)
     """Encoder counts of one rad or m of the reading, above 0; None if it is not read in counts."""
 
     @property
