@@ -16,6 +16,7 @@ from pincal.words.numbers import FACTORS
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 COUNTS = 4096 / (2 * np.pi)
+LEGS = ("leg_1", "leg_2", "leg_3")
 GIVEN = ("--noise-position", "0.1mm", "--noise-orientation", "0.1mrad", "--noise-reading", "1e-5")
 
 
@@ -82,6 +83,19 @@ def test_counts_that_mean_nothing_are_refused(
     assert why in outcome.trouble
 
 
+def test_scales_are_checked_where_they_are_said(tmp_path: Path) -> None:
+    """No reading of that name, no number above 0: in Python and in mechanism.yaml."""
+    mechanism = pincal.load_mechanism("5R")
+    with pytest.raises(pincal.MechanismError, match="no reading of '5R'"):
+        mechanism.with_counts({"leg_3": 1.0})
+    with pytest.raises(pincal.MechanismError, match="expected a number above 0"):
+        mechanism.with_counts({"leg_1": -1.0})
+    yaml = mechanism.with_counts({"leg_1": 2.5}).save(tmp_path / "bar") / "mechanism.yaml"
+    yaml.write_text(yaml.read_text().replace("counts_per_unit: 2.5", "counts_per_unit: 0"))
+    with pytest.raises(pincal.MechanismError, match="counts_per_unit"):
+        pincal.load_mechanism(yaml.parent)
+
+
 def test_positions_have_no_counts(tmp_path: Path) -> None:
     """Only readings do: elsewhere counts are a unit like any that is not understood."""
     (tmp_path / "m.csv").write_text("x [counts],y [m],leg_1 [rad],leg_2 [rad]\n0,0.1,1,1\n")
@@ -137,14 +151,14 @@ def test_units_that_are_none_are_refused(units: str, why: str, tmp_path: Path) -
 
 def test_tables_in_mm_and_degrees_on_request(counted: Path, tmp_path: Path) -> None:
     """Those of calibrate and check; what result.json holds stays SI, to the byte."""
-    results = [tmp_path / "si", tmp_path / "mm"]
-    said = (*GIVEN, "--counts", "4096/turn", "--folds", 0, "--verbose")
-    outs = [
-        done("calibrate", "3RRR", counted, *said, *units, "-o", folder).out
-        for folder, units in zip(results, [(), ("--units", "cm,deg")], strict=True)
-    ]
-    assert [" cm " in out and " ° " in out for out in outs] == [False, True]
-    first, second = ((one / "result.json").read_bytes() for one in results)
+    mechanism = pincal.load_mechanism("3RRR").with_counts(dict.fromkeys(LEGS, COUNTS))
+    pincal.calibrate(mechanism, counted, noise=NOISE).save(tmp_path / "si")
+    said = (*GIVEN, "--counts", "4096/turn", "--folds", 0, "--verbose", "--units", "cm,deg")
+    out = done("calibrate", "3RRR", counted, *said, "-o", tmp_path / "cm").out
+    assert " cm " in out
+    assert " ° " in out
+    assert " mm " not in out.split("all legs together")[0].split("parameters, nominal")[1]
+    first, second = ((tmp_path / name / "result.json").read_bytes() for name in ("si", "cm"))
     assert first == second
     shown = done("check", "3RRR", "--units", "mm,deg").out
     assert "3464.102" in shown

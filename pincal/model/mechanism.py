@@ -121,10 +121,10 @@ class Mechanism:
         Raises:
             MechanismError: an unknown reading, or no number above 0.
         """
-        for name, by in must_be(counts, Mapping, "counts", MechanismError).items():
-            if name not in self.reading_names or not 0.0 < by < np.inf:
+        for name in must_be(counts, Mapping, "counts", MechanismError):
+            if name not in self.reading_names:
                 raise MechanismError(
-                    f"{by!r} counts of one unit of {name!r}: expected a number above 0 of one of "
+                    f"counts of {name!r}, which is no reading of {self.name!r}; it has "
                     f"{', '.join(self.reading_names)}"
                 )
         legs = []

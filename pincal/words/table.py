@@ -14,7 +14,7 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
-from pincal.words.numbers import SMALL, Measured, fixed, shown_in
+from pincal.words.numbers import SMALL, Measured, fixed, rounded, shown_in
 
 if TYPE_CHECKING:
     import pandas
@@ -98,7 +98,10 @@ class Column:
             return str(value)
         if not isfinite(value):
             return "" if value != value else "∞"
-        return f"{shown_in(value, self.unit, self.units) if self.unit else value:{self.format}}"
+        shown = shown_in(value, self.unit, self.units) if self.unit else value
+        if self.format.endswith("g"):
+            return rounded(shown, int(self.format[1:-1]))
+        return f"{shown:{self.format}}"
 
 
 def columns(*heads: str, units: Mapping[str, str] = SMALL) -> tuple[Column, ...]:
