@@ -74,6 +74,17 @@ def test_no_digits_beyond_what_anybody_measures() -> None:
     assert amount(0.0, "m") == "0 mm"
     assert amount(12.345, "m") == "12300 mm"
     assert amount(1e-12, "1") == "1e-12"
+    assert [
+        rounded(one, 3) for one in (6.88e-5, 1.234e7, 100.0, -0.5, 0.0, math.inf, math.nan)
+    ] == [
+        "0.0000688",
+        "12300000",
+        "100",
+        "-0.5",
+        "0",
+        "inf",
+        "nan",
+    ]
     for unit, units in (("m", "mm"), ("rad", "mrad")):
         for exponent in np.linspace(-12, 3, 61):
             for text in (

@@ -70,7 +70,12 @@ def size(position: float, orientation: float | None = None) -> str:
 
 def rounded(value: float, digits: int = 2) -> str:
     """Return a number rounded to some digits, without an exponent where it can be."""
-    return f"{float(f'{value:.{digits}g}'):g}"
+    near = float(f"{value:.{digits}g}")
+    if not 1e-9 <= abs(near) < 1e12:  # 0, or of a size that nobody reads without an exponent
+        return f"{near:g}"
+    places = max(digits - 1 - floor(log10(abs(near))), 0)
+    text = f"{near:.{places}f}"
+    return text.rstrip("0").rstrip(".") if places else text
 
 
 def percent(share: float, digits: int = 2) -> str:
