@@ -38,6 +38,9 @@ WHY = {
     "u-msgpack-python": "packs meshcat's commands as its viewer reads them; meshcat needs it too",
     "distributed": "extra `cluster`: the same chunks on a Dask cluster (`--scheduler`)",
     "pandas": "extra `pandas`: tables in and out as DataFrames",
+    "python-calamine": "extra `excel`: one reader of .xlsx, .xls and .ods, which pandas calls; "
+    "openpyxl, xlrd and odfpy would be three",
+    "pyarrow": "extra `parquet`: reads .parquet, for pandas",
     "example-robot-data": "tests and examples: twenty and more arms as URDFs with their meshes",
     "hypothesis": "properties and fuzzed files",
     "playwright": "drives Debian's Chromium, which `.ci/run` installs; without one the tests of "
@@ -137,7 +140,7 @@ def indirect() -> str:
 
 TABLES = {
     "library": direct,
-    "tools": lambda: direct("cluster", "test", "dev"),
+    "tools": lambda: direct("cluster", "excel", "parquet", "test", "dev"),
     "brought": indirect,
 }
 

@@ -817,7 +817,7 @@ def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
     line = ["calibrate", "3RRR", "measured.csv", *small]
     outcome = run(*line, "-o", "doubted")
     assert outcome.code == 1
-    assert "exit code 1: residuals are" in outcome.err
+    assert "exit code 1, since χ² contradicts the noise; --accept" in outcome.err
     assert Path("doubted/mechanism/mechanism.yaml").is_file()
     assert run(*line, "-o", "taken", "--accept").code == 0
 

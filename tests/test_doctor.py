@@ -10,15 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import done, run
 from marks import slow_or_fuzz, some_slow
 from measured import machine
 from numpy.typing import NDArray
 
 import pincal
+from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.doctor import remedies
 from pincal.calibration.options import Options
+from pincal.files.tables import read_table
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
@@ -151,3 +153,33 @@ def test_one_gross_row_is_left_out(kind: str, tmp_path: Path) -> None:
     outcome = run("doctor", kind, str(tmp_path / "m.csv"))
     assert outcome.code == 0, outcome.out
     assert "--robust reject" in outcome.out
+
+
+def test_columns_without_a_meaning_are_copied_to_the_mended_file(tmp_path: Path) -> None:
+    """A temperature, a note: as they were, cell by cell, behind what pincal knows."""
+    mechanism, _, data = machine("3RRR", 24, NOISE)
+    frame = factors(data, 0, -1.0).to_dataframe(mechanism)
+    frame.insert(0, "temperature [C]", np.arange(24.0))
+    frame["note"] = 'warm, "by hand"'
+    frame.to_csv(tmp_path / "m.csv", index=False)
+    done("doctor", "3RRR", tmp_path / "m.csv", *GIVEN, "-o", tmp_path / "mended.csv")
+    given, mended = (read_table(tmp_path / name) for name in ("m.csv", "mended.csv"))
+    assert set(mended.units.items()) == set(given.units.items())
+    assert mended.units["temperature"] == "C"
+    for name in ("temperature", "note"):
+        assert mended.text[name] == given.text[name]
+
+
+def test_doctor_does_not_say_works_for_what_calibrate_contradicts() -> None:
+    """Two runs 0.2 mm apart fit within the noise; compared, they differ: nothing works."""
+    mechanism, _, data = machine("3RRR", 24, NOISE)
+    side = np.arange(24) % 2
+    moved = data.poses + np.outer(2e-4 * side - 1e-4, [1.0, 1.0, 0.0])
+    data = replace(data, runs=tuple(map(str, side)), poses=moved)
+    calibration = Calibration(mechanism, data, Options(noise=NOISE))
+    assert identify(calibration).promises
+    first = next(iter(remedies(calibration)))
+    assert first.result is not None
+    assert first.result.validation is not None
+    assert [one.code for one in first.result.contradictions] == ["runs-differ"]
+    assert not first.works

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from sheets import sheet
 
 import pincal
 from pincal.errors import FileError, MeasurementError, PincalError
@@ -275,11 +277,11 @@ OTHERWISE = {
         lambda data: _semicolons(data.replace(b"phi [mrad]", b"phi [\xb0]")),
         "decimal commas",
     ),
-    "parentheses": (lambda data: data.replace(b"x [mm]", b"x (mm)"), "is read as 'x [mm]'"),
-    "underscore": (lambda data: data.replace(b"x [mm]", b"x_mm"), "is read as 'x [mm]'"),
-    "blank": (lambda data: data.replace(b"x [mm]", b"x mm"), "is read as 'x [mm]'"),
-    "slash": (lambda data: data.replace(b"x [mm]", b"x/mm"), "is read as 'x [mm]'"),
-    "capitals": (lambda data: data.replace(b"x [mm]", b"X [mm]"), "is read as 'x [mm]'"),
+    "parentheses": (lambda data: data.replace(b"x [mm]", b"x (mm)"), "as 'x [mm]'"),
+    "underscore": (lambda data: data.replace(b"x [mm]", b"x_mm"), "as 'x [mm]'"),
+    "blank": (lambda data: data.replace(b"x [mm]", b"x mm"), "as 'x [mm]'"),
+    "slash": (lambda data: data.replace(b"x [mm]", b"x/mm"), "as 'x [mm]'"),
+    "capitals": (lambda data: data.replace(b"x [mm]", b"X [mm]"), "as 'x [mm]'"),
 }
 
 
@@ -416,25 +418,66 @@ def test_columns_without_a_meaning_are_logged(
     assert messages == {f"{path}: columns not used: leg_4, temperature"}
 
 
-@pytest.mark.parametrize(
-    ("name", "reader"),
-    [("m.xlsx", "read_excel"), ("m.ods", "read_excel"), ("m.parquet", "read_parquet")],
-)
-def test_spreadsheets_are_read_by_pandas(
-    name: str, reader: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A sheet gives what its CSV file gives; without its package, or damaged, that is said."""
-    pandas = pytest.importorskip("pandas")
+CELLS: list[list[str | float]] = [
+    [one.strip() for one in HEADER.split(",")],
+    [1.5, -2, 3e-1, 4, 5, 6],
+    [1, 2.25, 3, 0.125, 5, 6],
+]
+
+
+@pytest.mark.parametrize("commas", [False, True])
+def test_spreadsheets_give_what_their_csv_files_give(commas: bool, tmp_path: Path) -> None:
+    """Also with blank rows, a margin, and decimal commas in cells that Excel holds for text."""
+    pytest.importorskip("python_calamine")
     (tmp_path / "m.csv").write_bytes(table("1.5,-2,3e-1,4,5,6", "1,2.25,3,0.125,5,6"))
-    (tmp_path / name).write_bytes(b"a sheet")
-    with pytest.raises(MeasurementError, match=f"{name}: "):
-        pincal.Measurements.from_csv(tmp_path / name, THREE)
-    frame = pandas.read_csv(tmp_path / "m.csv")
-    monkeypatch.setattr(pandas, reader, lambda _: frame)
+    head, *rows = CELLS
+    texts = [[str(one).replace(".", ",") for one in row] for row in rows] if commas else rows
+    blank: list[str | float] = [""] * 7
+    cells = [blank, [*head, ""], [*texts[0], ""], blank, [*texts[1], ""]]
+    sheet(tmp_path / "m.xlsx", cells)
     expected = pincal.Measurements.from_csv(tmp_path / "m.csv", THREE)
-    found = pincal.Measurements.from_csv(tmp_path / name, THREE)
+    found = pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
     assert np.array_equal(found.poses, expected.poses)
     assert np.array_equal(found.readings, expected.readings)
-    monkeypatch.setattr(pandas, reader, lambda _: frame.rename(columns={"x [m]": "x"}))
-    with pytest.raises(MeasurementError, match=f"{name}: .*'x'"):
+
+
+def test_messages_on_spreadsheets_name_the_row_of_the_sheet(tmp_path: Path) -> None:
+    """A title above the headers, a cell that is no number: as Excel counts rows."""
+    pytest.importorskip("python_calamine")
+    sheet(tmp_path / "m.xlsx", [["Messung vom 3. Mai"], *CELLS])
+    with pytest.raises(MeasurementError, match=r"no header in row 1, .*remove rows above"):
+        pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
+    sheet(tmp_path / "m.xlsx", [*CELLS, ["n/a", *CELLS[1][1:]]])
+    with pytest.raises(MeasurementError, match=r"m.xlsx, row 4: 'n/a'"):
+        pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
+
+
+def test_parquet_files_are_read(tmp_path: Path) -> None:
+    """As the DataFrame that they hold."""
+    pytest.importorskip("pyarrow")
+    frame = pytest.importorskip("pandas").DataFrame(CELLS[1:], columns=CELLS[0])
+    frame.to_parquet(tmp_path / "m.parquet")
+    found = pincal.Measurements.from_csv(tmp_path / "m.parquet", THREE)
+    assert np.array_equal(found.poses, pincal.Measurements.from_csv(frame, THREE).poses)
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "extra"),
+    [
+        ("m.xlsx", "python_calamine", "excel"),
+        ("m.ods", "python_calamine", "excel"),
+        ("m.xls", "pandas", "excel"),
+        ("m.parquet", "pyarrow", "parquet"),
+    ],
+)
+def test_a_missing_package_is_named_by_its_extra(
+    name: str, package: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The message is what to type; a file that is none of its kind is said to be none."""
+    (tmp_path / name).write_bytes(b"a sheet")
+    with pytest.raises(MeasurementError, match=f"{name}: no {Path(name).suffix} file"):
+        pincal.Measurements.from_csv(tmp_path / name, THREE)
+    for one in [package, *(m for m in sys.modules if m.startswith(f"{package}."))]:
+        monkeypatch.setitem(sys.modules, one, None)
+    with pytest.raises(MeasurementError, match=re.escape(f"pip install 'pincal[{extra}]'")):
         pincal.Measurements.from_csv(tmp_path / name, THREE)

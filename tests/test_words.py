@@ -6,12 +6,16 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 from lxml import html as lxml_html
 
+from pincal import load_mechanism
+from pincal.estimation.observability.weak import WeakPair
+from pincal.show.summary import weak_lines
 from pincal.words.hypotheses import HYPOTHESES, cause
 from pincal.words.numbers import (
     Measured,
@@ -59,6 +63,46 @@ def test_numbers_as_people_read_them() -> None:
         "leg_1.l is",
         "2 rows",
     ]
+
+
+def test_no_digits_beyond_what_anybody_measures() -> None:
+    """No ± 0.000044 mm, no ± 2e-9 rad, no 1e+04: bounds, and digits that mean something."""
+    assert Measured(0.5, 4.4e-8, "m").text() == "500.0000 ± < 0.0001 mm"
+    assert Measured(0.5, 2e-9, "rad").text() == "0.5000000 ± < 0.0000001 rad"
+    assert Measured(0.05213, 0.041).text() == "0.052 ± 0.041"
+    assert amount(4.4e-8, "m") == "< 0.0001 mm"
+    assert amount(0.0, "m") == "0 mm"
+    assert amount(12.345, "m") == "12300 mm"
+    assert amount(1e-12, "1") == "1e-12"
+    assert [
+        rounded(one, 3) for one in (6.88e-5, 1.234e7, 100.0, -0.5, 0.0, math.inf, math.nan)
+    ] == [
+        "0.0000688",
+        "12300000",
+        "100",
+        "-0.5",
+        "0",
+        "inf",
+        "nan",
+    ]
+    for unit, units in (("m", "mm"), ("rad", "mrad")):
+        for exponent in np.linspace(-12, 3, 61):
+            for text in (
+                amount(10.0**exponent, unit),
+                Measured(1.0, 10.0**exponent, unit).text(),
+                fixed(10.0**exponent, 10.0**exponent, unit),
+            ):
+                assert len(text.partition(".")[2].split(" ")[0]) <= 7, (text, units)
+                assert "e-" not in text
+                assert not re.search(r"0\.0+( |$)", text.partition("±")[2])
+
+
+def test_two_numbers_that_are_shown_alike_are_not_compared() -> None:
+    """No '24 mm instead of 24': a parameter that knowing the other one helps not is left out."""
+    mechanism = load_mechanism("3RRR")
+    pair = WeakPair("leg_1.l", "leg_1.L", 0.99, std=(0.0240, 0.0100), known=(0.02401, 0.0010))
+    (line,) = weak_lines([pair], mechanism)
+    assert line.endswith("the standard error would be 1 mm instead of 10 for leg_1.L")
 
 
 @pytest.fixture
@@ -155,7 +199,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "step": ({"quantity": "reading of leg_2", "size": 1e-3, "unit": "rad", "p_value": 1e-5}, (29,), (), "reading of leg_2 is off by 1 mrad from data row 30 on (p = 1e-05)"),
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
     "wrong-rows": ({"total": 72, "chi2": 217.0, "without": 1.02, "sigma": 152.0, "quantity": "measured x", "off": 150.0}, (7,), (), "data row 8 does not fit the others, by 152 standard deviations (measured x off by 150 σ): reduced χ² is 217 with it, 1.02 without, and what follows is with. Mend or remove it"),
-    "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit"),
+    "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit the others, data row 2 least. Correct the noise"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: 8 poses for 8 parameters"),
     "unused-poses": ({"unused": 24, "total": 36}, (), (), "24 of 36 measured poses serve other legs only. Leave out --per-leg, or add --poses all"),
     "weakly-determined": ({"parameter": "leg_1.l", "half": 0.12, "unit": "m", "held": False}, (), ("leg_1.l", "leg_2.l"), "2 parameters are weakly determined, leg_1.l to ± 0.12 m only"),
@@ -243,9 +287,9 @@ def test_hypotheses_that_explain_alike_are_one_sentence() -> None:
         "the readings of leg_1 are in mm under a metre header and the base is elsewhere in "
         "their frame. Change their sign, or the sensor's 'direction' in mechanism.yaml; or: "
         "Correct the units in the headers; or: Say that the base is elsewhere in that frame "
-        "(--unknown-frame)"
+        "(--unknown-frame; in Python Setup(unknown_frame=True))"
     )
-    assert len(sentences([sign, unit, finding("many-outliers", share=0.2)])) == 2
+    assert len(sentences([sign, unit, finding("many-outliers", (3,), share=0.2)])) == 2
 
 
 def test_findings_have_what_their_sentences_need() -> None:

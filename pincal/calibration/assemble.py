@@ -184,11 +184,13 @@ def _rms(values: Array) -> float:
 def _external(
     found: Fits, outer: Array | None, sure: Confidence
 ) -> tuple[IdentifiedParameter, ...]:
-    """Return frame and targets with their intervals."""
+    """Return frame and targets with their intervals, and where the search for them began."""
     outside, values = found.calibration.observation.external, found.external
     if values is None or outer is None or not len(outside):
         return ()
-    start, there = (outside.coordinates(one) for one in (outside.start, values))
+    began = found.fits[0].fit.first.state.external
+    began = replace(began, own=outside.start.own)  # of instruments, what their makers say
+    start, there = (outside.coordinates(one) for one in (began, values))
     D = outside.coordinates_by_step(values)
     freedoms = [one.min(initial=np.inf) for one in sure.of_unknowns]
     quantile = float(quantiles(np.array(min(freedoms))))

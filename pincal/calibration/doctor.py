@@ -2,7 +2,7 @@
 
 As measured; with what explains the misfit put right; in an unknown frame; of a machine known
 roughly; each of these also without rows that do not fit. A remedy works if its search converges and
-nothing contradicts it.
+nothing contradicts it, rows held out and runs included: as ``pincal calibrate`` has it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.checked import checked
 from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_of
 from pincal.calibration.hypotheses.ranking import Judged
 from pincal.calibration.hypotheses.sample import whole_sample
@@ -114,7 +115,8 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
             check_noise(calibration.mechanism, result.noise)
     except MeasurementError:
         return Remedy(findings, calibration, None, "residuals are too large for noise")
-    return Remedy(findings, calibration, result, "")
+    found = Remedy(findings, calibration, result, "")
+    return replace(found, result=checked(result)[0]) if found.works else found
 
 
 def _left_out(result: CalibrationResult) -> float:

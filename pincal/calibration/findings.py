@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.special import chdtrc
 
@@ -213,22 +215,15 @@ def unused_options(setup: Setup) -> tuple[str, ...]:
 
 
 def _rows(result: CalibrationResult) -> list[Finding]:
-    found, outliers, total = [], result.outliers, len(result.measurements)
-    if outliers and result.loss == "none":
-        worst = outliers[0]
-        found.append(
-            finding(
-                "outliers",
-                rows=[one.row for one in outliers],
-                total=total,
-                sigma=worst.sigma,
-                quantity=worst.quantity,
-                off=worst.off,
-            )
-        )
+    outliers, total = result.outliers, len(result.measurements)
+    rows = [one.row for one in outliers]
     if len(outliers) > _MUCH * total:
-        found.append(finding("many-outliers", share=len(outliers) / total))
-    return found
+        return [finding("many-outliers", rows, share=len(outliers) / total)]
+    if not outliers or result.loss != "none":
+        return []
+    worst = outliers[0]
+    values: dict[str, Any] = {name: getattr(worst, name) for name in ("sigma", "quantity", "off")}
+    return [finding("outliers", rows, total=total, **values)]
 
 
 def _legs(result: CalibrationResult) -> list[Finding]:

@@ -38,6 +38,12 @@ class IdentifiedParameter(Parameter):
         """Identified value ± half its 95 % interval, in the unit in which people read it."""
         return Measured(self.identified, (self.high - self.low) / 2, self.unit).text()
 
+    def __str__(self) -> str:
+        """Return what is known of it, in a line: ``leg_1.l: 1501.4 ± 0.8 mm (95 %), …``."""
+        sure = " (95 %)" if self.high > self.low else f", {self.given or 'held'}"
+        nominal = Measured(self.nominal, 0.0, self.unit).text()
+        return f"{self.id}: {self.text}{sure}, nominal {nominal}"
+
 
 @dataclass(frozen=True, repr=False)
 class LegResult:

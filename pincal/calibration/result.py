@@ -31,6 +31,7 @@ from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameters
+from pincal.words.numbers import rounded
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
@@ -337,7 +338,7 @@ class CalibrationResult:
         ended = "converged" if self.converged else "did not converge"
         return (
             f"CalibrationResult({self.nominal.name!r}, {len(self.parameters)} parameters, "
-            f"reduced χ² {self.reduced_chi2:.3g}, {ended})"
+            f"reduced χ² {rounded(self.reduced_chi2, 3)}, {ended})"
         )
 
     def __str__(self) -> str:

@@ -12,8 +12,9 @@ import typer
 
 from pincal.cli.app import Seed
 from pincal.files.input import plain_number
+from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.setups import read_setup
-from pincal.files.tables import UNITS
+from pincal.files.units import UNITS, Units, counts_of
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup
@@ -88,6 +89,59 @@ class SetupOptions:
             target = replace(found.targets[ORIGIN], unknown=True)
             found = replace(found, targets={**found.targets, ORIGIN: target})
         return found
+
+
+@dataclass(frozen=True)
+class CountOptions:
+    """What encoders count."""
+
+    counts: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--counts",
+            metavar="[LEG=]NUMBER/UNIT",
+            help="How many counts columns such as 'leg_1 [counts]' have: leg_1=4096/turn, "
+            "12.5/mm, 651.9/rad; without a leg of all.",
+        ),
+    ] = None
+
+    def load(self, mech: str) -> Mechanism:
+        """Return a mechanism, its readings in the counts given.
+
+        Raises:
+            PincalError: a file that cannot be read, or counts that are not understood.
+        """
+        mechanism = load_mechanism(mech)
+        units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+        return mechanism.with_counts(counts_of(self.counts or (), units))
+
+
+@dataclass(frozen=True)
+class UnitOptions:
+    """In which units numbers are written."""
+
+    units: Annotated[
+        str | None,
+        typer.Option(
+            "--units",
+            metavar="mm,deg",
+            help="Units to write and print in: m, cm, mm, um or in; rad, mrad, deg or turn; "
+            "counts of readings.",
+        ),
+    ] = None
+
+    def written_in(self, mechanism: Mechanism) -> Units:
+        """Return the units; SI where nothing is said.
+
+        Raises:
+            MeasurementError: a unit that is not understood, or counts that are not known.
+        """
+        return Units.of(self.units or "", mechanism.counts, mechanism.reading_names)
+
+
+@dataclass(frozen=True)
+class TableOptions(UnitOptions, CountOptions):
+    """Units of tables that are read and written."""
 
 
 @dataclass(frozen=True)

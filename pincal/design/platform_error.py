@@ -19,6 +19,7 @@ from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.words.numbers import amount
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -122,8 +123,8 @@ class PlatformError:
         return "\n".join(lines)
 
     def _said(self, position: float, orientation: float) -> str:
-        said = f"{1e3 * position:.3g} mm"
-        return f"{said}, {1e3 * orientation:.3g} mrad" if "rad" in self.units else said
+        said = amount(position, "m")
+        return f"{said}, {amount(orientation, 'rad')}" if "rad" in self.units else said
 
 
 def platform_error(

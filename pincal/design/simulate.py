@@ -26,6 +26,7 @@ from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
+from pincal.words.numbers import amount
 
 Array = NDArray[np.float64]
 _ERROR = 1e-3  # of a machine: of its size, rad, or 1
@@ -158,8 +159,8 @@ class Accuracy:
     """Poses that the model cannot command or the true mechanism cannot reach."""
 
     def __repr__(self) -> str:
-        turns = f", {1e3 * self.orientation:.3g} mrad" if self.orientation else ""
-        size = f"{1e3 * self.position:.3g} mm{turns} RMS"
+        turns = f", {amount(self.orientation, 'rad')}" if self.orientation else ""
+        size = f"{amount(self.position, 'm')}{turns} RMS"
         return f"Accuracy({size}, {self.poses} poses, {self.unreachable} not reached)"
 
 

@@ -19,6 +19,7 @@ from pincal.estimation.problem import Problem
 from pincal.model.measurements import Measurements
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN
+from pincal.words.numbers import amount
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -134,12 +135,12 @@ def _check_frame(here: Array, there: Array, frame: Array, platform: Platform) ->
     if misfit > _BY.misfit * extent and reflected < _BY.mirrored * misfit:
         raise MeasurementError(
             "the positions look mirrored: in a right-handed frame they miss the nominal machine's "
-            f"by {1e3 * misfit:.3g} mm (rms), with one axis reversed by {1e3 * reflected:.3g} mm. "
+            f"by {amount(misfit, 'm')} (rms), with one axis reversed by {amount(reflected, 'm')}. "
             "Check the signs and the order of the tracker's axes"
         )
     if misfit > _BY.refused * extent:
         raise MeasurementError(
-            f"the measured positions miss the nominal machine's by {1e3 * misfit:.3g} mm (rms) "
+            f"the measured positions miss the nominal machine's by {amount(misfit, 'm')} (rms) "
             f"after the best alignment, {100 * misfit / extent:.0f} % of their extent. Check the "
             "units, the order and signs of the readings, and that this is the right mechanism"
         )

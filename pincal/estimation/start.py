@@ -27,6 +27,7 @@ from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup
+from pincal.words.numbers import amount
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -247,7 +248,7 @@ def check_start(problem: Problem, state: State) -> None:
     worst = float(np.median(np.linalg.norm(missed, axis=1)))
     if worst > _MISSED * size:
         raise MeasurementError(
-            f"readings and measured positions contradict each other by {1e3 * worst:.3g} mm in the "
+            f"readings and measured positions contradict each other by {amount(worst, 'm')} in the "
             f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
             "length). Check the units, the order and signs of the readings, and the frame"
             f"{left_out(problem.observation.setup)}. If the mechanism is known but roughly, say so "

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.covariances import covariance_headers
-from pincal.files.tables import UNITS, Table, read_table
+from pincal.files.tables import Table, read_table
+from pincal.files.units import COUNTS, UNITS
 from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
@@ -25,7 +27,9 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
     no unit is refused.
     """
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
-    table = read_table(path)
+    every = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
+    counts = every | {f"sigma_{name}": by for name, by in every.items()}
+    table = replace(read_table(path), counts=counts)
     units = _known(mechanism, more or {})
     other: dict[str, str] = {}
     for column, own in table.units.items():
@@ -34,7 +38,6 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
             name, said = meant[0], own or _said_in(column, meant[0], units[meant[0]])
             if said and len(meant) == 1 and meant[0] not in other.values():
                 other[column] = name
-                _log.info("%s: column %r is read as '%s [%s]'", table.path, column, name, said)
                 continue
             unit = own or _unit_in(column, meant[0], units[meant[0]])
             written = f"{column} [{own}]" if own else column
@@ -45,12 +48,22 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
     for column, name in other.items():
         table.units[name] = table.units.pop(column) or _said_in(column, name, units[name])
         table.text[name] = table.text.pop(column)
-    unused = [name for name in table.units if name not in units]
-    if unused:
+    if other:
+        read = (f"{column!r} as '{name} [{table.units[name]}]'" for column, name in other.items())
+        _log.info("%s: columns read: %s", table.path, ", ".join(read))
+    if unused := list(unknown_columns(table, mechanism, more)):
         names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
         names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)
         _log.info("%s: columns not used: %s", table.path, ", ".join(names))
     return table
+
+
+def unknown_columns(
+    table: Table, mechanism: Mechanism, more: Mapping[str, str] | None = None
+) -> dict[str, tuple[str, ...]]:
+    """Return the columns of a table without a meaning, as they are: name to cells."""
+    known = _known(mechanism, more or {})
+    return {name: tuple(table.text[name]) for name in table.units if name not in known}
 
 
 def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
@@ -77,7 +90,7 @@ def _nearly(column: str, name: str, unit: str) -> bool:
 def _said_in(column: str, name: str, dimension: str) -> str:
     """Return the unit that a header says after a name, nothing if it says none of the dimension."""
     inner = column[len(name) :].strip(" _/-(){}<>")
-    return inner if inner in UNITS and UNITS[inner][0] == dimension else ""
+    return inner if inner == COUNTS or UNITS.get(inner, ("",))[0] == dimension else ""
 
 
 def _unit_in(column: str, name: str, dimension: str) -> str | None:
@@ -87,6 +100,6 @@ def _unit_in(column: str, name: str, dimension: str) -> str | None:
     """
     rest = column[len(name) :]
     inner = rest.strip(" _/-(){}<>")
-    if inner in UNITS and UNITS[inner][0] == dimension and inner != rest:
+    if (inner == COUNTS or UNITS.get(inner, ("",))[0] == dimension) and inner != rest:
         return inner
     return (dimension or "") if rest.strip().startswith("(") or not rest else None

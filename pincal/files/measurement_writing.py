@@ -12,6 +12,7 @@ from pincal.errors import MeasurementError, MechanismError
 from pincal.files.covariances import product_unit
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables import write_table
+from pincal.files.units import SI, Units
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
@@ -29,13 +30,14 @@ def write_poses(
     plan: Plan,
     *,
     orientation: str = "tilt-torsion",
+    units: Units = SI,
     force: bool = False,
 ) -> None:
     """Write poses, and their sets if they have them, to a CSV file: see ``Plan.to_csv``."""
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses to write", MeasurementError)
     planned = Plan(plan.poses, plan.sets, plan.readings)
-    write_table(path, columns_of(mechanism, planned, orientation), force=force)
+    write_table(path, columns_of(mechanism, planned, orientation), units=units, force=force)
 
 
 def write_readings(
@@ -44,6 +46,7 @@ def write_readings(
     readings: Array,
     *,
     reasons: Sequence[str] = (),
+    units: Units = SI,
     force: bool = False,
 ) -> None:
     """Write readings to a CSV file.
@@ -53,6 +56,7 @@ def write_readings(
         mechanism: The mechanism.
         readings: Readings; NaN becomes an empty cell.
         reasons: Why a row has none, a text for each; a column only if there is one.
+        units: In which units they are written.
         force: Whether to replace the file if it exists.
 
     Raises:
@@ -60,7 +64,7 @@ def write_readings(
     """
     mechanism = as_mechanism(mechanism)
     columns = _reading_columns(mechanism, readings) | reason_column(reasons)
-    write_table(path, columns, force=force)
+    write_table(path, columns, units=units, force=force)
 
 
 def reason_column(reasons: Sequence[str]) -> Columns:
@@ -73,13 +77,13 @@ def write_measurements(
     mechanism: GivenMechanism,
     data: Measurements,
     *,
-    setup: Setup | None = None,
+    units: Units = SI,
     force: bool = False,
 ) -> None:
     """Write measurements to a CSV file: see ``Measurements.to_csv``."""
     mechanism = as_mechanism(mechanism)
     must_be(data, Measurements, "measurements to write", MeasurementError)
-    write_table(path, columns_of(mechanism, data, setup=setup), force=force)
+    write_table(path, columns_of(mechanism, data), units=units, force=force)
 
 
 def columns_of(

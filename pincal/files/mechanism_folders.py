@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import yaml
 
@@ -27,8 +27,21 @@ YAML = "mechanism.yaml"
 
 _log = logging.getLogger(__name__)
 
-GivenMechanism = Mechanism | str | Path
-"""A mechanism, its bundled name, or its folder."""
+
+class Calibrated(Protocol):
+    """What holds a calibrated mechanism, such as a ``CalibrationResult``."""
+
+    @property
+    def identified(self) -> Mechanism:
+        """The calibrated mechanism."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is one."""
+
+
+GivenMechanism = Mechanism | str | Path | Calibrated
+"""A mechanism, its bundled name, its folder, or a calibration's result."""
 
 
 def bundled() -> dict[str, Path]:
@@ -41,14 +54,19 @@ def bundled() -> dict[str, Path]:
 
 
 def as_mechanism(given: GivenMechanism) -> Mechanism:
-    """Return a mechanism that is given as such, by its bundled name, or by its folder.
+    """Return a mechanism that is given as such, by its bundled name, folder, or calibration.
 
     Raises:
         FileError: no such folder, or a file in it is missing.
-        MechanismError: something else, or a file that does not say what it should.
+        MechanismError: something else, a file that does not say what it should, or a calibration
+            that did not converge.
     """
     if isinstance(given, Mechanism):
         return given
+    if isinstance(found := getattr(given, "identified", None), Mechanism):
+        if not getattr(given, "converged", False):
+            raise MechanismError("the calibration did not converge: it has no calibrated mechanism")
+        return found
     kinds = (Mechanism, str, Path)
     return load_mechanism(must_be(given, kinds, "a mechanism, its name or folder", MechanismError))
 
@@ -286,6 +304,7 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
                 offset=sensor.offset,
                 direction=sensor.direction,
                 zero=sensor.zero if isinstance(sensor.zero, str) else float(sensor.zero),
+                **({} if (by := sensor.counts_per_unit) is None else {"counts_per_unit": by}),
             )
             for sensor in leg.sensors
         ],

@@ -65,6 +65,7 @@ class SensorSpec(Strict):
     offset: Value = 0.0
     direction: Literal[1, -1] = 1
     zero: Zero = 0.0
+    counts_per_unit: Annotated[Number, Field(gt=0)] | None = None
 
 
 class LegSpec(Strict):

@@ -12,7 +12,7 @@ import math
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,28 +22,15 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, plain_number, read_bytes, read_text, why_no_number
 from pincal.files.output import writing
+from pincal.files.units import COUNTS, SI, UNITS, Units, scale_said
 from pincal.model.checks import LARGEST, must_be
 
 Array = NDArray[np.float64]
 
-#: Units as people write them: dimension, and factor to SI.
-UNITS: dict[str, tuple[str, float]] = {
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "µm": ("m", 1e-6),  # micro sign
-    "μm": ("m", 1e-6),  # Greek letter
-    "in": ("m", 0.0254),
-    "1": ("1", 1.0),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", np.pi / 180),
-    "°": ("rad", np.pi / 180),
-}
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _MOST_COLUMNS = 1000
-_SHEETS = (".xlsx", ".xls", ".ods", ".parquet")
+#: Files that are no text, and the extra of packages that reads them.
+_SHEETS = {".xlsx": "excel", ".xls": "excel", ".ods": "excel", ".parquet": "parquet"}
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
@@ -63,6 +50,8 @@ class Table:
     """Line of the file in which each row ends, or number of the row of a DataFrame."""
     counted: str = "line"
     """What ``lines`` are: lines, or rows."""
+    counts: Mapping[str, float | None] = field(default_factory=dict)
+    """Encoder counts of one rad or m, by column that may be in counts; None if not known."""
 
     @property
     def file_lines(self) -> tuple[int, ...] | None:
@@ -95,6 +84,13 @@ class Table:
                 f"has {', '.join(self.units)}"
             )
         unit = self.units[column]
+        if unit == COUNTS and column in self.counts:
+            if (by := self.counts[column]) is None:
+                raise MeasurementError(
+                    f"{self.path}: column {column!r} is in counts; say how many are in one "
+                    f"{dimension}, by {scale_said(column, dimension)}"
+                )
+            return self.plain(column, blank=blank) / by
         if unit is None:
             raise MeasurementError(
                 f"{self.path}: column {column!r} has no unit; write it in the header, for example "
@@ -129,49 +125,70 @@ class Table:
 
 
 def read_table(source: str | Path | Any) -> Table:
-    """Return the columns of a CSV file, or of a pandas DataFrame, as text.
+    """Return the columns of a CSV file, or of a pandas DataFrame, as text; a table is as it is.
 
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: no header, no rows, repeated columns, or rows of uneven length.
     """
+    if isinstance(source, Table):
+        return source
     if is_dataframe(source):
         return _of_dataframe(source)
     path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
-    if path.suffix.lower() in _SHEETS:
-        return replace(_of_dataframe(_sheet(path)), path=path)
-    largest = LARGEST_FILE["table"]
-    text = read_text(path, largest, MeasurementError, pipe=True, otherwise="cp1252")
+    extra = _SHEETS.get(path.suffix.lower())
+    if extra is not None:
+        frame = _sheet(path, extra)
+        if extra == "parquet":
+            return replace(_of_dataframe(frame), path=path)
+        columns = [list(map(_text, frame[name].tolist())) for name in frame]
+        filled = [column for column in columns if any(cell.strip() for cell in column)]
+        cells = map(list, zip(*filled, strict=True))
+        return _of_rows(path, enumerate(cells, 1), "row", "")
+    text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True, otherwise="cp1252")
     separator = _separator(text)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
-    rows, lines = [], []
     try:
-        header = next((row for row in reader if any(cell.strip() for cell in row)), None)
-        if not header:
-            raise MeasurementError(f"{path}: empty; expected a header line and rows")
-        top = reader.line_num
-        units = _header(path, header, top)
-        for row in reader:
-            if not row or not any(cell.strip() for cell in row):
-                continue
-            if len(row) != len(header):
-                raise MeasurementError(f"{path}{_uneven(row, reader.line_num, header, top)}")
-            rows.append(row)
-            lines.append(reader.line_num)
+        said = None if separator == "," else f"cells separated by {_SEPARATORS[separator]}"
+        return _of_rows(path, ((reader.line_num, row) for row in reader), "line", said)
     except csv.Error as error:
         raise MeasurementError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
+
+
+def _of_rows(
+    path: Path, lines: Iterable[tuple[int, list[str]]], counted: str, said: str | None
+) -> Table:
+    """Return a table of numbered rows of cells: blank ones, headers, and what is below.
+
+    Args:
+        path: The file.
+        lines: Number and cells of each.
+        counted: What the numbers count, ``"line"`` or ``"row"``.
+        said: What to say of how cells are separated; None if by commas, which no decimal then has.
+    """
+    filled = ((n, row) for n, row in lines if any(cell.strip() for cell in row))
+    top, header = next(filled, (0, []))
+    if not header:
+        raise MeasurementError(f"{path}: empty; expected a header line and rows")
+    units, numbers, rows = _header(path, header, top, counted), [], []
+    for number, row in filled:
+        if len(row) != len(header):
+            raise MeasurementError(f"{path}{_uneven(row, number, header, top)}")
+        rows.append(row)
+        numbers.append(number)
     if not rows:
         raise MeasurementError(f"{path}: a header but no rows")
-    if separator != ",":
-        named = _SEPARATORS[separator]
-        decimals = _with_points(rows)
-        _log.info("%s: cells separated by %s%s", path, named, ", decimal commas" * decimals)
+    notes = [said] if said else []
+    notes += ["decimal commas"] if said is not None and _with_points(rows) else []
+    if notes:
+        _log.info("%s: %s", path, ", ".join(notes))
     columns = zip(*rows, strict=True)
-    return Table(path, units, dict(zip(units, map(list, columns), strict=True)), lines)
+    text = dict(zip(units, map(list, columns), strict=True))
+    return Table(path, units, text, numbers, counted)
 
 
-def _sheet(path: Path) -> Any:
-    """Return the first sheet of a spreadsheet, or a Parquet file, as a DataFrame.
+def _sheet(path: Path, extra: str) -> Any:
+    """Return the first sheet of a spreadsheet, headers among its rows, or a Parquet file.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -181,14 +198,16 @@ def _sheet(path: Path) -> Any:
     try:
         import pandas
 
-        kind = path.suffix.lower()
-        return (pandas.read_parquet if kind == ".parquet" else pandas.read_excel)(path)
+        if extra == "parquet":
+            return pandas.read_parquet(path)
+        return pandas.read_excel(path, engine="calamine", header=None, na_filter=False)
     except ImportError as error:
         raise MeasurementError(
-            f"{path}: {error}. Spreadsheets are read by pandas and the package named (openpyxl, "
-            "odfpy, pyarrow); install it, or save the table as CSV"
+            f"{path}: such files are read with the extra {extra!r}: python -m pip install "
+            f"'pincal[{extra}]'; or save the table as CSV"
         ) from error
     except Exception as error:  # each package has its own
+        kind = path.suffix.lower()
         raise MeasurementError(f"{path}: no {kind} file: {str(error)[:200]}") from error
 
 
@@ -222,7 +241,7 @@ def is_dataframe(value: object) -> bool:
 
 def _of_dataframe(frame: Any) -> Table:
     path = Path("DataFrame")
-    units = _header(path, [str(name) for name in frame.columns], 1)
+    units = _header(path, [str(name) for name in frame.columns], 1, "line")
     if frame.empty:
         raise MeasurementError(f"{path}: no rows")
     columns = (list(map(_text, frame.iloc[:, i].tolist())) for i in range(len(units)))
@@ -271,14 +290,14 @@ def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
     )
 
 
-def _header(path: Path, header: Sequence[str], line: int) -> dict[str, str | None]:
+def _header(path: Path, header: Sequence[str], line: int, counted: str) -> dict[str, str | None]:
     if len(header) > _MOST_COLUMNS:
         raise MeasurementError(f"{path}: {len(header)} columns; more than {_MOST_COLUMNS}")
     units: dict[str, str | None] = {}
     if nameless := [index + 1 for index, cell in enumerate(header) if not cell.strip()]:
         raise MeasurementError(
-            f"{path}: column {nameless[0]} has no header in line {line}, which is taken for the "
-            "headers; name the column or remove it, and remove lines above the headers"
+            f"{path}: column {nameless[0]} has no header in {counted} {line}, which is taken for "
+            f"the headers; name the column or remove it, and remove {counted}s above the headers"
         )
     for cell in header:
         name, bracket, unit = (part.strip() for part in cell.strip().partition("["))
@@ -297,9 +316,16 @@ def write_table(
     path: str | Path,
     columns: Mapping[str, Iterable[float] | Iterable[str]],
     *,
+    units: Units = SI,
     force: bool = False,
 ) -> None:
     """Write columns (header to values, SI) to a CSV file, whole or not at all.
+
+    Args:
+        path: The file.
+        columns: Header with the SI unit, ``x [m]``, to values.
+        units: In which units they are written.
+        force: Whether to replace the file if it exists.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
@@ -309,6 +335,7 @@ def write_table(
         scratch.open("w", newline="", encoding="utf-8") as file,
     ):
         writer = csv.writer(file, lineterminator="\n")
+        columns = units.written(columns)
         writer.writerow(columns)
         cells = (map(_cell, values) for values in columns.values())
         writer.writerows(zip(*cells, strict=True))

@@ -110,6 +110,35 @@ class Mechanism:
         return tuple(unit for leg in self.legs for unit in leg.reading_units)
 
     @cached_property
+    def counts(self) -> dict[str, float]:
+        """Encoder counts of one rad or m, by the readings whose sensors say it."""
+        every = [sensor.counts_per_unit for leg in self.legs for sensor in leg.sensors]
+        pairs = zip(self.reading_names, every, strict=True)
+        return {name: by for name, by in pairs if by is not None}
+
+    def with_counts(self, counts: Mapping[str, float]) -> Mechanism:
+        """Return the mechanism whose readings come in encoder counts, in tables that say so.
+
+        Args:
+            counts: Counts of one rad or m by reading, above 0; those not named stay as they are.
+
+        Raises:
+            MechanismError: an unknown reading, or no number above 0.
+        """
+        for name in must_be(counts, Mapping, "counts", MechanismError):
+            if name not in self.reading_names:
+                raise MechanismError(
+                    f"counts of {name!r}, which is no reading of {self.name!r}; it has "
+                    f"{', '.join(self.reading_names)}"
+                )
+        legs = []
+        for leg in self.legs:
+            named = zip(leg.sensors, leg.reading_names, strict=True)
+            own = (replace(s, counts_per_unit=counts.get(n, s.counts_per_unit)) for s, n in named)
+            legs.append(replace(leg, sensors=tuple(own)))
+        return replace(self, legs=tuple(legs)) if counts else self
+
+    @cached_property
     def reading_columns(self) -> tuple[slice, ...]:
         """Where the readings of each leg are among all of them."""
         ends = np.cumsum([len(leg.sensors) for leg in self.legs]).tolist()

@@ -6,11 +6,13 @@ q = k ψ + γ + Σ a_j b_j(ψ): linear in all that is unknown.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pincal.errors import MechanismError
 
 Array = NDArray[np.float64]
 _STEPS = 50
@@ -121,6 +123,16 @@ class Sensor:
     platform's home pose, whatever the parameters, as on machines that are zeroed there."""
     terms: tuple[Term, ...] = ()
     """What is added to the joint's position in either form: Σ a_j b_j(ψ)."""
+    counts_per_unit: float | None = field(default=None, repr=False)
+    """Encoder counts of one rad or m of the reading, above 0; None if it is not read in counts."""
+
+    def __post_init__(self) -> None:
+        by = self.counts_per_unit
+        if by is not None and not 0.0 < by < np.inf:
+            raise MechanismError(
+                f"sensor of {self.joint!r}: {by!r} counts of one unit; expected a number above 0 "
+                "(which way it counts is the direction)"
+            )
 
     @property
     def homed(self) -> bool:

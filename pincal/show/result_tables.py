@@ -15,8 +15,8 @@ from pincal.show.results import (
     parameters,
     readings_exact,
 )
-from pincal.words.numbers import SMALL, VALUES, fixed, shown_in
-from pincal.words.table import Cell, Table, Value, columns
+from pincal.words.numbers import VALUES
+from pincal.words.table import Cell, Quantity, Table, UnitOf, Value, columns
 
 _MANY = 1e6  # standard errors, above which their number says nothing
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
@@ -41,13 +41,23 @@ def parameters_table(result: CalibrationResult) -> Table:
     more = ["given"] if any(given) else []
     return Table(
         f"{result.nominal.name}: parameters, nominal and identified",
-        columns("leg", *_HEADS, *more),
+        columns("leg", *_HEADS, *more, units=VALUES),
         [
             (leg.name, *_cells(p), *[one] * len(more))
             for (leg, p), one in zip(parameters(result), given, strict=True)
         ],
-        "; ".join(filter(None, (_SHIFT, result.nominal.labelled))),
+        "; ".join(filter(None, (f"{_SHIFT}{_chosen(result)}", result.nominal.labelled))),
         grouped=True,
+    )
+
+
+def _chosen(result: CalibrationResult) -> str:
+    """Return what values and ± depend on, where freedoms were fixed by choice."""
+    if not result.gauge:
+        return ""
+    return (
+        ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
+        "nominal; errors of the platform do not"
     )
 
 
@@ -55,16 +65,14 @@ def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
     """Return the cells of a parameter below ``_HEADS``."""
     half, change = (p.high - p.low) / 2, p.identified - p.nominal
     known = half > 0.0
-    interval = fixed(half, half, p.unit) if known else (p.given or "held") if half == 0.0 else ""
-    if known and float(interval) == 0.0:
-        interval = "≈ 0"  # of fewer digits than anybody measures
+    none = Cell(None, (p.given or "held") if half == 0.0 else "")
     return (
         p.name,
-        Cell(p.nominal, fixed(p.nominal, half, p.unit)),
-        Cell(p.identified, fixed(p.identified, half, p.unit)),
-        Cell(half if known else None, interval),
-        Cell(p.unit, VALUES[p.unit]),
-        Cell(change, "" if p.given == "fixed" else fixed(change, half, p.unit, sign="+")),
+        Quantity(p.nominal, p.unit, half),
+        Quantity(p.identified, p.unit, half),
+        Quantity(half, p.unit, half) if known else none,
+        UnitOf(p.unit),
+        Cell(change, "") if p.given == "fixed" else Quantity(change, p.unit, half, sign="+"),
         Cell(change / p.std, _moved(change / p.std)) if p.std > 0.0 else None,
     )
 
@@ -78,10 +86,11 @@ def outside_table(result: CalibrationResult) -> Table:
     """Return the unknowns outside the mechanism: frames and targets."""
     return Table(
         "Outside the mechanism",
-        columns("unknown", "start", *_HEADS[2:5]),
+        columns("unknown", "start", *_HEADS[2:5], units=VALUES),
         [(p.id, *_cells(p)[1:5]) for p in result.external],
         "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
-        "vector); others: where what was measured is on the platform",
+        "vector); others: where what was measured is on the platform; start: where the search "
+        f"began, measured positions laid on those of the nominal machine{_chosen(result)}",
     )
 
 
@@ -130,10 +139,9 @@ def observed_table(result: CalibrationResult) -> Table:
     )
 
 
-def _sizes(one: Series) -> tuple[Cell, ...]:
+def _sizes(one: Series) -> tuple[Value, ...]:
     """Return root mean squares before and after, σ, and the unit."""
-    cells = [Cell(value, f"{shown_in(value, one.unit):.4f}") for value in one.rms]
-    return (*cells, Cell(one.unit, SMALL[one.unit]))
+    return (*(Quantity(value, one.unit, format=".4f") for value in one.rms), UnitOf(one.unit))
 
 
 def outliers_table(result: CalibrationResult, most: int = 20) -> Table:

@@ -14,7 +14,7 @@ from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
-from pincal.words.numbers import amount, chance, listed, shown_in, size
+from pincal.words.numbers import amount, chance, listed, number, rounded, size
 from pincal.words.results import systematic
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED
@@ -90,12 +90,12 @@ def noise_line(result: CalibrationResult) -> str:
         text = f"noise estimated from {where}: {noise_said(result, result.noise)}"
         if result.noise_source == "estimated":
             return text
-        return f"{text}; {f'reduced χ² {chi2:.3g}' if dof else _NO_FREEDOM}"
+        return f"{text}; {f'reduced χ² {rounded(chi2, 3)}' if dof else _NO_FREEDOM}"
     if not dof:
         return _NO_FREEDOM
     return (
-        f"reduced χ² {chi2:.3g} on {dof} degrees of freedom; near 1 the residuals are as large as "
-        "the noise given makes them"
+        f"reduced χ² {rounded(chi2, 3)} on {dof} degrees of freedom; near 1 the residuals are as "
+        "large as the noise given makes them"
     )
 
 
@@ -162,9 +162,10 @@ def check_lines(result: CalibrationResult) -> list[str]:
         text = held_out_line(one)
         if one.position is not None and one.fit <= MISSES:
             text += f". Platform: {amount(one.position[1], 'm')} held out, "
-            text += f"{1e3 * one.position[0]:.3g} in the fit"
+            text += f"{number(one.position[0], 'm')} in the fit"
             if one.orientation is not None:
-                text += f"; {amount(one.orientation[1], 'rad')} and {1e3 * one.orientation[0]:.3g}"
+                fit, held = (number(turned, "rad") for turned in one.orientation)
+                text += f"; {held} mrad and {fit}"
             text += " (measuring noise included)"
         by = f"{one.folds} folds" if one.folds > 1 else f"{one.rows} rows of the set verify"
         lines.append(f"{text} ({by})")
@@ -216,8 +217,9 @@ def _weak_line(pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
         whose = " of every leg" if len(legs) == len(mechanism.legs) else f" of {', '.join(legs)}"
     units = [mechanism.leg(leg).units[name] for leg, name in both]
     known = [
-        f"{amount(now, unit)} instead of {shown_in(std, unit):.3g} for {id_}"
+        f"{amount(now, unit)} instead of {number(std, unit)} for {id_}"
         for now, std, unit, id_ in zip(worst.known, worst.std, units, ids, strict=True)
+        if number(now, unit) != number(std, unit)
     ]
     return (
         f"{ids[0]} and {ids[1]}{whose} are weakly determined together, correlation "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from pincal.symmetry.detect import NearestGroup, SymmetryGroup
-from pincal.words.numbers import counted
+from pincal.words.numbers import amount, counted
 from pincal.words.table import Column, Table
 
 
@@ -48,8 +48,8 @@ def _nearness(near: NearestGroup) -> str:
     """Return how far a mechanism is from the nearest group, as a sentence."""
     size = f"{near.group.name}, {counted(len(near.group.elements), 'element')}"
     return (
-        f"nearest group {size}: leg points are off by {1e3 * near.displacement:.3g} mm at most, "
-        f"axes by {1e3 * near.turn:.3g} mrad"
+        f"nearest group {size}: leg points are off by {amount(near.displacement, 'm')} at most, "
+        f"axes by {amount(near.turn, 'rad')}"
     )
 
 

@@ -14,8 +14,8 @@ from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
 from pincal.show.summary import forecast_lines
-from pincal.words.numbers import SMALL, shown_in
-from pincal.words.table import Cell, Column, Table, Value, columns
+from pincal.words.numbers import STORED
+from pincal.words.table import Cell, Column, Quantity, Table, UnitOf, Value, columns
 from pincal.workspace.articular import ArticularSymmetry
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.positions import Grid
@@ -27,14 +27,15 @@ def nominal_table(mechanism: Mechanism) -> Table:
     names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
     grid: list[list[Value]] = [["parameter", *mechanism.leg_names, "unit"]]
     for name in names:
-        values = [leg.nominal_by_name.get(name) for leg in mechanism.legs]
         unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
-        grid.append([name, *values, unit])
+        given = (leg.nominal_by_name.get(name) for leg in mechanism.legs)
+        values = (None if one is None else Quantity(one, unit) for one in given)
+        grid.append([name, *values, UnitOf(unit)])
     if len(mechanism.legs) > len(names):
         grid = [list(row) for row in zip(*grid, strict=True)]
     heads, *rows = grid
-    shown = tuple(Column(str(head), format=".6f") for head in heads)
-    return Table(f"{mechanism.name}: nominal parameters", shown, rows, mechanism.labelled)
+    title, own = f"{mechanism.name}: nominal parameters", mechanism.labelled
+    return Table(title, columns(*map(str, heads), units=STORED | {"1": "1"}), rows, own)
 
 
 def selection_table(selection: Selection) -> Table:
@@ -120,14 +121,14 @@ def forecast_table(
     def cell(leg: str, name: str, unit: str) -> Value:
         if (std := errors.get((leg, name))) is None:
             return None
-        return Cell(std, f"{shown_in(std, unit):.4g}" if std < np.inf else "—")
+        return Quantity(std, unit, std) if std < np.inf else Cell(std, "—")
 
     return Table(
         f"{mechanism.name}: standard errors (1 σ) from {found.poses} poses, measured: "
         f"{', '.join(found.measured) or 'nothing'}",
         (Column("parameter"), Column("unit"), *(Column(leg) for leg in mechanism.leg_names)),
         [
-            (name, Cell(unit, SMALL[unit]), *(cell(leg, name, unit) for leg in mechanism.leg_names))
+            (name, UnitOf(unit), *(cell(leg, name, unit) for leg in mechanism.leg_names))
             for name, unit in units.items()
         ],
         "\n".join(forecast_lines(found, error, planned, alone)),
@@ -145,14 +146,14 @@ def workspace_table(
         wanted: Whether one was looked for.
     """
     asked, test = workspace.asked, workspace.test
-    name, unit = {1: ("length", "m"), 2: ("area", "m²"), 3: ("volume", "m³")}[asked.dimension or 1]
+    name = {1: "length", 2: "area", 3: "volume"}[asked.dimension or 1]
     how = "at most: half a cell along the edge" if isinstance(asked, Grid) else "95 %"
     apart = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
     least, type2 = test.least, test.least.least_type2(test.mechanism)
     sides = "both sides of type 2" if type2 == -np.inf else f"type 2 ≥ {type2:.3g}"
     every = "in every one of" if test.every else "in any of"
     facts = [
-        (name, f"{workspace.measure:.5g} ± {workspace.uncertainty:.2g} {unit} ({how})"),
+        (name, f"{workspace.size} ({how})"),
         ("positions", f"{workspace.count:,} of {asked.size:,} count{apart}"),
         ("orientations", f"{every} {len(test.orientations):,}"),
         ("margins", f"type 1 ≥ {least.type1:.3g}, {sides}"),
@@ -202,7 +203,9 @@ def articular_table(
             ends = (Cell(float(low), f"{low:.3f}"), Cell(float(high), f"{high:.3f} [{unit}]"))
             rows.append((*heads, reading, *ends))
             heads = ("", None)
-    lines = [
+    sampled = f"{len(spaces['all']):,} random poses" if "all" in spaces else ""
+    lines = [f"all: {sampled}, so the space reaches a little farther"] * bool(sampled)
+    lines += [
         f"{check.element}: {check.solved} of {check.asked} permuted readings solved, "
         f"{check.inside} in the workspace, at most {check.off:.2g} from the carried pose"
         for check in checks
@@ -211,6 +214,6 @@ def articular_table(
         f"{mechanism.name}: articular-variables space",
         columns("space", "poses", "leg", "from", "to"),
         rows,
-        "\n".join(lines or ["no symmetry but the identity"]),
+        "\n".join(lines if checks else [*lines, "no symmetry but the identity"]),
         wrap=False,
     )

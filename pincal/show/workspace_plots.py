@@ -19,6 +19,7 @@ from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]
+_SEEN = 0.2  # of a picture: less of it than this shows nothing
 
 
 def _panels(count: int, edge: float, share: bool = False) -> tuple[Figure, list[Axes]]:
@@ -37,8 +38,16 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     """Return a figure of a workspace seen from above, in slices of equal z in space."""
     levels, asked = _levels(workspace), workspace.asked
     figure, panels = _panels(len(levels), 4.5, share=True)
+    names, bases = workspace.test.mechanism.leg_names, _bases(workspace)
     for axes, level in zip(panels, levels, strict=True):
         _draw_workspace(axes, workspace, level, inscribed)
+        for leg, base in bases.items():
+            axes.plot(*base, look(names.index(leg)).marker, color="0.25", ms=6)
+            if level is None:
+                axes.annotate(
+                    leg, (base[0], base[1]), xytext=(5, 5), textcoords="offset points", size=7
+                )
+        axes.autoscale_view()
     handles = [Patch(color=DOMAIN, label="counts")]
     if len(workspace.elements) > 1:
         handles[0].set_label("computed: fundamental domain")
@@ -46,16 +55,28 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     if inscribed:
         handles.append(Patch(fill=False, edgecolor=COLOURS[1], label="largest inscribed"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-    size = f"{workspace.measure:.4g} ± {workspace.uncertainty:.2g} {workspace.unit}"
+    size = workspace.size
     if not workspace.count:
         size = "empty"
     elif isinstance(asked, Grid):
         size += f"; {len(levels)} of {asked.shape[2]} heights" if len(levels) > 1 else ""
     elif asked.dimension == 3:
         size += "; samples of all heights"
+    size += "" if bases else "; base points lie outside"
     name = workspace.test.mechanism.name
-    figure.suptitle(f"{name}: {workspace.kind} workspace, {size}")
+    figure.suptitle(f"{name}: {workspace.kind} workspace\n{size}")
     return figure
+
+
+def _bases(workspace: Workspace) -> dict[str, Array]:
+    """Return the base points of the legs seen from above; none if what counts were tiny beside."""
+    legs = workspace.test.mechanism.legs
+    bases = {leg.name: np.array(leg.joints[0].placement.xyz[:2]) for leg in legs}
+    counts = workspace.asked.at(np.flatnonzero(workspace.inside))[:, :2]
+    if not len(counts):
+        return bases
+    whole = np.ptp([*bases.values(), counts.min(axis=0), counts.max(axis=0)], axis=0).max()
+    return bases if np.ptp(counts, axis=0).max() > _SEEN * whole else {}
 
 
 def _draw_workspace(
@@ -77,11 +98,6 @@ def _draw_workspace(
         axes.add_collection(cells)
     else:
         axes.scatter(positions[:, 0], positions[:, 1], c=colours, s=2, lw=0, rasterized=many)
-    for place, leg in enumerate(workspace.test.mechanism.legs):
-        base = leg.joints[0].placement.xyz[:2]
-        axes.plot(*base, look(place).marker, color="0.25", ms=6)
-        if level is None:
-            axes.annotate(leg.name, base, xytext=(5, 5), textcoords="offset points", size=7)
     if inscribed:
         x, y, z = map(float, inscribed.centre)
         height = 0.0 if level is None else z - level
@@ -91,7 +107,6 @@ def _draw_workspace(
             axes.plot(x, y, "+", color=COLOURS[1])
     axes.set_title("" if level is None else f"z = {level:.4g} m", fontsize=9)
     axes.margins(0.12)
-    axes.autoscale_view()
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
@@ -139,11 +154,16 @@ def articular_figure(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figur
     figure, panels = _panels(len(pairs), 4.3)
     for axes, (first, second) in zip(panels, pairs, strict=True):
         for index, (title, readings) in enumerate(spaces.items()):
-            _dots(axes, readings[:, first], readings[:, second], index, title)
+            _dots(axes, readings[:, first], readings[:, second], index, _sampled(title))
         axes.set(xlabel=names[first], ylabel=names[second], aspect="equal")
     panels[0].legend(fontsize=8, markerscale=5)
     figure.suptitle(f"{mechanism.name}: articular-variables space")
     return figure
+
+
+def _sampled(title: str) -> str:
+    """Return the title of a space of readings; that of all orientations is a sample."""
+    return "all (a sample)" if title == "all" else title
 
 
 def _dots(axes: Axes, x: Array, y: Array, index: int, label: str = "") -> None:
@@ -160,7 +180,9 @@ def _plane_of_equal_sums(mechanism: Mechanism, spaces: Mapping[str, Array]) -> F
     title, readings = next(iter(spaces.items()))
     height = equal_sums(readings)[:, 2]
     cloud.scatter(*readings.T, s=1, c=height, cmap="viridis", lw=0, rasterized=True)
-    cloud.set(xlabel=f"ψ₁ [{unit}]", ylabel=f"ψ₂ [{unit}]", zlabel=f"ψ₃ [{unit}]", title=title)
+    cloud.set(
+        xlabel=f"ψ₁ [{unit}]", ylabel=f"ψ₂ [{unit}]", zlabel=f"ψ₃ [{unit}]", title=_sampled(title)
+    )
     cloud.set_box_aspect(None, zoom=0.85)
     for index, (axes, (title, readings)) in enumerate(zip(panels[1:], spaces.items(), strict=True)):
         across, up, _ = equal_sums(readings).T
@@ -172,7 +194,7 @@ def _plane_of_equal_sums(mechanism: Mechanism, spaces: Mapping[str, Array]) -> F
             axes.annotate(f"ψ{'₁₂₃'[k]}", tuple(reach * direction), size=8, ha="center")
         axes.set_xlabel(f"(2ψ₁ − ψ₂ − ψ₃)/√6 [{unit}]")
         axes.set_ylabel(f"(ψ₂ − ψ₃)/√2 [{unit}]")
-        axes.set(title=title, aspect="equal")
+        axes.set(title=_sampled(title), aspect="equal")
         axes.margins(0.1)
     figure.suptitle(f"{mechanism.name}: articular-variables space, plane ψ₁ + ψ₂ + ψ₃ = constant")
     return figure

@@ -153,7 +153,8 @@ HYPOTHESES: dict[str, Wording] = {
         "Frame of the measurements",
         "the poses are those in another frame than the base's",
         "The tracker's frame is not the base's.",
-        "Say that the base is elsewhere in that frame (--unknown-frame)",
+        "Say that the base is elsewhere in that frame (--unknown-frame; in Python "
+        "Setup(unknown_frame=True))",
     ),
 }
 

@@ -8,7 +8,8 @@ from math import floor, isfinite, log10, pi
 
 #: Units by name, and how many of each an SI unit is.
 FACTORS = {
-    "m": 1.0, "mm": 1e3, "µm": 1e6, "rad": 1.0, "mrad": 1e3, "°": 180 / pi, "1": 1.0, "": 1.0,
+    "m": 1.0, "cm": 1e2, "mm": 1e3, "µm": 1e6, "in": 1 / 0.0254, "rad": 1.0, "mrad": 1e3,
+    "°": 180 / pi, "turn": 0.5 / pi, "1": 1.0, "": 1.0,
 }  # fmt: skip
 #: In which unit values of parameters are read: as in mechanism.yaml, but lengths in mm.
 VALUES = {"m": "mm", "rad": "rad", "1": ""}
@@ -16,8 +17,18 @@ VALUES = {"m": "mm", "rad": "rad", "1": ""}
 SMALL = {"m": "mm", "rad": "mrad", "1": ""}
 #: In which unit poses and readings are read.
 POSES = {"m": "mm", "rad": "°", "1": ""}
+#: As they are stored.
+STORED = {"m": "m", "rad": "rad", "1": ""}
 #: Digits behind the point of values whose uncertainty is not known, by the unit they are read in.
-_DIGITS = {"mm": 3, "µm": 0, "m": 6, "rad": 6, "mrad": 3, "°": 4, "": 6}
+_DIGITS = {
+    "m": 6, "cm": 4, "mm": 3, "µm": 0, "in": 5, "rad": 6, "mrad": 3, "°": 4, "turn": 7,
+    "1": 6, "": 6,
+}  # fmt: skip
+#: Digits behind the point beyond which nobody measures: 0.1 µm, 0.1 µrad.
+_FINEST = {
+    "m": 7, "cm": 5, "mm": 4, "µm": 1, "in": 5, "rad": 7, "mrad": 4, "°": 5, "turn": 8,
+    "1": 9, "": 9,
+}  # fmt: skip
 
 
 def shown_in(value: float, unit: str, units: Mapping[str, str] = SMALL) -> float:
@@ -28,14 +39,27 @@ def shown_in(value: float, unit: str, units: Mapping[str, str] = SMALL) -> float
 def decimals(half: float, unit: str = "") -> int:
     """Return how many digits behind the point leave an uncertainty two digits of its own.
 
-    No more than anybody measures: to a nanometre, or nine.
+    No more than anybody measures: to 0.1 µm or µrad, or nine.
     """
-    return min(max(1 - floor(log10(half)), 0), {"mm": 6, "µm": 3, "mrad": 6}.get(unit, 9))
+    return min(max(1 - floor(log10(half)), 0), _FINEST[unit])
 
 
 def amount(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
     """Return a number with the unit in which it is read: ``0.12 mm`` of 0.00012 m."""
-    return f"{shown_in(value, unit, units):.{digits}g} {units[unit]}".strip()
+    return f"{number(value, unit, digits, units)} {units[unit]}".strip()
+
+
+def number(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
+    """Return what ``amount`` does, without the unit; less than anybody measures is a bound."""
+    shown, finest = shown_in(value, unit, units), _FINEST[units[unit]]
+    if units[unit] and 0.0 < abs(shown) < 0.5 * 10.0**-finest:
+        return _below(finest)
+    return rounded(round(shown, finest) if units[unit] else shown, digits)
+
+
+def _below(digits: int) -> str:
+    """Return the bound of what is less than the last of some digits shows."""
+    return f"< {10.0**-digits:.{digits}f}"
 
 
 def size(position: float, orientation: float | None = None) -> str:
@@ -46,7 +70,12 @@ def size(position: float, orientation: float | None = None) -> str:
 
 def rounded(value: float, digits: int = 2) -> str:
     """Return a number rounded to some digits, without an exponent where it can be."""
-    return f"{float(f'{value:.{digits}g}'):g}"
+    near = float(f"{value:.{digits}g}")
+    if not 1e-9 <= abs(near) < 1e12:  # 0, or of a size that nobody reads without an exponent
+        return f"{near:g}"
+    places = max(digits - 1 - floor(log10(abs(near))), 0)
+    text = f"{near:.{places}f}"
+    return text.rstrip("0").rstrip(".") if places else text
 
 
 def chance(p_value: float) -> str:
@@ -106,6 +135,8 @@ def fixed(
 ) -> str:
     """Return a value of SI units, as it is read, to two digits of an uncertainty.
 
+    The uncertainty itself, where it is less than anybody measures, as a bound: ``< 0.0001``.
+
     Args:
         value: In SI.
         half: The uncertainty, in SI; 0 or infinite if there is none.
@@ -116,4 +147,6 @@ def fixed(
     scaled = shown_in(half, unit, units)
     known = half > 0.0 and isfinite(half)
     digits = decimals(scaled, units[unit]) if known else _DIGITS[units[unit]]
+    if value == half and known and scaled < 0.5 * 10.0**-digits:
+        return _below(digits)
     return f"{shown_in(value, unit, units):{sign}.{digits}f}"

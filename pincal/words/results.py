@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pincal.finding import Finding
-from pincal.words.numbers import SMALL, amount, chance, counted, listed, shown_in
+from pincal.words.numbers import SMALL, amount, chance, counted, listed, number, rounded
 from pincal.words.wording import P_VALUE, Wording
 
 
@@ -31,7 +31,7 @@ def noise(values: Mapping[str, Any]) -> str:
     reading = values["reading"]
     if reading:
         units = listed((SMALL[unit] for unit in values["units"]), "or")
-        parts.append(f"{shown_in(reading, values['units'][0]):.3g} {units} in readings")
+        parts.append(f"{number(reading, values['units'][0])} {units} in readings")
     return ", ".join(parts if reading else [*parts, "readings exact"])
 
 
@@ -53,7 +53,7 @@ def _chi2(found: Finding) -> str:
     larger = found.code == "chi2-too-large"
     given = "repeated rows show" if v["source"] == "repeats" else "given"
     return (
-        f"reduced χ² is {v['chi2']:.3g} where 1 is expected: the noise is "
+        f"reduced χ² is {rounded(v['chi2'], 3)} where 1 is expected: the noise is "
         f"{'larger' if larger else 'smaller'} than {given}"
         f"{', or the model lacks something' if larger else ''}; the uncertainties assume that noise"
     )
@@ -284,10 +284,13 @@ RESULTS: dict[str, Wording] = {
     "many-outliers": Wording(
         "Many rows do not fit",
         {"share": "share of the rows"},
-        lambda f: f"{100 * f.values['share']:.0f} % of the rows do not fit",
+        lambda f: (
+            f"{100 * f.values['share']:.0f} % of the rows do not fit the others, data row "
+            f"{f.rows[0] + 1} least"
+        ),
         "More than a tenth of the rows are outliers: rather the noise is larger than given, or the "
-        "model lacks something, than that so many are wrong.",
-        "Correct the noise or the model before leaving rows out",
+        "model lacks something, than that so many are wrong. The finding's rows are those.",
+        "Correct the noise or the model before leaving rows out (--robust reject)",
     ),
     "held-out-worse": Wording(
         "Held-out rows miss by more than is expected",

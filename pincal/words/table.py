@@ -14,7 +14,7 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
-from pincal.words.numbers import SMALL, Measured, shown_in
+from pincal.words.numbers import SMALL, Measured, fixed, rounded, shown_in
 
 if TYPE_CHECKING:
     import pandas
@@ -29,7 +29,38 @@ class Cell(NamedTuple):
     text: str
 
 
-Value: TypeAlias = "float | str | Measured | Cell | None"
+class Quantity(NamedTuple):
+    """A number of SI units that are not those of its whole column."""
+
+    value: float
+    """Raw, SI."""
+    unit: str
+    """``"m"``, ``"rad"`` or ``"1"``."""
+    half: float = 0.0
+    """Uncertainty, SI, that says to how many digits it is shown; 0 if there is none."""
+    format: str = ""
+    """In place of these digits."""
+    sign: str = ""
+    """``"+"`` to show the sign of what is positive too."""
+
+    def text(self, units: Mapping[str, str]) -> str:
+        """Return the number in the unit in which it is read."""
+        if self.format:
+            return f"{shown_in(self.value, self.unit, units):{self.format}}"
+        return fixed(self.value, self.half, self.unit, units, self.sign)
+
+
+class UnitOf(NamedTuple):
+    """The SI unit of what else is in a row: shown as that in which it is read."""
+
+    value: str
+
+    def text(self, units: Mapping[str, str]) -> str:
+        """Return the unit in which numbers of the row are read."""
+        return units[self.value]
+
+
+Value: TypeAlias = "float | str | Measured | Quantity | UnitOf | Cell | None"
 
 
 @dataclass(frozen=True)
@@ -57,6 +88,8 @@ class Column:
             return ""
         if isinstance(value, Cell):
             return value.text
+        if isinstance(value, Quantity | UnitOf):
+            return value.text(self.units)
         if isinstance(value, Measured):
             return value.text(self.units) if not self.unit else value.text(self.units).split(" ")[0]
         if isinstance(value, str):
@@ -65,14 +98,16 @@ class Column:
             return str(value)
         if not isfinite(value):
             return "" if value != value else "∞"
-        return f"{shown_in(value, self.unit, self.units) if self.unit else value:{self.format}}"
+        shown = shown_in(value, self.unit, self.units) if self.unit else value
+        if self.format.endswith("g"):
+            return rounded(shown, int(self.format[1:-1]))
+        return f"{shown:{self.format}}"
 
 
-def columns(*heads: str) -> tuple[Column, ...]:
+def columns(*heads: str, units: Mapping[str, str] = SMALL) -> tuple[Column, ...]:
     """Return columns of heads with the format of their numbers: ``leg``, ``efficiency:.3f``."""
-    return tuple(
-        Column(name, format=own or ".4g") for name, _, own in (h.partition(":") for h in heads)
-    )
+    parts = (head.partition(":") for head in heads)
+    return tuple(Column(name, format=own or ".4g", units=units) for name, _, own in parts)
 
 
 @dataclass(frozen=True)
@@ -97,6 +132,11 @@ class Table:
         rows = [[row[i] for i in kept] for row in self.rows]
         columns = tuple(self.columns[i] for i in kept)
         return replace(self, columns=columns, rows=rows, caption=caption)
+
+    def read_in(self, units: Mapping[str, str]) -> Table:
+        """Return the table with its numbers in other units; those that are not named stay."""
+        columns = tuple(replace(one, units={**one.units, **units}) for one in self.columns)
+        return replace(self, columns=columns)
 
     def cells(self) -> list[list[str]]:
         """Return all cells as text, those of a group's name but once."""
@@ -192,7 +232,7 @@ class Table:
 
 def _raw(value: Value) -> float | str | None:
     """Return a value without its looks."""
-    if isinstance(value, (Measured, Cell)):
+    if isinstance(value, (Measured, Quantity, UnitOf, Cell)):
         return value.value
     return value
 

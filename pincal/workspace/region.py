@@ -23,6 +23,7 @@ from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import IDENTITY, Element, Isometry
+from pincal.words.numbers import Measured
 from pincal.workspace.chunks import run
 from pincal.workspace.criteria import Margins, as_margins, refuse_readings
 from pincal.workspace.neighbours import at_edge, edges, part_around
@@ -188,11 +189,16 @@ class Workspace:
             lines.append(f"  not connected with home on this grid: {self.apart:,} positions")
         return "\n".join(lines)
 
+    @property
+    def size(self) -> str:
+        """Its measure to the digits that are known, with the unit."""
+        return f"{Measured(self.measure, self.uncertainty).text()} {self.unit}"
+
     def __repr__(self) -> str:
         """Return the workspace in a line."""
         return (
-            f"{self.kind} workspace of {self.test.mechanism.name}: {self.measure:.5g} ± "
-            f"{self.uncertainty:.2g} {self.unit}, {self.count:,} of {self.asked.size:,} positions"
+            f"{self.kind} workspace of {self.test.mechanism.name}: {self.size}, "
+            f"{self.count:,} of {self.asked.size:,} positions"
         )
 
 

@@ -13,7 +13,8 @@ import typer
 
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.folds import FOLDS, By
+from pincal.calibration.checks.checked import checked
+from pincal.calibration.checks.folds import FOLDS
 from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
@@ -31,10 +32,10 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.options import SetupOptions, with_unit
-from pincal.errors import MeasurementError, MisfitError, PincalError
+from pincal.cli.options import SetupOptions, TableOptions, with_unit
+from pincal.errors import MeasurementError, MisfitError
 from pincal.files.measurements import read_measurements
-from pincal.files.mechanism_folders import load_mechanism, mechanism_files
+from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
@@ -45,6 +46,7 @@ from pincal.show.results import warnings
 from pincal.show.summary import calibration_summary, verdict_lines, weak_lines
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import counted
+from pincal.words.table import Table
 
 
 class Method(StrEnum):
@@ -157,7 +159,7 @@ class GivenNoise:
 
 
 @dataclass(frozen=True)
-class CalibrateOptions(SetupOptions, GivenNoise, MethodOptions):
+class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
     """How to calibrate."""
 
     robust: Annotated[
@@ -246,7 +248,8 @@ def calibrate(
     """
     if how.folds == 1:
         raise MeasurementError("--folds 1: expected 2 or more, or 0 for no held-out validation")
-    mechanism = load_mechanism(mech)
+    mechanism = how.load(mech)
+    units = how.written_in(mechanism).read({})
     refuse_existing(output, force=force, folder=RESULT)
     calibration = how.calibration(mechanism, measurements)
     with working("identifying parameters") as progress:
@@ -258,7 +261,7 @@ def calibrate(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
             )
             raise
-        result, said = _checked(found, how.folds, how.by.value)
+        result, said = checked(found, how.folds, how.by.value)
         progress("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
         page = report(result, command=typed(), files=files, notes=said)
@@ -266,59 +269,40 @@ def calibrate(
         result.save(output, force=force, report=page)
     for text in warnings(result):
         warn(text)
-    _say(result, page.found.errors, said, verbose=how.verbose)
+    tables = [table.read_in(units) for table in calibration_tables(result)] if how.verbose else []
+    _say(result, page.found.errors, said, tables)
     wrote(output)
     answer(as_json(result))
     if not result.converged:
         raise typer.Exit(1)
     if result.excess > 1.0 and not how.accept:
-        warn(
-            f"exit code 1: residuals are {result.excess:.3g} times as large as the noise given "
-            "makes them, so the standard errors do not hold. Look at the warnings above, or take "
-            "the result as it is by --accept"
-        )
+        warn("exit code 1, since χ² contradicts the noise; --accept takes the result as it is")
         raise typer.Exit(1)
 
 
 def _say(
-    result: CalibrationResult, errors: WorkspaceErrors | None, said: list[str], *, verbose: bool
+    result: CalibrationResult,
+    errors: WorkspaceErrors | None,
+    said: list[str],
+    tables: Sequence[Table],
 ) -> None:
-    """Print what was found, the accuracy first; with ``verbose`` all of it, with its tables."""
+    """Print what was found, the accuracy first; with tables all of it."""
     first = verdict_lines(result, errors)
     more = [line for line in calibration_summary(result, errors) if line not in first]
     weak = weak_lines(result.weak, result.nominal) if result.converged else []
-    if not verbose:
+    if not tables:
         more = [line for line in more[1:] if line not in weak]
         count = len(result.weak)
         pairs = counted(count, "pair of parameters is", "pairs of parameters are")
         more += [f"{pairs} weakly determined"] * bool(weak)
     for line in first:
         stdout.print(line, markup=False)
-    for table in calibration_tables(result) if verbose else []:
+    for table in tables:
         stdout.print(table)
     for line in (*more, *said):
         stdout.print(line, markup=False)
-    if not verbose:
+    if not tables:
         stdout.print("parameters and residuals: report.html in the result's folder, or --verbose")
-
-
-def _checked(result: CalibrationResult, folds: int, by: By) -> tuple[CalibrationResult, list[str]]:
-    """Return the result with validation and runs where the rows allow, and why not elsewhere."""
-    if not result.converged:
-        return result, []
-    said = [] if folds else ["no rows were held out (--folds 0)"]
-    try:
-        if folds:
-            result = result.validated(folds, by)
-    except PincalError as error:
-        said.append(f"no held-out validation: {error}")
-    try:
-        if result.measurements.runs is not None:
-            result.options.report("comparing the runs")
-            result = result.compared()
-    except PincalError as error:
-        said.append(f"runs not compared: {error}")
-    return result, said
 
 
 def _priors(said: Sequence[str]) -> dict[str, float]:

@@ -14,16 +14,19 @@ from pincal.calibration.doctor import Remedy, remedies
 from pincal.calibration.options import Options
 from pincal.cli.app import Force, Mech, answer, command, remark, stdout, typed, working, wrote
 from pincal.cli.commands.calibration import GivenNoise
-from pincal.cli.options import SetupOptions
-from pincal.files.measurement_writing import write_measurements
+from pincal.cli.options import CountOptions, SetupOptions
+from pincal.files.columns import unknown_columns
+from pincal.files.measurement_writing import Columns, columns_of
 from pincal.files.measurements import read_measurements
-from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
+from pincal.files.tables import Table, read_table, write_table
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import Setup
 from pincal.show.remedies import advice, remedy_table, tried
 
 
 @dataclass(frozen=True)
-class DoctorOptions(SetupOptions, GivenNoise):
+class DoctorOptions(CountOptions, SetupOptions, GivenNoise):
     """What is known of the measurements."""
 
 
@@ -46,13 +49,15 @@ def doctor(
 
     Units, signs, orders, zeros, frames, shifted logs and bad rows are put right one by one, in the
     order of how likely they are, and each is tried by a whole calibration, until one converges and
-    nothing contradicts it. The exit code is 1 if none does, or several alike.
+    nothing contradicts it, rows held out included. Columns without a meaning are copied to
+    MENDED.csv. The exit code is 1 if none does, or several alike.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = how.load(mech)
     if output is not None:
         refuse_existing(output, force=force)
     setup = how.read()
-    data = read_measurements(measurements, mechanism, setup, partial=True)
+    table = read_table(measurements)
+    data = read_measurements(table, mechanism, setup, partial=True)
     options = Options(noise=how.of(mechanism, data), setup=setup)
     found: list[Remedy] = []
     with working("trying what may be wrong") as progress:
@@ -69,7 +74,8 @@ def doctor(
         if one.mends and output is None:
             lines.append(f"{typed()} -o MENDED.csv")
         elif output is not None and one.mends:
-            write_measurements(output, mechanism, one.calibration.measurements, force=force)
+            columns = columns_of(mechanism, one.calibration.measurements, setup=setup)
+            write_table(output, columns | _others(table, mechanism, setup), force=force)
             wrote(output)
         elif output is not None:
             remark(f"options are enough: {output} is not written, take {measurements}")
@@ -105,12 +111,21 @@ def doctor(
         raise typer.Exit(1)
 
 
+def _others(table: Table, mechanism: Mechanism, setup: Setup) -> Columns:
+    """Return the columns that mean nothing to pincal, header to cells."""
+    others = unknown_columns(table, mechanism, setup.columns(mechanism))
+    units = {name: f" [{unit}]" if (unit := table.units[name]) else "" for name in others}
+    return {f"{name}{units[name]}": cells for name, cells in others.items()}
+
+
 def _line(mech: str, measurements: str, how: DoctorOptions, works: Remedy) -> str:
     """Return the command by which to calibrate."""
     said = ["pincal", "calibrate", mech, measurements]
     for field in ("setup", *(one.name for one in fields(GivenNoise))):
         value = getattr(how, field)
         said += [] if value is None else [f"--{field.replace('_', '-')}", str(value)]
+    for one in how.counts or ():
+        said += ["--counts", one]
     options = works.calibration.options
     said += ["--unknown-frame"] if options.setup.unknown_frame else []
     said += ["--unknown-target"] if how.unknown_target else []

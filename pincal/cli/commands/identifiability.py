@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pincal.cli.app import Mech, answer, command, stdout, working
-from pincal.cli.options import PlanOptions
+from pincal.cli.options import PlanOptions, TableOptions
 from pincal.design.forecast import forecast
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.configurations import check_reached
 from pincal.show.summary import poses_line
 from pincal.show.tables import forecast_table
 from pincal.workspace.sampling import sample_configurations
 
 
+@dataclass(frozen=True)
+class ForecastOptions(TableOptions, PlanOptions):
+    """What will be measured, and in which units numbers are read."""
+
+
 @command(answers=True)
 def identifiability(
     mech: Mech,
-    how: PlanOptions,
+    how: ForecastOptions,
     plan: Annotated[
         Path | None,
         typer.Argument(metavar="PLAN.csv", help="Poses to measure; else --count random ones."),
@@ -47,7 +51,8 @@ def identifiability(
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = how.load(mech)
+    units = how.written_in(mechanism).read({})
     noise, setup = how.noise(), how.read()
     measured = how.measured(mechanism, setup)
     if plan is not None:
@@ -61,7 +66,7 @@ def identifiability(
     error = found.platform_error(over)
     own = forecast(mechanism, poses, noise, measured, setup, "per-leg") if per_leg else None
     alone = None if own is None else own.platform_error(over)
-    stdout.print(forecast_table(found, error, found.poses, alone))
+    stdout.print(forecast_table(found, error, found.poses, alone).read_in(units))
     needed = needed_alone = None
     if accuracy is not None:
         needed = found.poses_for(accuracy, over)

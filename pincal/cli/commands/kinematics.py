@@ -22,9 +22,9 @@ from pincal.cli.app import (
     working,
     wrote,
 )
+from pincal.cli.options import TableOptions
 from pincal.files.measurement_writing import columns_of, reason_column, write_readings
 from pincal.files.measurements import read_poses, read_readings
-from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
 from pincal.files.tables import write_table
 from pincal.kinematics.forward import forward as solve_forward
@@ -40,6 +40,7 @@ def inverse(
     mech: Mech,
     poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
     output: Annotated[Path, output_option("READINGS.csv", "Readings, one column a leg.")],
+    how: TableOptions,
     force: Force = False,
 ) -> None:
     """Write the sensor readings of poses.
@@ -47,14 +48,15 @@ def inverse(
     Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
     code is then 1.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = how.load(mech)
+    units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     plan = read_poses(poses, mechanism)
     solution = solve_inverse(mechanism, plan.poses)
     lost = np.atleast_1d(~solution.reached.all(axis=1))
     reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
     values = np.where(lost[:, None], np.nan, solution.readings)
-    write_readings(output, mechanism, values, reasons=reasons, force=force)
+    write_readings(output, mechanism, values, reasons=reasons, units=units, force=force)
     wrote(output)
     read = mechanism.reading_names, mechanism.reading_units
     found = {"mechanism": mechanism.name, "readings": _columns(*read, values)}
@@ -67,6 +69,7 @@ def forward(
     mech: Mech,
     readings: Annotated[Path, typer.Argument(metavar="READINGS.csv", help="leg_1 [rad], …")],
     output: Annotated[Path, output_option("POSES.csv", "Poses of the platform.")],
+    how: TableOptions,
     force: Force = False,
 ) -> None:
     """Write the poses of sensor readings.
@@ -76,7 +79,8 @@ def forward(
     The search starts from the nearest of many sampled poses. Rows of readings that have no pose
     stay empty, with the reason in the column 'reason'; the exit code is then 1.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = how.load(mech)
+    units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     values = read_readings(readings, mechanism)
     with working("sampling the workspace for start poses"):
@@ -88,7 +92,8 @@ def forward(
     lost = ~solution.converged
     reasons = [solution.reasons[row] if lost[row] else "" for row in range(len(lost))]
     found = np.where(lost[:, None], np.nan, solution.poses)
-    write_table(output, columns_of(mechanism, Plan(found)) | reason_column(reasons), force=force)
+    columns = columns_of(mechanism, Plan(found)) | reason_column(reasons)
+    write_table(output, columns, units=units, force=force)
     if mechanism.redundant and not lost.all():
         gap = np.where(lost[:, None], -np.inf, solution.gap)
         row, leg = np.unravel_index(np.argmax(gap), gap.shape)

@@ -8,6 +8,7 @@ import numpy as np
 import typer
 
 from pincal.cli.app import Mech, answer, command, stdout, working
+from pincal.cli.options import UnitOptions
 from pincal.errors import SymmetryError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.mechanism_folders import bundled, load_mechanism
@@ -43,13 +44,14 @@ def mechanisms() -> None:
 
 
 @command(answers=True)
-def check(mech: Mech) -> None:
+def check(mech: Mech, how: UnitOptions) -> None:
     """Say whether a mechanism is sound.
 
     Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
     """
     mechanism = load_mechanism(mech)
-    stdout.print(nominal_table(mechanism))
+    units = how.written_in(mechanism).read({})
+    stdout.print(nominal_table(mechanism).read_in(units))
     platform, legs = mechanism.platform, []
     home = platform.home_pose.as_matrix()
     for leg in mechanism.legs:

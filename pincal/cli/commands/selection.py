@@ -21,7 +21,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.options import PlanOptions
+from pincal.cli.options import PlanOptions, TableOptions
 from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_verification
 from pincal.design.select import Protocol, select_poses
@@ -29,7 +29,6 @@ from pincal.design.select_configurations import select_configurations
 from pincal.errors import MechanismError, ObservabilityError, SymmetryError
 from pincal.files.measurement_writing import write_poses
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import check_reached
@@ -131,7 +130,7 @@ class Protocols:
 
 
 @dataclass(frozen=True)
-class SelectOptions(PlanOptions, Protocols, Candidates):
+class SelectOptions(TableOptions, PlanOptions, Protocols, Candidates):
     """How poses are chosen."""
 
 
@@ -155,7 +154,8 @@ def select(
     The sets take turns in the plan, in a random order, so that what drifts while you measure is
     no leg's error. --verify adds poses of the set 'verify', which 'pincal calibrate' predicts.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = how.load(mech)
+    units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     part = how.measure is not None or not how.read().plain or how.goal is Goals.platform
     if mechanism.by_readings or part or how.collision is not None:
@@ -174,7 +174,7 @@ def select(
         plan = with_verification(mechanism, plan, offered, how.verify, how.seed)
         remark(f"{how.verify} more poses of the set 'verify' are for no fit: they check it")
     plan = plan if how.by_set else in_turns(plan, how.seed)
-    write_poses(output, mechanism, plan, force=force)
+    write_poses(output, mechanism, plan, units=units, force=force)
     stdout.print(table)
     if found.get("unreachable"):
         remark(f"{found['unreachable']} candidate poses are out of reach and were left out")

@@ -21,7 +21,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.options import NoiseOptions
+from pincal.cli.options import NoiseOptions, TableOptions
 from pincal.design.simulate import disturb as disturbed
 from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
@@ -38,7 +38,7 @@ from pincal.model.mechanism import Mechanism
 
 
 @dataclass(frozen=True)
-class SimulateOptions(NoiseOptions):
+class SimulateOptions(TableOptions, NoiseOptions):
     """What is simulated."""
 
     disturb: Annotated[
@@ -72,7 +72,8 @@ def simulate(
     it is taken to the poses themselves.
     Poses that the true mechanism cannot reach are left out and listed.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = how.load(mech)
+    units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     truth, disturb = how.truth, how.disturb
     planned = read_poses(plan, mechanism)
@@ -99,7 +100,7 @@ def simulate(
             whole = writing(truth, force=force, folder=YAML, own=own_files(truth))
             folder = both.enter_context(whole)
             write_mechanism(true_mechanism, folder)
-        write_measurements(output, mechanism, simulation.measurements, force=force)
+        write_measurements(output, mechanism, simulation.measurements, units=units, force=force)
     if truth is not None and not given:
         wrote(truth)
     for row, reason in simulation.unreachable:

@@ -16,7 +16,7 @@ from pincal.estimation.linear import Linear, State
 from pincal.estimation.observability.unobservable import check_covariance, check_weakly_determined
 from pincal.estimation.pose_search import unsolved
 from pincal.estimation.problem import Problem
-from pincal.estimation.residuals.losses import LOSSES, Loss, outlying, suspected
+from pincal.estimation.residuals.losses import LOSSES, Loss, outlying, robust_scale, suspected
 from pincal.estimation.system import System
 from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
@@ -113,7 +113,7 @@ def _fitted(
 ) -> Robust:
     if loss is None:
         one = search(system)
-        return Robust(one, rows, _outliers(one, one.noise_scale, rows), None)
+        return Robust(one, rows, _outliers(one, one.noise_scale, rows, _seen_scale(one)), None)
     rejecting = loss.name == "reject"
     coarse = search(replace(system, loss=LOSSES["cauchy"]))
     fine = LOSSES["tukey"] if rejecting else loss
@@ -134,6 +134,17 @@ def _fitted(
         _outliers(one, scale, rows),
         plain if plain is not None and plain.converged else None,
     )
+
+
+def _seen_scale(one: Fit) -> float:
+    """Return the scale of the noise by which rows are judged: that given, or most rows' if larger.
+
+    Where every row misses by more than the noise given explains, that noise is wrong, and no row.
+    """
+    linear = one.last
+    share = one.degrees_of_freedom / max(int(linear.equations.sum()), 1)
+    seen = robust_scale(linear.squares, linear.equations, share) if share > 0.0 else 0.0
+    return max(one.noise_scale, seen)
 
 
 def _near(problem: Problem, linear: Linear) -> Mask:
@@ -161,16 +172,25 @@ def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
     return one
 
 
-def _outliers(one: Fit, scale: float, rows: NDArray[np.intp]) -> tuple[Outlier, ...]:
-    """Return the rows that do not fit, the worst first."""
+def _outliers(
+    one: Fit, scale: float, rows: NDArray[np.intp], judged: float = 0.0
+) -> tuple[Outlier, ...]:
+    """Return the rows that do not fit, the worst first.
+
+    Args:
+        one: The fit.
+        scale: Of the noise.
+        rows: Rows of the measurements.
+        judged: Scale by which rows in use are judged, if larger.
+    """
     linear = one.last
     if not (one.converged and scale > 0.0):
         return ()
     equations = np.maximum(linear.equations, 1)
     relative = linear.squares / scale**2
     left_out = outlying(relative, equations) & (one.weights == 0.0)
-    far = suspected(np.where(linear.equations > 0, relative, 0.0), equations)
-    listed = np.flatnonzero((left_out | far) & (linear.equations > 0))
+    far = np.where(linear.equations > 0, linear.squares / max(scale, judged) ** 2, 0.0)
+    listed = np.flatnonzero((left_out | suspected(far, equations)) & (linear.equations > 0))
     legs = tuple(leg.name for leg in one.problem.legs)
     noise = np.abs(linear.noise[:, : len(one.problem.quantities)]) / scale
     worst = noise.argmax(axis=1)

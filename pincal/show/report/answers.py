@@ -117,7 +117,7 @@ class Answers:
             return f"{line}; so residuals cannot contradict it."
         if not dof:
             return f"{line}."
-        text = f"Reduced χ² {result.reduced_chi2:.3g} on {dof} degrees of freedom"
+        text = f"Reduced χ² {rounded(result.reduced_chi2, 3)} on {dof} degrees of freedom"
         if result.loss == "none":
             free = result.chi2_freedoms
             low, high = 2.0 * gammaincinv(free / 2.0, (0.025, 0.975)) / free

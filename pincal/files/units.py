@@ -1,0 +1,149 @@
+"""Units of columns: as people write them in headers, and those in which files are written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+
+Columns: TypeAlias = Mapping[str, Iterable[float] | Iterable[str]]
+
+#: Units as people write them: dimension, and factor to SI.
+UNITS: dict[str, tuple[str, float]] = {
+    "m": ("m", 1.0),
+    "cm": ("m", 1e-2),
+    "mm": ("m", 1e-3),
+    "um": ("m", 1e-6),
+    "µm": ("m", 1e-6),  # micro sign
+    "μm": ("m", 1e-6),  # Greek letter
+    "in": ("m", 0.0254),
+    "1": ("1", 1.0),
+    "rad": ("rad", 1.0),
+    "mrad": ("rad", 1e-3),
+    "deg": ("rad", np.pi / 180),
+    "°": ("rad", np.pi / 180),
+    "turn": ("rad", 2 * np.pi),
+}
+COUNTS = "counts"
+"""Unit of readings as an encoder counts them; its sensor says how many are in one rad or m."""
+_READ = {"deg": "°", "um": "µm", "μm": "µm"}  # as tables write them
+
+
+@dataclass(frozen=True)
+class Units:
+    """In which units columns and tables are written; SI where nothing else is said."""
+
+    names: Mapping[str, str] = field(default_factory=dict)
+    """A key of ``UNITS`` for each SI unit, ``{"m": "mm"}``."""
+    counts: Mapping[str, float] = field(default_factory=dict)
+    """Encoder counts of one rad or m, by the column of a reading that is written in counts."""
+
+    @classmethod
+    def of(cls, said: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Units:
+        """Return the units that a list such as ``mm,deg,counts`` names.
+
+        Args:
+            said: Units with commas between them.
+            counts: Encoder counts of one rad or m, by reading.
+            readings: Names of all readings, each of which needs its counts.
+
+        Raises:
+            MeasurementError: an unknown unit, two of one dimension, or counts that are not known.
+        """
+        names: dict[str, str] = {}
+        words = [one.strip() for one in said.split(",") if one.strip()]
+        for unit in words:
+            if unit == COUNTS:
+                lacking = [name for name in readings if name not in counts]
+                if lacking:
+                    raise MeasurementError(
+                        f"--units {said}: how many counts one rad or m of {', '.join(lacking)} has "
+                        f"is not said: give it by {scale_said(lacking[0], 'rad')}"
+                    )
+                continue
+            dimension = UNITS.get(unit, ("1", 1.0))[0]
+            if dimension == "1" or dimension in names:
+                known = [one for one, (kind, _) in UNITS.items() if kind != "1" and one.isascii()]
+                raise MeasurementError(
+                    f"--units {said}: {unit!r} is {'unknown' if dimension == '1' else 'a second'} "
+                    f"unit; expected one of lengths and one of angles, such as mm,deg "
+                    f"({', '.join(known)}, {COUNTS})"
+                )
+            names[dimension] = unit
+        return cls(names, counts if COUNTS in words else {})
+
+    def written(self, columns: Columns) -> Columns:
+        """Return columns (header to values, SI) in these units, which their headers say."""
+        return dict(map(self._column, columns.items()))
+
+    def _column(
+        self, column: tuple[str, Iterable[float] | Iterable[str]]
+    ) -> tuple[str, Iterable[float] | Iterable[str]]:
+        name, bracket, rest = column[0].partition(" [")
+        unit = rest.removesuffix("]")
+        own, by = self.names.get(unit), self.counts.get(name.removeprefix("sigma_"))
+        if not bracket or (own is None and by is None):
+            return column
+        scale, shown = (by, COUNTS) if by else (1.0 / UNITS[str(own)][1], own)
+        return f"{name} [{shown}]", np.asarray(column[1], dtype=np.float64) * scale
+
+    def read(self, default: Mapping[str, str]) -> dict[str, str]:
+        """Return in which unit numbers of a table are read, by SI unit."""
+        return {**default, **{k: _READ.get(unit, unit) for k, unit in self.names.items()}}
+
+
+SI = Units()
+"""Nothing but SI."""
+
+
+def counts_of(said: Iterable[str], readings: Mapping[str, str]) -> dict[str, float]:
+    """Return encoder counts of one rad or m by reading, of texts such as ``leg_1=4096/turn``.
+
+    Args:
+        said: Each a reading's name, ``=``, a number, ``/`` and a unit; without a name, of all.
+        readings: Unit of each reading, by name.
+
+    Raises:
+        MeasurementError: something else, an unknown reading, or one that is said twice.
+    """
+    found: dict[str, float] = {}
+    for text in said:
+        name, equals, scale = (part.strip() for part in text.rpartition("="))
+        number, _, unit = (part.strip() for part in scale.partition("/"))
+        names = [name] if equals else list(readings)
+        dimension, factor = UNITS.get(unit, ("", 0.0))
+        try:
+            per = float(number) / factor
+        except (ValueError, ZeroDivisionError):
+            per = np.nan
+        if not (np.isfinite(per) and per > 0.0):
+            raise MeasurementError(
+                f"--counts {text}: expected a reading, how many counts, and of what, such as "
+                f"{next(iter(readings))}=4096/turn; the sign is the sensor's direction"
+            )
+        for one in names:
+            if one not in readings:
+                raise MeasurementError(
+                    f"--counts {text}: no reading {one!r}; there are {', '.join(readings)}"
+                )
+            if readings[one] != dimension:
+                raise MeasurementError(
+                    f"--counts {text}: {one} is read in {readings[one]}, not in {unit}"
+                )
+            if one in found:
+                raise MeasurementError(f"--counts: {one} is said twice; leave out one of them")
+            found[one] = per
+    return found
+
+
+def scale_said(column: str, dimension: str) -> str:
+    """Return how to say how many counts are in one unit of a reading."""
+    name = column.removeprefix("sigma_")
+    return (
+        f"--counts {name}=NUMBER/{'turn' if dimension == 'rad' else 'mm'}, or by counts_per_unit "
+        "of its sensor in mechanism.yaml"
+    )

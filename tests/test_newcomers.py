@@ -1,0 +1,118 @@
+"""What newcomers stumbled over, in their words."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import done
+from measured import machine
+from scipy.spatial.transform import Rotation
+
+import pincal
+from pincal.show.result_tables import outside_table, parameters_table
+from pincal.show.tables import articular_table
+from pincal.show.workspace_plots import workspace_figure
+from pincal.workspace.axes import Axis
+from pincal.workspace.box import default_grid
+from pincal.workspace.region import compute_workspace
+
+NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
+
+
+@pytest.fixture(scope="module")
+def elsewhere() -> tuple[pincal.CalibrationResult, np.ndarray]:
+    """A 3-RRR calibrated from a tracker that stands elsewhere, and where the tracker says it is."""
+    mechanism, _, data = machine("3RRR", 24, NOISE)
+    frame = np.eye(4)
+    frame[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.7]).as_matrix()
+    frame[:2, 3] = 1.2, -0.4
+    platform = mechanism.platform
+    poses = platform.from_matrices(frame @ platform.transforms(data.poses).as_matrix())
+    setup = pincal.Setup(unknown_frame=True)
+    data = replace(data, poses=poses)
+    return pincal.calibrate(mechanism, data, noise=NOISE, setup=setup), frame
+
+
+def test_start_under_an_unknown_frame_is_where_the_search_began(
+    elsewhere: tuple[pincal.CalibrationResult, np.ndarray],
+) -> None:
+    """By rigid alignment, near where the base is: not zero, nor what was found."""
+    result, frame = elsewhere
+    near = {"tracker.x": frame[0, 3], "tracker.y": frame[1, 3], "tracker.rz": 0.7}
+    for id_, there in near.items():
+        start = result[id_].nominal
+        assert start == pytest.approx(there, abs=0.05)
+        assert start != result[id_].identified
+    assert "start: where the search began" in outside_table(result).caption
+
+
+def test_tables_say_that_plus_minus_in_an_unknown_frame_depends_on_a_choice(
+    elsewhere: tuple[pincal.CalibrationResult, np.ndarray],
+) -> None:
+    """Both tables; in the base frame nothing was chosen, and nothing is said."""
+    result, _ = elsewhere
+    words = "Values and ± depend on what was fixed by choice"
+    assert words in parameters_table(result).caption
+    assert words in outside_table(result).caption
+    assert words not in parameters_table(replace(result, gauge=())).caption
+
+
+@pytest.mark.parametrize("times", [3.0, 100.0])
+def test_noise_given_too_small_is_said_once(times: float) -> None:
+    """One cause, one warning: not also that all rows do not fit the others."""
+    mechanism, _, data = machine("3RRR", 40, NOISE)
+    small = pincal.Noise(*(value / times for value in (1e-4, 1e-4, 1e-5)))
+    result = pincal.calibrate(mechanism, data, noise=small)
+    assert [one.code for one in result.findings if one.severity == "warning"] == ["chi2-too-large"]
+    assert not result.outliers
+    assert "e+" not in result.warnings[0]
+
+
+def test_far_rows_are_named_also_where_the_noise_given_is_too_small() -> None:
+    """The worst of few, by the scale of the others."""
+    mechanism, _, data = machine("3RRR", 40, NOISE)
+    poses = data.poses.copy()
+    poses[7, 0] += 0.01
+    given = pincal.Noise(5e-5, 5e-5, 5e-6)
+    result = pincal.calibrate(mechanism, replace(data, poses=poses), noise=given)
+    assert result.outliers[0].row == 7
+    assert len(result.outliers) < 5
+
+
+def test_print_of_a_parameter_is_a_line_of_words() -> None:
+    """Value ± with unit and nominal value; of one that was held, that."""
+    mechanism, _, data = machine("3RRR", 24, NOISE)
+    result = pincal.calibrate(mechanism, data, noise=NOISE, fixed=("k",))
+    number = r"-?\d+\.\d+"
+    line = rf"leg_1\.L: {number} ± {number} mm \(95 %\), nominal 1500\.000 mm"
+    assert re.fullmatch(line, str(result["leg_1.L"]))
+    assert str(result["leg_1.k"]) == "leg_1.k: 1.000000, fixed, nominal 1.000000"
+
+
+def test_a_small_workspace_fills_its_picture() -> None:
+    """Base points far outside are left out, and that is said; those near are drawn."""
+    for name, reach, bases in (("3RRR", 0.03, False), ("5R", 0.4, True)):
+        mechanism = pincal.load_mechanism(name)
+        axes = [Axis.parse(f"{axis}={-reach}:{reach}:{reach / 8}") for axis in "xy"]
+        grid = default_grid(mechanism, axes)
+        figure = workspace_figure(compute_workspace(mechanism, "reachable", grid))
+        left, right = figure.axes[0].get_xlim()
+        points = [leg.joints[0].placement.xyz[0] for leg in mechanism.legs]
+        assert (left < min(points) < max(points) < right) == bases
+        assert right - left < 4.0 * reach
+        assert ("base points lie outside" in figure.get_suptitle()) is not bases
+
+
+def test_articular_all_is_said_to_be_a_sample(tmp_path: Path) -> None:
+    """In the table; spaces of an orientation are whole grids."""
+    out = done(
+        *("workspace", "5R", "--kind", "articular", "--count", 50, "-o", tmp_path / "a.csv")
+    ).out
+    assert "all: 50 random poses, so the space reaches a little farther" in out
+    mechanism = pincal.load_mechanism("5R")
+    whole = articular_table(mechanism, {"phi = 0 rad": np.zeros((3, 2))}, ())
+    assert "random" not in whole.caption

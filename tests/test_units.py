@@ -1,0 +1,175 @@
+"""Units of tables: readings in encoder counts, and numbers in the units that were asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import done, run
+from measured import machine
+
+import pincal
+from pincal.files.measurements import read_measurements, read_readings
+from pincal.files.tables import read_table
+from pincal.words.numbers import FACTORS
+
+NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
+COUNTS = 4096 / (2 * np.pi)
+LEGS = ("leg_1", "leg_2", "leg_3")
+GIVEN = ("--noise-position", "0.1mm", "--noise-orientation", "0.1mrad", "--noise-reading", "1e-5")
+
+
+@pytest.fixture(scope="module")
+def counted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A CSV whose first two readings are counts of an encoder of 4096 a turn."""
+    mechanism, _, data = machine("3RRR", 24, NOISE)
+    frame = data.to_dataframe(mechanism)
+    for leg in ("leg_1", "leg_2"):
+        frame[f"{leg} [counts]"] = frame.pop(f"{leg} [rad]") * COUNTS
+    path = tmp_path_factory.mktemp("counts") / "m.csv"
+    frame.to_csv(path, index=False)
+    return path
+
+
+def test_readings_in_counts_are_read_by_the_scale_that_was_said(counted: Path) -> None:
+    """The same numbers as in radians, whoever said the scale: Python, or mechanism.yaml."""
+    mechanism, _, data = machine("3RRR", 24, NOISE)
+    scaled = mechanism.with_counts({"leg_1": COUNTS, "leg_2": COUNTS})
+    np.testing.assert_allclose(read_readings(counted, scaled), data.readings, rtol=1e-12)
+    folder = scaled.save(counted.parent / "machine")
+    assert "counts_per_unit: 651.89" in (folder / "mechanism.yaml").read_text()
+    assert pincal.load_mechanism(folder).counts == scaled.counts
+    np.testing.assert_allclose(read_readings(counted, folder), data.readings, rtol=1e-12)
+
+
+def test_standard_deviations_are_in_counts_too(tmp_path: Path) -> None:
+    """A column sigma_leg_1 [counts] has the scale of leg_1, headers however they are written."""
+    mechanism = pincal.load_mechanism("5R").with_counts({"leg_1": 100.0})
+    rows = "x [m],y [m],leg_1 (counts),leg_2 [rad],sigma_leg_1 [counts],sigma_leg_2 [rad]\n"
+    (tmp_path / "m.csv").write_text(rows + "0,0.1,50,1,2,0.1\n")
+    data = read_measurements(tmp_path / "m.csv", mechanism)
+    assert data.readings[0, 0] == 0.5
+    assert data.sigma_readings is not None
+    assert data.sigma_readings[0, 0] == 0.02
+
+
+def test_counts_without_a_scale_are_refused_with_what_to_say(counted: Path, tmp_path: Path) -> None:
+    """The message names the option, and the key of mechanism.yaml."""
+    outcome = run("calibrate", "3RRR", counted, "-o", tmp_path / "r")
+    assert outcome.code == 2
+    assert "column 'leg_1' is in counts; say how many are in one rad" in outcome.trouble
+    assert "--counts leg_1=NUMBER/turn" in outcome.trouble
+    assert "counts_per_unit" in outcome.trouble
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("leg_9=4096/turn", "no reading 'leg_9'"),
+        ("leg_1=4096", "expected a reading, how many counts, and of what"),
+        ("leg_1=-4096/turn", "the sign is the sensor's direction"),
+        ("leg_1=nan/rad", "expected a reading"),
+        ("leg_1=40/mm", "leg_1 is read in rad, not in mm"),
+        ("4096/parsec", "expected a reading"),
+    ],
+)
+def test_counts_that_mean_nothing_are_refused(
+    said: str, why: str, counted: Path, tmp_path: Path
+) -> None:
+    """A reading that is none, a number without unit, a negative one, a length of an angle."""
+    outcome = run("calibrate", "3RRR", counted, "-o", tmp_path / "r", "--counts", said)
+    assert outcome.code == 2
+    assert why in outcome.trouble
+
+
+def test_scales_are_checked_where_they_are_said(tmp_path: Path) -> None:
+    """No reading of that name, no number above 0: in Python and in mechanism.yaml."""
+    mechanism = pincal.load_mechanism("5R")
+    with pytest.raises(pincal.MechanismError, match="no reading of '5R'"):
+        mechanism.with_counts({"leg_3": 1.0})
+    with pytest.raises(pincal.MechanismError, match="expected a number above 0"):
+        mechanism.with_counts({"leg_1": -1.0})
+    yaml = mechanism.with_counts({"leg_1": 2.5}).save(tmp_path / "bar") / "mechanism.yaml"
+    yaml.write_text(yaml.read_text().replace("counts_per_unit: 2.5", "counts_per_unit: 0"))
+    with pytest.raises(pincal.MechanismError, match="counts_per_unit"):
+        pincal.load_mechanism(yaml.parent)
+
+
+def test_positions_have_no_counts(tmp_path: Path) -> None:
+    """Only readings do: elsewhere counts are a unit like any that is not understood."""
+    (tmp_path / "m.csv").write_text("x [counts],y [m],leg_1 [rad],leg_2 [rad]\n0,0.1,1,1\n")
+    with pytest.raises(pincal.MeasurementError, match=r"unit \[counts\]; expected \[m\]"):
+        read_measurements(tmp_path / "m.csv", "5R")
+
+
+def test_from_counts_to_a_commanded_pose_in_counts(counted: Path, tmp_path: Path) -> None:
+    """Calibrated from counts, the result knows its encoders: poses to counts, and back in mm."""
+    said = ("--counts", "leg_1=4096/turn", "--counts", "leg_2=651.8986469044033/rad")
+    result, poses = tmp_path / "result", tmp_path / "poses.csv"
+    done("calibrate", "3RRR", counted, *GIVEN, *said, "--folds", 0, "-o", result)
+    outcome = run("inverse", result, counted, "--units", "counts", "-o", tmp_path / "i.csv")
+    assert outcome.code == 2
+    assert "how many counts one rad or m of leg_3 has is not said" in outcome.trouble
+    more = ("--counts", "leg_3=11.25/deg")
+    done("inverse", result, counted, *more, "--units", "counts", "-o", tmp_path / "i.csv")
+    written = read_table(tmp_path / "i.csv")
+    assert list(written.units.values()) == ["counts"] * 3
+    done("forward", result, tmp_path / "i.csv", *more, "--units", "mm,deg", "-o", poses)
+    assert read_table(poses).units == {"x": "mm", "y": "mm", "phi": "deg"}
+    there = pincal.Plan.from_csv(poses, "3RRR").poses
+    asked = pincal.Plan.from_csv(counted, "3RRR").poses
+    np.testing.assert_allclose(there, asked, atol=1e-9)
+
+
+@pytest.mark.parametrize("units", ["mm,deg", "in,turn", "um,mrad", "cm"])
+def test_what_is_written_in_other_units_is_read_again(units: str, tmp_path: Path) -> None:
+    """Headers say the unit, so that numbers come back to rounding."""
+    plan = pincal.Plan(np.array([[0.1, -0.2, 0.3], [0.0, 0.1, -0.1]]))
+    plan.to_csv(tmp_path / "p.csv", "3RRR")
+    done("inverse", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "r.csv")
+    done("simulate", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "m.csv")
+    readings = pincal.inverse("3RRR", plan.poses).readings
+    again = read_readings(tmp_path / "r.csv", "3RRR")
+    np.testing.assert_allclose(again, readings, rtol=1e-14)
+    named = read_table(tmp_path / "m.csv").units
+    assert named["x"] in units.split(",")
+    assert len(read_measurements(tmp_path / "m.csv", "3RRR")) == 2
+
+
+@pytest.mark.parametrize(
+    ("units", "why"), [("parsec", "'parsec' is unknown"), ("mm,cm", "'cm' is a second unit")]
+)
+def test_units_that_are_none_are_refused(units: str, why: str, tmp_path: Path) -> None:
+    """An unknown unit, or two of lengths: nothing is written."""
+    pincal.Plan(np.array([[0.1, -0.2, 0.3]])).to_csv(tmp_path / "p.csv", "3RRR")
+    outcome = run("inverse", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "r.csv")
+    assert outcome.code == 2
+    assert why in outcome.trouble
+    assert not (tmp_path / "r.csv").exists()
+
+
+def test_tables_in_mm_and_degrees_on_request(counted: Path, tmp_path: Path) -> None:
+    """Those of calibrate and check; what result.json holds stays SI, to the byte."""
+    mechanism = pincal.load_mechanism("3RRR").with_counts(dict.fromkeys(LEGS, COUNTS))
+    pincal.calibrate(mechanism, counted, noise=NOISE).save(tmp_path / "si")
+    said = (*GIVEN, "--counts", "4096/turn", "--folds", 0, "--verbose", "--units", "cm,deg")
+    out = done("calibrate", "3RRR", counted, *said, "-o", tmp_path / "cm").out
+    assert " cm " in out
+    assert " ° " in out
+    assert " mm " not in out.split("all legs together")[0].split("parameters, nominal")[1]
+    first, second = ((tmp_path / name / "result.json").read_bytes() for name in ("si", "cm"))
+    assert first == second
+    shown = done("check", "3RRR", "--units", "mm,deg").out
+    assert "3464.102" in shown
+    assert "-150.0000" in shown
+
+
+def test_every_unit_of_tables_can_be_printed() -> None:
+    """Units to write in and units to print in are the same, with the same factors."""
+    from pincal.files.units import UNITS, Units
+
+    for name, (dimension, factor) in UNITS.items():
+        if dimension != "1":
+            shown = Units({dimension: name}).read({})[dimension]
+            assert FACTORS[shown] * factor == pytest.approx(1.0, abs=1e-15)
