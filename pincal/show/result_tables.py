@@ -15,7 +15,7 @@ from pincal.show.results import (
     parameters,
     readings_exact,
 )
-from pincal.words.numbers import SMALL, VALUES, fixed, shown_in
+from pincal.words.numbers import SMALL, VALUES, ends, fixed, shown_in, uneven
 from pincal.words.table import Cell, Table, Value, columns
 
 _MANY = 1e6  # standard errors, above which their number says nothing
@@ -52,10 +52,12 @@ def parameters_table(result: CalibrationResult) -> Table:
 
 def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
     """Return the cells of a parameter below ``_HEADS``."""
-    half, change = (p.high - p.low) / 2, p.identified - p.nominal
+    half, change = min(*p.ends, p.half), p.identified - p.nominal
     known = half > 0.0
     interval = fixed(half, half, p.unit) if known else (p.given or "held") if half == 0.0 else ""
-    if known and float(interval) == 0.0:
+    if known and uneven(*p.ends):
+        interval = ends(*p.ends, p.unit)
+    elif known and float(interval) == 0.0:
         interval = "≈ 0"  # of fewer digits than anybody measures
     return (
         p.name,
