@@ -1,5 +1,4 @@
-"""Calibration is equivariant: it goes with size, names, order, frames and mirrors, and so does
-what it finds.
+"""Calibration and its findings are equivariant: they go with size, names, order, frames, mirrors.
 
 A calibration of a random machine is done again of the machine in other units, under other names,
 in another order, somewhere else, and seen in a mirror. Parameters, standard errors, limits and χ²
@@ -8,8 +7,10 @@ are transformed, findings are the same.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,15 @@ from random_mechanisms import KINDS, poses_near_home, random_mechanism
 from resized import scaled
 
 import pincal
-from pincal import Element, Measurements, Mechanism, Noise, Setup
+from pincal import Element, Measurements, Mechanism, Setup
 from pincal.model.checks import ROUNDING
 from pincal.symmetry.carry import carry
 from pincal.symmetry.elements import Isometry
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
+#: Cases of the quick run: legs alone, one that is refused, an unknown frame, rows left out.
+QUICK = (12, 31, 34, 65)
 BUNDLED = ("5R", "3RRR", "6UPS", "delta", "3PRR")
 SAME = 1e-5  # of a standard error; the fit ends where its steps are below 1e-6 of one
 
@@ -39,9 +42,12 @@ class Case:
     data: Measurements
     options: dict[str, Any]
 
-    def result(self) -> pincal.CalibrationResult:
-        """Return its calibration."""
-        return pincal.calibrate(self.mechanism, self.data, **self.options)
+    def result(self) -> pincal.CalibrationResult | pincal.PincalError:
+        """Return its calibration, or why there is none."""
+        try:
+            return pincal.calibrate(self.mechanism, self.data, **self.options)
+        except pincal.PincalError as error:
+            return error
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,7 @@ class Changed:
 
 
 def random_case(seed: int) -> Case:
-    """Return a machine that differs from its drawing, measured with noise, and sometimes wrongly."""
+    """Return a machine that differs from its drawing, measured with noise, sometimes wrongly."""
     rng = np.random.default_rng(seed)
     kind = str(rng.choice([*KINDS, *BUNDLED]))
     if kind in KINDS:
@@ -129,7 +135,9 @@ def other_names(case: Case, rng: Generator) -> Changed:
         legs.append(renamed(leg, f"arm{names[i]}", new))
         ids |= {f"{leg.name}.{old}": f"{legs[-1].name}.{one}" for old, one in new.items()}
     return Changed(
-        replace(case, mechanism=replace(case.mechanism, legs=tuple(legs))), ids, dict.fromkeys(ids, 1.0)
+        replace(case, mechanism=replace(case.mechanism, legs=tuple(legs))),
+        ids,
+        dict.fromkeys(ids, 1.0),
     )
 
 
@@ -151,9 +159,7 @@ def renamed(leg: pincal.Leg, name: str, new: dict[str, str]) -> pincal.Leg:
         name=name,
         joints=tuple(joint(one) for one in leg.joints),
         point=joint(leg.point),
-        sensors=tuple(
-            replace(s, gain=said(s.gain), offset=said(s.offset)) for s in leg.sensors
-        ),
+        sensors=tuple(replace(s, gain=said(s.gain), offset=said(s.offset)) for s in leg.sensors),
         parameters=tuple((new[one], value) for one, value in leg.parameters),
     )
 
@@ -163,7 +169,9 @@ def other_order(case: Case, rng: Generator) -> Changed:
     order = rng.permutation(len(case.mechanism.legs))
     legs = [case.mechanism.legs[i] for i in order]
     legs = [
-        replace(leg, parameters=tuple(leg.parameters[i] for i in rng.permutation(len(leg.parameters))))
+        replace(
+            leg, parameters=tuple(leg.parameters[i] for i in rng.permutation(len(leg.parameters)))
+        )
         for leg in legs
     ]
     mechanism, data = replace(case.mechanism, legs=tuple(legs)), case.data
@@ -211,7 +219,8 @@ def mirrored(case: Case, rng: Generator) -> Changed:
     return Changed(replace(case, mechanism=mechanism, data=data), same_ids(mechanism), factors)
 
 
-CHANGES: tuple[Callable[[Case, Generator], Changed], ...] = (
+Change = Callable[[Case, Generator], Changed]
+CHANGES: tuple[Change, ...] = (
     other_size,
     other_names,
     other_order,
@@ -220,9 +229,23 @@ CHANGES: tuple[Callable[[Case, Generator], Changed], ...] = (
 )
 
 
-def assert_goes_with(first: pincal.CalibrationResult, changed: Changed) -> None:
-    """Check that a result is the one of the case before, transformed."""
+@cache
+def known(seed: int) -> tuple[Case, pincal.CalibrationResult | pincal.PincalError]:
+    """Return a random case and its calibration."""
+    case = random_case(seed)
+    return case, case.result()
+
+
+def assert_goes_with(
+    first: pincal.CalibrationResult | pincal.PincalError, changed: Changed
+) -> None:
+    """Check that a result is the one of the case before, transformed, and an error the same."""
     then = changed.case.result()
+    if isinstance(first, pincal.PincalError) or isinstance(then, pincal.PincalError):
+        assert type(then) is type(first)
+        if set(changed.ids.values()) == set(changed.ids):  # legs may be named in another order
+            assert sorted(re.findall(r"\w+", str(then))) == sorted(re.findall(r"\w+", str(first)))
+        return
     assert [one.code for one in then.findings] == [one.code for one in first.findings]
     assert then.converged == first.converged
     assert then.reduced_chi2 == pytest.approx(first.reduced_chi2, rel=SAME)
@@ -230,7 +253,7 @@ def assert_goes_with(first: pincal.CalibrationResult, changed: Changed) -> None:
     assert len(then.outliers) == len(first.outliers)
     for p in (p for leg in first.legs for p in leg.parameters):
         now, by = then[changed.ids[p.id]], changed.factors[p.id]
-        assert now.std == pytest.approx(abs(by) * p.std, rel=10 * SAME), p.id
+        assert now.std == pytest.approx(abs(by) * p.std, rel=SAME), p.id
         rounding = ROUNDING * max(1.0, abs(p.nominal)) * abs(by)
         ends = sorted(by * (end - p.nominal) for end in (p.low, p.high))
         for found, wanted in zip(
@@ -238,22 +261,22 @@ def assert_goes_with(first: pincal.CalibrationResult, changed: Changed) -> None:
             (by * p.change, *ends),
             strict=True,
         ):
-            assert abs(found - wanted) <= 10 * SAME * abs(by) * p.std + rounding, p.id
+            assert abs(found - wanted) <= SAME * abs(by) * p.std + rounding, p.id
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda one: one.__name__)
-@pytest.mark.parametrize("seed", range(3))
-def test_calibration_goes_with(change: Callable[[Case, Generator], Changed], seed: int) -> None:
+@pytest.mark.parametrize("seed", QUICK)
+def test_calibration_goes_with(change: Change, seed: int) -> None:
     """Answers are transformed with the machine and its measurements, findings are the same."""
-    case = random_case(seed)
-    assert_goes_with(case.result(), change(case, np.random.default_rng(seed)))
+    case, first = known(seed)
+    assert_goes_with(first, change(case, np.random.default_rng(seed)))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3, 60))
-def test_calibration_goes_with_all(seed: int) -> None:
-    """The same of many machines, for each change, and for all of them one after the other."""
-    case = random_case(seed)
-    first, rng = case.result(), np.random.default_rng(seed)
+@pytest.mark.parametrize("seed", range(60))
+def test_calibration_of_any_machine_goes_with(seed: int) -> None:
+    """The same of many machines."""
+    case, rng = random_case(seed), np.random.default_rng(seed)
+    first = case.result()
     for change in CHANGES:
         assert_goes_with(first, change(case, rng))

@@ -168,7 +168,8 @@ def _curved(fits: Fits) -> list[Finding]:
 
 def _open(result: CalibrationResult) -> list[Finding]:
     """Return a finding if the cost does not rise enough along some parameters."""
-    ids = [p.id for p in result.parameters if not np.isfinite(p.half)]
+    found = [*(p for leg in result.legs for p in leg.parameters), *result.external]
+    ids = [p.id for p in found if not np.isfinite(p.half)]
     return [finding("interval-open", parameters=ids)] if ids else []
 
 
@@ -177,9 +178,7 @@ def _far(result: CalibrationResult) -> list[Finding]:
     options = result.options
     found = [p for leg in result.legs for p in leg.parameters]
     plausible = plausible_changes(result.nominal)
-    std, half = (
-        np.array(v) for v in zip(*((p.std, p.half) for p in found), strict=True)
-    )
+    std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in found), strict=True))
     std, half = std / result.excess, half / result.excess  # by poses and noise, not by misfit
     if (weak := np.flatnonzero(std > plausible)).size:
         worst = found[int(np.argmax(std / plausible))]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.estimation.adjusted import adjusts, adjusted, last_steps
+from pincal.estimation.adjusted import adjusted, adjusts, last_steps
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses

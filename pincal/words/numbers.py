@@ -107,9 +107,7 @@ def ends(down: float, up: float, unit: str, units: Mapping[str, str] = VALUES) -
         unit: Of both.
         units: In which they are read.
     """
-    said = (
-        fixed(one, min(down, up), unit, units) if isfinite(one) else "∞" for one in (down, up)
-    )
+    said = (fixed(one, min(down, up), unit, units) if isfinite(one) else "∞" for one in (down, up))
     return " ".join(f"{sign}{one}" for sign, one in zip("-+", said, strict=True))
 
 

@@ -203,7 +203,8 @@ RESULTS: dict[str, Wording] = {
     "curved": Wording(
         "Intervals of a curved problem",
         {
-            "curvature": "curved part of the residuals over the straight one, at one standard error",
+            "curvature": "curved part of the residuals over the straight one, at one standard "
+            "error",
             "intervals": 'which there are: "wald" or "profile"',
         },
         lambda f: (
