@@ -31,7 +31,10 @@ Generator = np.random.Generator
 #: Cases of the quick run: legs alone, one that is refused, an unknown frame, rows left out.
 QUICK = (12, 31, 34, 65)
 BUNDLED = ("5R", "3RRR", "6UPS", "delta", "3PRR")
-SAME = 1e-5  # of a standard error; the fit ends where its steps are below 1e-6 of one
+SAME = 1e-5  # relative
+STEPS = 1e-4  # of a standard error; frames of legs alone are found to less
+DRAWN = frozenset({"curved"})  # by a few random draws of the parameters in their order
+BY_AXIS = frozenset({"step", "model-lacks"})  # asked of x, y and z as they were measured
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,8 @@ class Changed:
     """Of each parameter, by its id before."""
     factors: dict[str, float]
     """Of its change; negative where a mirror turns it round, whose ends change places then."""
+    apart: frozenset[str] = frozenset()
+    """Codes of findings that need not be the same."""
 
 
 def random_case(seed: int) -> Case:
@@ -182,7 +187,9 @@ def other_order(case: Case, rng: Generator) -> Changed:
         sigma_readings=data.sigma_readings[:, order] if given else None,
     ).rows(np.arange(len(data))[::-1])  # a step in time stays one
     ids = same_ids(mechanism)
-    return Changed(replace(case, mechanism=mechanism, data=data), ids, dict.fromkeys(ids, 1.0))
+    return Changed(
+        replace(case, mechanism=mechanism, data=data), ids, dict.fromkeys(ids, 1.0), DRAWN
+    )
 
 
 def other_place(case: Case, rng: Generator) -> Changed:
@@ -194,7 +201,8 @@ def other_place(case: Case, rng: Generator) -> Changed:
     matrices = base @ platform.matrices(case.data.poses) @ np.linalg.inv(body)
     data = replace(case.data, poses=platform.from_matrices(matrices))
     ids = same_ids(mechanism)
-    return Changed(replace(case, mechanism=mechanism, data=data), ids, dict.fromkeys(ids, 1.0))
+    then = replace(case, mechanism=mechanism, data=data)
+    return Changed(then, ids, dict.fromkeys(ids, 1.0), DRAWN | BY_AXIS)
 
 
 def mirrored(case: Case, rng: Generator) -> Changed:
@@ -216,7 +224,8 @@ def mirrored(case: Case, rng: Generator) -> Changed:
     there = image(case.mechanism.with_parameters(step)).parameters
     factors = {p.id: float(np.sign(there[p.id].nominal - p.nominal)) for p in mechanism.parameters}
     data = replace(case.data, poses=mirror.poses(mechanism.platform, case.data.poses))
-    return Changed(replace(case, mechanism=mechanism, data=data), same_ids(mechanism), factors)
+    then = replace(case, mechanism=mechanism, data=data)
+    return Changed(then, same_ids(mechanism), factors, DRAWN)
 
 
 Change = Callable[[Case, Generator], Changed]
@@ -246,7 +255,10 @@ def assert_goes_with(
         if set(changed.ids.values()) == set(changed.ids):  # legs may be named in another order
             assert sorted(re.findall(r"\w+", str(then))) == sorted(re.findall(r"\w+", str(first)))
         return
-    assert [one.code for one in then.findings] == [one.code for one in first.findings]
+    codes = [
+        [one.code for one in r.findings if one.code not in changed.apart] for r in (first, then)
+    ]
+    assert codes[0] == codes[1]
     assert then.converged == first.converged
     assert then.reduced_chi2 == pytest.approx(first.reduced_chi2, rel=SAME)
     assert then.degrees_of_freedom == first.degrees_of_freedom
@@ -261,7 +273,7 @@ def assert_goes_with(
             (by * p.change, *ends),
             strict=True,
         ):
-            assert abs(found - wanted) <= SAME * abs(by) * p.std + rounding, p.id
+            assert abs(found - wanted) <= STEPS * abs(by) * p.std + rounding, p.id
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda one: one.__name__)

@@ -37,6 +37,8 @@ class Way:
     """Half intervals, beyond which there is no end."""
     growth: float = 3.0
     """Times as far a next step leads, at most."""
+    most: int = 60
+    """Evaluations of a refit."""
     nodes: int = 24
     """Of the integral of a loss's weights."""
 
@@ -126,7 +128,7 @@ class _Path:
             with np.errstate(all="ignore"):
                 state = problem.moved(here, amount * self.along)
                 start, _ = solve_poses(problem, problem.linearise(state))
-                found = last_steps(self.system, search(self.system, start))
+                found = last_steps(self.system, search(self.system, start, most=_BY.most))
         except (MeasurementError, np.linalg.LinAlgError):
             return None
         return found.linear if found.converged else None
