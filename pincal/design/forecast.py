@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.information import information_rows, leg_whitener, parameter_ids
+from pincal.design.information import leg_whitener, parameter_ids, white_information
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.frames import frames_moved, split_frames
@@ -27,6 +27,7 @@ from pincal.estimation.observability.indices import (
     scaled_axes,
 )
 from pincal.estimation.observability.weak import WeakPair, weak_pairs
+from pincal.estimation.rows import WhiteRows
 from pincal.files.given import as_noise, as_setup
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
@@ -60,6 +61,9 @@ class Estimable:
     """Of what is determined, shape (n, n), parameters leg by leg."""
     lost: Array
     """Directions that are not determined, columns of shape (n, n_lost)."""
+    influence: Array
+    """How parameters follow the noise of each reading, then of each quantity measured, at each
+    pose, in standard deviations and but for a sign, shape (N, n, s)."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -80,6 +84,8 @@ class Forecast(Estimable):
     parameters are those nearest to the nominal ones."""
     frames: Array
     """Motions of frames that these are (see ``frames_moved``), shape (k, n_moved)."""
+    when: Array
+    """Part of the run at which each pose is measured, from -0.5 to 0.5, shape (N,)."""
 
     @cached_property
     def std(self) -> Array:
@@ -182,7 +188,9 @@ def forecast(
     noise, setup, platform = as_noise(noise), as_setup(setup), mechanism.platform
     if not isinstance(method, str) or method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
+    when = np.linspace(-0.5, 0.5, len(poses))
     if isinstance(poses, Plan):
+        when = when[~poses.verifying]
         poses = poses.rows(~poses.verifying)  # no fit follows the others
     legs = legs_at(mechanism, poses)
     if not len(legs.poses):
@@ -191,7 +199,7 @@ def forecast(
         _check_whole(mechanism, measured, setup)
         found = _each_leg(mechanism, as_plan(mechanism, poses), legs.reached, noise)
     else:
-        found = _all_legs(legs, *information_rows(mechanism, legs, noise, measured, setup))
+        found = _all_legs(legs, *white_information(mechanism, legs, noise, measured, setup))
     size = largest_size(mechanism.legs, platform)
     plan = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, plan, GENERIC, size))
@@ -206,19 +214,21 @@ def forecast(
         poses=len(legs.poses),
         gauge=gauge,
         frames=frames_moved(platform, there, near.gain, gauge),
+        when=when[legs.reached],
     )
 
 
 def _all_legs(
-    legs: Legs, rows: Array, unknowns: Sequence[str], measured: tuple[str, ...]
+    legs: Legs, white: WhiteRows, rows: Array, unknowns: Sequence[str], measured: tuple[str, ...]
 ) -> Estimable:
     """Return what all legs' rows determine, external unknowns left out of the covariance."""
     flat, n_legs = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
     rank, equations = identifiability(flat, unknowns), rows.shape[1]
     root, lost = _pseudo_inverse(flat, rank.rank)
+    influence = (root[:, :n_legs].T @ root) @ rows.transpose(0, 2, 1) @ white.by_noise
     root = root[:, :n_legs]
     least = float(np.ceil(rank.rank / equations))
-    return Estimable(measured, equations, least, rank, root.T @ root, lost[:n_legs])
+    return Estimable(measured, equations, least, rank, root.T @ root, lost[:n_legs], influence)
 
 
 def _check_whole(mechanism: Mechanism, measured: Sequence[str] | None, setup: Setup) -> None:
@@ -246,7 +256,8 @@ def _each_leg(
     noise ν of one pose goes together.
     """
     sigma, count = noise.of_poses(mechanism), len(parameter_ids(mechanism))
-    noisy = np.zeros((len(reached), count, len(sigma) + len(mechanism.reading_names)))
+    n_readings = len(mechanism.reading_names)
+    noisy = np.zeros((len(reached), count, n_readings + len(sigma)))
     ranks, lost, least, equations, place = [], [], 0.0, 0, 0
     for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
         rows = np.flatnonzero(reached & plan.serves(leg.name))
@@ -259,7 +270,7 @@ def _each_leg(
         root, own_lost = _pseudo_inverse(flat, ranks[-1].rank)
         moved = (root.T @ root) @ J.transpose(0, 2, 1) @ white.by_noise
         own = np.arange(place, place := place + J.shape[2])
-        kinds = np.r_[: len(sigma), len(sigma) + np.arange(columns.start, columns.stop)]
+        kinds = np.r_[n_readings : n_readings + len(sigma), columns.start : columns.stop]
         noisy[np.ix_(rows, own, kinds)] = moved
         lost.append(np.zeros((count, own_lost.shape[1])))
         lost[-1][own] = own_lost
@@ -275,7 +286,8 @@ def _each_leg(
     )
     covariance = np.einsum("nid,njd->ij", noisy, noisy, optimize=True)
     measured = mechanism.platform.freedoms
-    return Estimable(measured, equations, least, rank, covariance, np.concatenate(lost, axis=1))
+    gone = np.concatenate(lost, axis=1)
+    return Estimable(measured, equations, least, rank, covariance, gone, noisy[reached])
 
 
 def _pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:

@@ -63,6 +63,17 @@ def information_rows(
     measured: Sequence[str] | None,
     setup: Setup,
 ) -> tuple[Array, list[str], tuple[str, ...]]:
+    """Return the rows of ``white_information``, the ids of the unknowns, and what is measured."""
+    return white_information(mechanism, legs, noise, measured, setup)[1:]
+
+
+def white_information(
+    mechanism: Mechanism,
+    legs: Legs,
+    noise: Noise,
+    measured: Sequence[str] | None,
+    setup: Setup,
+) -> tuple[WhiteRows, Array, list[str], tuple[str, ...]]:
     """Return what configurations say of parameters and external unknowns, pose by pose.
 
     Rows free of the poses and whitened, shape (N, k, n): their Gram matrix is the information.
@@ -75,7 +86,8 @@ def information_rows(
         setup: What measured numbers will mean.
 
     Returns:
-        The rows, the ids of the unknowns, and what is measured.
+        What whitens, by the noise of readings and of what is measured; the rows, the ids of the
+        unknowns, and what is measured.
 
     Raises:
         MeasurementError: unknown freedoms, or measurements without noise or equations.
@@ -93,19 +105,20 @@ def information_rows(
     root[:, :n_rows, :n_readings] = noise.reading * legs.reading
     root[:, n_rows:, n_readings:] = np.diag(sigma)
     try:
-        rows = white_rows(np.concatenate((legs.pose, seen.pose), axis=1), root)(parameter)
+        white = white_rows(np.concatenate((legs.pose, seen.pose), axis=1), root)
     except NoNoiseError as error:
         raise MeasurementError(
             "some measurements carry no noise at all; give standard deviations above zero for what "
             "is measured, and for readings (--noise-reading) where there are more of them than "
             "freedoms, or positions are measured in part"
         ) from error
+    rows = white(parameter)
     if not rows.size:
         raise MeasurementError(
             f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
-    return rows, [*parameter_ids(mechanism), *_external_names(platform, setup, kept)], kept
+    return white, rows, [*parameter_ids(mechanism), *_external_names(platform, setup, kept)], kept
 
 
 def _external_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:

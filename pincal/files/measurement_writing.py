@@ -33,7 +33,7 @@ def write_poses(
     """Write poses, and their sets if they have them, to a CSV file: see ``Plan.to_csv``."""
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses to write", MeasurementError)
-    planned = Plan(plan.poses, plan.sets, plan.readings)
+    planned = Plan(plan.poses, plan.sets, plan.readings, places=plan.places)
     write_table(path, columns_of(mechanism, planned, orientation), force=force)
 
 
@@ -100,10 +100,11 @@ def columns_of(
     """
     mechanism = as_mechanism(mechanism)
     columns = _pose_columns(mechanism, plan, orientation)
+    named: Columns = {} if plan.places is None else {"pose": plan.places}
     if not isinstance(plan, Measurements):
         if plan.readings is not None:
             columns |= _reading_columns(mechanism, plan.readings)
-        return columns
+        return columns | named
     columns = {  # what was never measured has no column
         header: values
         for header, values in columns.items()
@@ -121,8 +122,7 @@ def columns_of(
         for name, values in more.items():
             columns[f"{prefix}{name} [{units.get(name, 'm')}]"] = values
     columns |= {} if plan.runs is None else {"run": plan.runs}
-    columns |= {} if plan.places is None else {"pose": plan.places}
-    return columns
+    return columns | named
 
 
 def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> Columns:
