@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from command_line import done, run
 from differences import differentiated
-from measured import workspace
+from measured import seen_from_elsewhere, workspace
 
 import pincal
 
@@ -92,6 +92,22 @@ def test_full_poses_give_the_covariance_of_the_calibration(
     other = result.expected_error(poses[name])
     assert one.position == pytest.approx(other.position, rel=1e-6)
     assert one.orientation == pytest.approx(other.orientation, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["3RRR", "6UPS"])
+def test_frames_that_are_not_measured_are_chosen_alike(
+    poses: dict[str, np.ndarray], name: str
+) -> None:
+    """Of an unknown frame too: forecast and calibration take the same of all equal parameters."""
+    mechanism, setup = pincal.load_mechanism(name), pincal.Setup(unknown_frame=True)
+    plan, exact = pincal.Plan(poses[name]), pincal.Noise(0.0, 0.0, 0.0)
+    data = pincal.simulate(mechanism, mechanism, plan, exact).measurements
+    result = pincal.calibrate(
+        mechanism, seen_from_elsewhere(mechanism, data), noise=NOISE, setup=setup
+    )
+    found = pincal.forecast(mechanism, plan, NOISE, setup=setup)
+    std = np.array([p.std for leg in result.legs for p in leg.parameters])
+    np.testing.assert_allclose(found.std, std, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("name", "dealt"), [("5R", True), ("3RRR", False), ("linear_delta", True)])

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pincal.design.information import leg_whitener, parameter_ids, white_information
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
+from pincal.estimation.observability.drawings import nearest_to_nominal
 from pincal.estimation.observability.frames import frames_moved, split_frames
 from pincal.estimation.observability.generic import GENERIC
 from pincal.estimation.observability.indices import (
@@ -207,8 +208,14 @@ def forecast(
     gauge, lost = split_frames(platform, there, near.gain, found.lost, size)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it
         lost = lost - gauge @ np.linalg.lstsq(gauge, lost, rcond=None)[0]
+    P = nearest_to_nominal(mechanism, gauge)
     return Forecast(
-        **vars(found) | {"lost": lost},
+        **vars(found)
+        | {
+            "lost": lost,
+            "covariance": P @ found.covariance @ P.T,
+            "influence": P @ found.influence,
+        },
         mechanism=mechanism,
         method=method,
         poses=len(legs.poses),
