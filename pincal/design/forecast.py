@@ -189,11 +189,12 @@ def forecast(
     noise, setup, platform = as_noise(noise), as_setup(setup), mechanism.platform
     if not isinstance(method, str) or method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
-    when = np.linspace(-0.5, 0.5, len(poses))
+    followed = ~poses.verifying if isinstance(poses, Plan) else None
     if isinstance(poses, Plan):
-        when = when[~poses.verifying]
         poses = poses.rows(~poses.verifying)  # no fit follows the others
     legs = legs_at(mechanism, poses)
+    rows = np.ones_like(legs.reached) if followed is None else followed
+    when = np.linspace(-0.5, 0.5, len(rows))[rows][legs.reached]
     if not len(legs.poses):
         check_reached(mechanism, poses)
     if method == "per-leg":
@@ -221,7 +222,7 @@ def forecast(
         poses=len(legs.poses),
         gauge=gauge,
         frames=frames_moved(platform, there, near.gain, gauge),
-        when=when[legs.reached],
+        when=when,
     )
 
 
