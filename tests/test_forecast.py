@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from command_line import done, run
 from differences import differentiated
-from measured import workspace
+from measured import seen_from_elsewhere, workspace
 
 import pincal
+from pincal.estimation.observability.drawings import plausible_changes
 
 NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
 
@@ -68,8 +69,10 @@ def test_information_equals_that_of_latent_poses(
         np.testing.assert_allclose(found.std, np.sqrt(np.diagonal(covariance)), rtol=1e-3)
     else:
         assert values[n_lost - 1] < 1e-2 * values[n_lost]  # what differences leave of zero
-        kept = axes[:, ~lost] / scale[:, None]
-        variance = (kept**2 / values[~lost]).sum(axis=1)
+        kept, free = axes[:, ~lost] / scale[:, None], axes[:, lost] / scale[:, None]
+        near = free.T / plausible_changes(mechanism) ** 2  # of all equal parameters the nearest
+        follow = np.eye(len(scale)) - free @ np.linalg.solve(near @ free, near)
+        variance = ((follow @ kept) ** 2 / values[~lost]).sum(axis=1)
         finite = np.isfinite(found.std)
         assert finite.any()
         np.testing.assert_allclose(found.std[finite], np.sqrt(variance[finite]), rtol=1e-2)
@@ -92,6 +95,22 @@ def test_full_poses_give_the_covariance_of_the_calibration(
     other = result.expected_error(poses[name])
     assert one.position == pytest.approx(other.position, rel=1e-6)
     assert one.orientation == pytest.approx(other.orientation, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["3RRR", "6UPS"])
+def test_frames_that_are_not_measured_are_chosen_alike(
+    poses: dict[str, np.ndarray], name: str
+) -> None:
+    """Of an unknown frame too: forecast and calibration take the same of all equal parameters."""
+    mechanism, setup = pincal.load_mechanism(name), pincal.Setup(unknown_frame=True)
+    plan, exact = pincal.Plan(poses[name]), pincal.Noise(0.0, 0.0, 0.0)
+    data = pincal.simulate(mechanism, mechanism, plan, exact).measurements
+    result = pincal.calibrate(
+        mechanism, seen_from_elsewhere(mechanism, data), noise=NOISE, setup=setup
+    )
+    found = pincal.forecast(mechanism, plan, NOISE, setup=setup)
+    std = np.array([p.std for leg in result.legs for p in leg.parameters])
+    np.testing.assert_allclose(found.std, std, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("name", "dealt"), [("5R", True), ("3RRR", False), ("linear_delta", True)])

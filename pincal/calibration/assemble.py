@@ -17,6 +17,8 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
 from pincal.calibration.promise import excess_of
 from pincal.calibration.result import CalibrationResult
+from pincal.estimation.fit import Fit
+from pincal.estimation.profile import profile
 from pincal.estimation.residuals.leg_residuals import leg_residuals
 from pincal.estimation.residuals.robust import Outlier, Robust
 from pincal.model.measurements import Noise
@@ -102,10 +104,25 @@ def _noise(calibration: Calibration, chi2: float) -> Noise | None:
     return Noise(*(scale * value for value in vars(model.noise).values()))
 
 
+def _ends(calibration: Calibration, one: Fit, rows: Array, halves: Array) -> Array:
+    """Return the ends of intervals less the estimates, shape (k, 2).
+
+    Args:
+        calibration: What was calibrated.
+        one: The fit that holds the quantities.
+        rows: Derivatives of the quantities by its unknowns, shape (k, n).
+        halves: Half widths by their standard errors, shape (k,).
+    """
+    if calibration.options.intervals == "wald" or not one.converged:
+        return np.stack((-halves, halves), axis=1)
+    calibration.options.report("fitting again along the parameters, for their intervals")
+    return profile(one, rows, halves)
+
+
 def _identified(
-    one: Parameter, value: float, std: float, quantile: float, given: str = ""
+    one: Parameter, value: float, std: float, ends: Array, given: str = ""
 ) -> IdentifiedParameter:
-    """Return a parameter with its 95 % interval."""
+    """Return a parameter with its 95 % interval, whose ends less the value have shape (2,)."""
     return IdentifiedParameter(
         owner=one.owner,
         name=one.name,
@@ -113,8 +130,8 @@ def _identified(
         nominal=one.nominal,
         identified=float(value),
         std=float(std),
-        low=float(value - quantile * std),
-        high=float(value + quantile * std),
+        low=float(value + ends[0]),
+        high=float(value + ends[1]),
         given=given,
         label=one.label,
     )
@@ -133,6 +150,9 @@ def _leg_results(
     """
     found, problem = one.fit, one.fit.problem
     nominal, results = calibration.mechanism.parameters, []
+    errors = np.concatenate([std[leg.name] for leg in problem.legs])
+    rows = np.eye(len(errors), len(quantile))
+    ends = _ends(calibration, found, rows, quantile[: len(errors)] * errors)
     for index, (leg, columns) in enumerate(zip(problem.legs, problem.columns, strict=True)):
         own = problem.used[:, index] & (found.weights > 0.0)
         before = leg_residuals(problem, found.first, index)
@@ -144,12 +164,12 @@ def _leg_results(
             LegResult(
                 name=leg.name,
                 parameters=tuple(
-                    _identified(p, value, error, half, _given(calibration, p))
-                    for p, value, error, half in zip(
+                    _identified(p, value, error, own_ends, _given(calibration, p))
+                    for p, value, error, own_ends in zip(
                         parameters,
                         found.parameters[columns],
                         std[leg.name],
-                        quantile[columns],
+                        ends[columns],
                         strict=True,
                     )
                 ),
@@ -195,10 +215,15 @@ def _external(
     freedoms = [one.min(initial=np.inf) for one in sure.of_unknowns]
     quantile = float(quantiles(np.array(min(freedoms))))
     std = np.sqrt(np.diagonal(D @ outer @ D.T))
+    one = found.fits[0].fit
+    rows = np.zeros((len(D), len(one.covariance)))
+    if found.latent:
+        rows[:, -len(D) :] = D
+    ends = _ends(found.calibration, one, rows, quantile * std)
     return tuple(
-        _identified(_outside(id_, unit, first), value, error, quantile)
-        for id_, unit, first, value, error in zip(
-            outside.names, outside.units, start, there, std, strict=True
+        _identified(_outside(id_, unit, first), value, error, own_ends)
+        for id_, unit, first, value, error, own_ends in zip(
+            outside.names, outside.units, start, there, std, ends, strict=True
         )
     )
 

@@ -50,7 +50,7 @@ def findings_of(
         noise += _proportion(fits) if not noise else []
         noise += _lacking(fits)
     curved = _curved(fits) if fits is not None and result.converged else []
-    return (*found, *noise, *far, *curved, *_rows(result), *_legs(result))
+    return (*found, *noise, *far, *curved, *_open(result), *_rows(result), *_legs(result))
 
 
 def _rounding(result: CalibrationResult) -> bool:
@@ -164,7 +164,15 @@ def _curved(fits: Fits) -> list[Finding]:
     """Return a finding if intervals of a linearised problem mean little."""
     own = (one.fit for one in fits.fits if one.fit.problem.weighted)
     most = max((curvature(one, _CURVED) for one in own), default=0.0)
-    return [finding("curved", curvature=most)] if most > _CURVED else []
+    intervals = fits.calibration.options.intervals
+    return [finding("curved", curvature=most, intervals=intervals)] if most > _CURVED else []
+
+
+def _open(result: CalibrationResult) -> list[Finding]:
+    """Return a finding if the cost does not rise enough along some parameters."""
+    found = [*(p for leg in result.legs for p in leg.parameters), *result.external]
+    ids = [p.id for p in found if not np.isfinite(p.half)]
+    return [finding("interval-open", parameters=ids)] if ids else []
 
 
 def _far(result: CalibrationResult) -> list[Finding]:
@@ -172,9 +180,7 @@ def _far(result: CalibrationResult) -> list[Finding]:
     options = result.options
     found = [p for leg in result.legs for p in leg.parameters]
     plausible = plausible_changes(result.nominal)
-    std, half = (
-        np.array(v) for v in zip(*((p.std, (p.high - p.low) / 2) for p in found), strict=True)
-    )
+    std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in found), strict=True))
     std, half = std / result.excess, half / result.excess  # by poses and noise, not by misfit
     if (weak := np.flatnonzero(std > plausible)).size:
         worst = found[int(np.argmax(std / plausible))]
@@ -183,7 +189,7 @@ def _far(result: CalibrationResult) -> list[Finding]:
                 "weakly-determined",
                 parameters=[found[i].id for i in weak],
                 parameter=worst.id,
-                half=(worst.high - worst.low) / 2,
+                half=worst.half,
                 unit=worst.unit,
                 held=options.hold_undetermined,
             )

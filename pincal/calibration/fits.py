@@ -24,6 +24,7 @@ from pincal.estimation.residuals.losses import Loss, loss_of
 from pincal.estimation.residuals.robust import Robust, robust_fit
 from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
+from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 
@@ -39,7 +40,7 @@ class Repeats:
     refits: int = 5
     """With noise that was estimated."""
     still: float = 1e-10
-    """[m] and [rad]: the frame moves no more."""
+    """Of the machine's size, and [rad]: the frame moves no more."""
     off: float = 5e-3
     """Of the scale of the noise that was estimated."""
     least: float = 1e-3
@@ -240,10 +241,12 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
         )
     first = problem.first.external
     external = first if before is None or before.external is None else before.external
+    size = largest_size(calibration.mechanism.legs, calibration.mechanism.platform)
+    units = np.array([size if u == "m" else 1.0 for u in problem.observation.external.units])
     for _ in range(_BY.rounds):
         fits = _fit_groups(calibration, groups, unknowns, external)
         step = _toward_nominal(gauge, problem, unknowns, fits, external)
-        if np.abs(step).max(initial=0.0) <= _BY.still:
+        if np.abs(step / units).max(initial=0.0) <= _BY.still:
             return Fits(calibration, fits, external, gauge, unknowns)
         external = problem.observation.external.moved(external, step)
     raise MeasurementError(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.model.parameter import Parameter
-from pincal.words.numbers import SMALL, Measured, shown_in
+from pincal.words.numbers import SMALL, VALUES, Measured, ends, fixed, shown_in, uneven
 
 Array = NDArray[np.float64]
 
@@ -22,9 +22,9 @@ class IdentifiedParameter(Parameter):
     std: float
     """Standard error."""
     low: float
-    """Lower end of the 95 % confidence interval."""
+    """Lower end of the 95 % confidence interval; infinite if it has none."""
     high: float
-    """Upper end of the 95 % confidence interval."""
+    """Upper end of the 95 % confidence interval; infinite if it has none."""
     given: str = ""
     """What was given of it beforehand: ``"fixed"``, ``"tied"``, ``"prior"``, or several."""
 
@@ -34,9 +34,25 @@ class IdentifiedParameter(Parameter):
         return self.identified - self.nominal
 
     @property
+    def half(self) -> float:
+        """Half the width of the 95 % interval."""
+        return (self.high - self.low) / 2
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """How far the 95 % interval goes down and up from the identified value."""
+        return self.identified - self.low, self.high - self.identified
+
+    @property
     def text(self) -> str:
-        """Identified value ± half its 95 % interval, in the unit in which people read it."""
-        return Measured(self.identified, (self.high - self.low) / 2, self.unit).text()
+        """Identified value ± half its 95 % interval, in the unit in which people read it.
+
+        With both ends, ``1.23 -0.40 +0.52``, where one is farther off.
+        """
+        if not uneven(*self.ends):
+            return Measured(self.identified, self.half, self.unit).text()
+        value = fixed(self.identified, min(self.ends), self.unit)
+        return f"{value} {ends(*self.ends, self.unit)} {VALUES[self.unit]}".strip()
 
     def __str__(self) -> str:
         """Return what is known of it, in a line: ``leg_1.l: 1501.4 ± 0.8 mm (95 %), …``."""

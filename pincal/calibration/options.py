@@ -15,6 +15,7 @@ from pincal.model.setup import Setup
 
 Method = Literal["all-legs", "per-leg"]
 Poses = Literal["own", "all"]
+Intervals = Literal["wald", "profile"]
 Progress = Callable[[str], None] | None
 
 
@@ -51,11 +52,15 @@ class Options:
     hold_undetermined: bool = False
     """Whether directions of parameters that the measurements cannot observe are held as near to
     nominal as can be, and named; else they are refused."""
+    intervals: Intervals = "wald"
+    """Ends of the 95 % intervals: ``"wald"``, the estimate ± so many standard errors, or
+    ``"profile"``, where the cost with a parameter held, all others fitted again, has risen as far:
+    for problems that are curved within their uncertainty."""
     progress: Progress = field(default=None, compare=False, repr=False)
     """Called with what is being done."""
 
     def __post_init__(self) -> None:
-        for name, known in (("method", Method), ("residual", Residual), ("poses", Poses)):
+        for name, known in _CHOICES.items():
             given = getattr(self, name)
             if given not in get_args(known):
                 raise MeasurementError(
@@ -73,6 +78,11 @@ class Options:
             raise MeasurementError(
                 "instruments need all legs at once and the closure residual; leave out "
                 "method='per-leg' and residual='joint'"
+            )
+        if self.intervals == "profile" and not (self.latent or self.setup.plain):
+            raise MeasurementError(
+                "profile intervals of legs alone need poses measured in the base frame; identify "
+                "all legs at once (leave out --per-leg), or leave out --intervals profile"
             )
         for name in ("fixed", "tied"):
             given = getattr(self, name)
@@ -117,6 +127,7 @@ class Options:
             self.progress(what)
 
 
+_CHOICES = {"method": Method, "residual": Residual, "poses": Poses, "intervals": Intervals}
 #: Methods of version 0.1, and what they are now.
 _REPLACED = {
     "latent": "the default: leave it out",

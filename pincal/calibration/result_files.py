@@ -76,6 +76,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "method": result.method,
         "residual": result.options.residual,
         "poses": "all" if result.options.every_pose else "own",
+        "intervals": result.options.intervals,
         "converged": result.converged,
         "message": result.message,
         "evaluations": result.evaluations,

@@ -23,6 +23,7 @@ from pincal.design.information import (
 )
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
+from pincal.estimation.observability.drawings import nearest_to_nominal
 from pincal.estimation.observability.frames import frames_moved, split_frames
 from pincal.estimation.observability.generic import GENERIC
 from pincal.estimation.observability.indices import (
@@ -41,6 +42,7 @@ from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
 from pincal.model.setup import Setup
+from pincal.model.uncertainty import Systematic
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -65,6 +67,9 @@ class Estimable:
     """Of what is determined, shape (n, n), parameters leg by leg."""
     lost: Array
     """Directions that are not determined, columns of shape (n, n_lost)."""
+    influence: Array
+    """How parameters follow the noise of each reading, then of each quantity measured, at each
+    pose, in standard deviations and but for a sign, shape (N, n, s)."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -85,6 +90,8 @@ class Forecast(Estimable):
     parameters are those nearest to the nominal ones."""
     frames: Array
     """Motions of frames that these are (see ``frames_moved``), shape (k, n_moved)."""
+    when: Array
+    """Part of the run at which each pose is measured, from -0.5 to 0.5, shape (N,)."""
 
     @cached_property
     def std(self) -> Array:
@@ -187,9 +194,12 @@ def forecast(
     noise, setup, platform = as_noise(noise), as_setup(setup), mechanism.platform
     if not isinstance(method, str) or method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
+    followed = ~poses.verifying if isinstance(poses, Plan) else None
     if isinstance(poses, Plan):
         poses = poses.rows(~poses.verifying)  # no fit follows the others
     legs = legs_at(mechanism, poses)
+    rows = np.ones_like(legs.reached) if followed is None else followed
+    when = np.linspace(-0.5, 0.5, len(rows))[rows][legs.reached]
     if not len(legs.poses):
         check_reached(mechanism, poses)
     if method == "per-leg":
@@ -204,13 +214,20 @@ def forecast(
     gauge, lost = split_frames(platform, there, near.gain, found.lost, size)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it
         lost = lost - gauge @ np.linalg.lstsq(gauge, lost, rcond=None)[0]
+    P = nearest_to_nominal(mechanism, gauge)
     return Forecast(
-        **vars(found) | {"lost": lost},
+        **vars(found)
+        | {
+            "lost": lost,
+            "covariance": P @ found.covariance @ P.T,
+            "influence": P @ found.influence,
+        },
         mechanism=mechanism,
         method=method,
         poses=len(legs.poses),
         gauge=gauge,
         frames=frames_moved(platform, there, near.gain, gauge),
+        when=when,
     )
 
 
@@ -224,10 +241,11 @@ def _all_legs(legs: Legs, known: Information) -> Estimable:
     rank, equations = identifiability(flat, known.unknowns), rows.shape[1]
     root, lost = _pseudo_inverse(flat, rank.rank)
     own = root[:, :n_legs]
+    influence = (own.T @ root) @ rows.transpose(0, 2, 1) @ known.white.by_noise
     moved = own.T @ (root @ (flat.T @ off.reshape(len(flat), -1)))
     covariance = own.T @ own + moved @ moved.T
     least = float(np.ceil(rank.rank / equations))
-    return Estimable(known.measured, equations, least, rank, covariance, lost[:n_legs])
+    return Estimable(known.measured, equations, least, rank, covariance, lost[:n_legs], influence)
 
 
 def _check_whole(mechanism: Mechanism, measured: Sequence[str] | None, setup: Setup) -> None:
@@ -239,10 +257,12 @@ def _check_whole(mechanism: Mechanism, measured: Sequence[str] | None, setup: Se
     """
     freedoms = mechanism.platform.freedoms
     part = measured is not None and not set(measured) >= set(freedoms)
+    part |= setup.tracker is not None or setup.systematic != Systematic()
     if part or not setup.plain or mechanism.by_readings:
         raise MeasurementError(
             "each leg alone (method 'per-leg') takes whole poses in the base frame that determine "
-            "the readings; take method 'all-legs'"
+            "the readings, measured without a tracker or systematic uncertainties; take method "
+            "'all-legs'"
         )
 
 
@@ -255,7 +275,8 @@ def _each_leg(
     noise ν of one pose goes together.
     """
     sigma, count = noise.of_poses(mechanism), len(parameter_ids(mechanism))
-    noisy = np.zeros((len(reached), count, len(sigma) + len(mechanism.reading_names)))
+    n_readings = len(mechanism.reading_names)
+    noisy = np.zeros((len(reached), count, n_readings + len(sigma)))
     ranks, lost, least, equations, place = [], [], 0.0, 0, 0
     for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
         rows = np.flatnonzero(reached & plan.serves(leg.name))
@@ -268,7 +289,7 @@ def _each_leg(
         root, own_lost = _pseudo_inverse(flat, ranks[-1].rank)
         moved = (root.T @ root) @ J.transpose(0, 2, 1) @ white.by_noise
         own = np.arange(place, place := place + J.shape[2])
-        kinds = np.r_[: len(sigma), len(sigma) + np.arange(columns.start, columns.stop)]
+        kinds = np.r_[n_readings : n_readings + len(sigma), columns.start : columns.stop]
         noisy[np.ix_(rows, own, kinds)] = moved
         lost.append(np.zeros((count, own_lost.shape[1])))
         lost[-1][own] = own_lost
@@ -284,7 +305,8 @@ def _each_leg(
     )
     covariance = np.einsum("nid,njd->ij", noisy, noisy, optimize=True)
     measured = mechanism.platform.freedoms
-    return Estimable(measured, equations, least, rank, covariance, np.concatenate(lost, axis=1))
+    gone = np.concatenate(lost, axis=1)
+    return Estimable(measured, equations, least, rank, covariance, gone, noisy[reached])
 
 
 def _pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:

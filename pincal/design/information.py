@@ -38,6 +38,8 @@ def parameter_ids(mechanism: Mechanism) -> tuple[str, ...]:
 class Information:
     """What configurations say of parameters and external unknowns, pose by pose."""
 
+    white: WhiteRows
+    """What frees of the poses and whitens, by the noise of readings and of what is measured."""
     rows: Array
     """Free of the poses and whitened, shape (N, k, n): their Gram matrix is the information."""
     off: Array
@@ -119,7 +121,7 @@ def information_rows(
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
     unknowns = (*parameter_ids(mechanism), *_external_names(platform, setup, kept))
-    return Information(rows, white(errors), unknowns, kept)
+    return Information(white, rows, white(errors), unknowns, kept)
 
 
 def _external_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:

@@ -6,12 +6,19 @@ amount, and the fit takes that for offsets of the legs.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from pincal.errors import ObservabilityError
+from pincal.errors import MeasurementError, ObservabilityError
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.model.checks import count_of
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
+
+REFERENCE = "reference"
+"""Name of the pose that is measured again and again."""
 
 
 def in_turns(plan: Plan, seed: int = 0) -> Plan:
@@ -26,6 +33,42 @@ def in_turns(plan: Plan, seed: int = 0) -> Plan:
         order = np.random.default_rng(seed).permutation(len(own))
         when[own[order]] = (np.arange(len(own)) + 0.5) / len(own)
     return plan.rows(np.argsort(when, kind="stable"))
+
+
+def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
+    """Return a plan in which one pose is measured again every so many rows, and at its end.
+
+    The pose in the middle: with the least sum of squared twists to the others. Its rows have the
+    name ``reference``, and differ by noise and by what drifts.
+
+    Args:
+        mechanism: The mechanism.
+        plan: The poses, in their order.
+        every: How many rows lie between.
+
+    Raises:
+        MeasurementError: no rows between.
+    """
+    count_of(every, "every", MeasurementError, 1)
+    platform, count = mechanism.platform, len(plan)
+    size = largest_size(mechanism.legs, platform)
+    per = np.array([1.0 / size if unit == "m" else 1.0 for unit in platform.units])
+    fitted = np.flatnonzero(~plan.verifying)
+    away = [
+        (platform.twists_between(np.tile(plan.poses[row], (len(fitted), 1)), plan.poses[fitted]))
+        for row in fitted
+    ]
+    middle = int(fitted[np.argmin([((per * one) ** 2).sum() for one in away])])
+    order: list[int] = []
+    for begin in range(0, count, every):
+        order += [middle, *range(begin, min(begin + every, count))]
+    order.append(middle)
+    found = plan.rows(np.array(order))
+    sets = list(found.sets or (EVERY_LEG,) * len(order))
+    for row in (*range(0, len(order) - 1, every + 1), -1):
+        sets[row] = EVERY_LEG
+    places = tuple(REFERENCE if row == middle else "" for row in order)
+    return replace(found, sets=tuple(sets), places=places)
 
 
 def with_verification(

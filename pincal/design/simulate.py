@@ -116,6 +116,7 @@ def simulate(
         poses=platform.moved(poses[rows], pose_noise[rows]),
         readings=readings[rows] + reading_noise[rows],
         sets=None if plan.sets is None else tuple(plan.sets[row] for row in rows),
+        places=None if plan.places is None else tuple(plan.places[row] for row in rows),
     )
     lost = tuple((row, reason) for row, reason in enumerate(reasons) if reason)
     return Simulation(measurements, rows, lost)

@@ -61,6 +61,12 @@ def _at(problem: Problem, linear: Linear, noise: Array) -> Linear:
     return problem.whitened(replace(stack, value=stack.value - back))
 
 
+def adjusts(problem: Problem) -> bool:
+    """Return whether a problem's fit ends at adjusted readings."""
+    noisy = np.nanmax(problem.sigma_readings, initial=0.0) > 0.0
+    return problem.weighted and problem.latent and bool(noisy)
+
+
 def last_steps(system: System, found: Found) -> Found:
     """Return the optimum with all conditions at adjusted readings, found from that without.
 
@@ -72,9 +78,7 @@ def last_steps(system: System, found: Found) -> Found:
         found: Its optimum at readings as measured.
     """
     problem = system.problem
-    if not (problem.weighted and problem.latent and found.converged):
-        return found
-    if not np.nanmax(problem.sigma_readings, initial=0.0) > 0.0:
+    if not (adjusts(problem) and found.converged):
         return found
     here = found
     try:

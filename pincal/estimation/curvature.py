@@ -30,8 +30,10 @@ def curvature(one: Fit, asked: float = 0.0) -> float:
     """
     problem, here, some = one.problem.thinned(one.last)
     used, n = (one.weights > 0.0)[some], len(one.covariance)
-    values, axes = np.linalg.eigh(one.covariance)
-    root = axes * np.sqrt(values.clip(0.0))
+    size = np.sqrt(np.diagonal(one.covariance))
+    size = np.where(size > 0.0, size, 1.0)  # so that draws are the same in any unit
+    values, axes = np.linalg.eigh(one.covariance / np.outer(size, size))
+    root = size[:, None] * axes * np.sqrt(values.clip(0.0))
     steps = [root @ draw for draw in np.random.default_rng(0).standard_normal((_PAIRS, n))]
     found = _relative(problem, here, used, steps[:1], solved=False)
     if not found <= _CLEARLY * asked:

@@ -106,7 +106,7 @@ def search(
     left_out = np.zeros(len(weights), dtype=bool) if system.kept is None else ~system.kept
     held, cost_held = left_out, np.inf
     highest = max(cost, highest) if np.isfinite(highest) else cost
-    while normal.decrement > max(BY.no_step, _rounding(system, here)):
+    while normal.decrement > max(BY.no_step, rounding(system, here)):
         if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
             break
         if evaluations >= (most or BY.evaluations) or damping > BY.damping[1]:
@@ -149,7 +149,7 @@ def search(
     dof = max(int(here.equations[weights > 0.0].sum()) - T.shape[1], 1)
     unit = 1.0 if system.known else np.sqrt(cost / dof)
     left = normal.decrement / max(unit, 1e-300)
-    there = normal.decrement <= max(BY.no_step, 10.0 * _rounding(system, here))
+    there = normal.decrement <= max(BY.no_step, 10.0 * rounding(system, here))
     return Found(here, weights, scale, evaluations, left, there or left <= BY.negligible)
 
 
@@ -249,7 +249,7 @@ def _trial(problem: Problem, here: Linear, step: Array, held: Mask) -> tuple[Lin
     return (trial if finite else None), 1 + count
 
 
-def _rounding(system: System, linear: Linear) -> float:
+def rounding(system: System, linear: Linear) -> float:
     """Return the decrement that rounding errors of the conditions make."""
     if not system.problem.weighted:
         return 0.0

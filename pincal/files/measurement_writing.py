@@ -36,7 +36,7 @@ def write_poses(
     """Write poses, and their sets if they have them, to a CSV file: see ``Plan.to_csv``."""
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses to write", MeasurementError)
-    planned = Plan(plan.poses, plan.sets, plan.readings)
+    planned = Plan(plan.poses, plan.sets, plan.readings, places=plan.places)
     write_table(path, columns_of(mechanism, planned, orientation), units=units, force=force)
 
 
@@ -105,10 +105,11 @@ def columns_of(
     """
     mechanism = as_mechanism(mechanism)
     columns = _pose_columns(mechanism, plan, orientation)
+    named: Columns = {} if plan.places is None else {"pose": plan.places}
     if not isinstance(plan, Measurements):
         if plan.readings is not None:
             columns |= _reading_columns(mechanism, plan.readings)
-        return columns
+        return columns | named
     columns = {  # what was never measured has no column
         header: values
         for header, values in columns.items()
@@ -132,8 +133,7 @@ def columns_of(
         unit = product_unit(units.get(first, "m"), units.get(second, "m"))
         columns[f"cov_{first}_{second} [{unit}]"] = values
     columns |= {} if plan.runs is None else {"run": plan.runs}
-    columns |= {} if plan.places is None else {"pose": plan.places}
-    return columns
+    return columns | named
 
 
 def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> Columns:

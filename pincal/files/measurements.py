@@ -28,7 +28,8 @@ def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
         readings = _readings(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
-    return Plan(poses, _sets(table, mechanism), readings, lines=table.file_lines)
+    places = _names(table, "pose")
+    return Plan(poses, _sets(table, mechanism), readings, places=places, lines=table.file_lines)
 
 
 def read_readings(path: Source, mechanism: GivenMechanism) -> Array:

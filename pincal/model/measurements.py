@@ -63,13 +63,15 @@ class Plan:
     ``"verify"`` for none: to see how the calibrated mechanism does there; None if not said."""
     readings: Array | None = None
     """Readings to command, shape (N, n_readings), where poses do not determine them."""
+    places: tuple[str, ...] | None = field(default=None, kw_only=True)
+    """Name of the pose of each row: rows of one name are repeated measurements."""
     lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
     """Line of the file that holds each row, if they were read from one."""
 
     def __post_init__(self) -> None:
         poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
         object.__setattr__(self, "poses", poses)
-        self._check({"readings": ("n_readings",)}, ("sets",))
+        self._check({"readings": ("n_readings",)}, ("sets", "places"))
 
     def _check(self, arrays: Mapping[str, tuple[int | str, ...]], names: Sequence[str]) -> None:
         """Make fields arrays and tuples with one entry for each row of the poses.
@@ -183,6 +185,7 @@ class Plan:
             self.poses[index],
             None if self.sets is None else tuple(self.sets[i] for i in index),
             None if self.readings is None else self.readings[index],
+            places=None if self.places is None else tuple(self.places[i] for i in index),
             lines=None if self.lines is None else tuple(self.lines[i] for i in index),
         )
 
@@ -226,8 +229,6 @@ class Measurements(Plan):
     units, each of shape (N,); NaN where there is none."""
     runs: tuple[str, ...] | None = None
     """Run of the experiment to which each row belongs, if there were several."""
-    places: tuple[str, ...] | None = None
-    """Name of the pose of each row: rows of one name are repeated measurements."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -235,7 +236,7 @@ class Measurements(Plan):
         array_of(self.readings, ("N", "n_readings"), "readings", MeasurementError)
         self._check(
             {"sigma_poses": (dof,), "sigma_readings": (self.readings.shape[1],)},
-            ("runs", "places"),
+            ("runs",),
         )
         for name in ("extra", "sigma_extra", "covariances"):
             columns = must_be(getattr(self, name), Mapping, name, MeasurementError)

@@ -65,7 +65,7 @@ class Plots:
         values: dict[str, dict[str, float]] = {leg.name: {} for leg in self.result.legs}
         for leg, p in parameters(self.result):
             if p.high > p.low:
-                values[leg.name][p.name] = 2 * p.change / (p.high - p.low)
+                values[leg.name][p.name] = p.change / p.half
         axes = draw_bars(_axes_of(ax, 6.4, 3.6), values)
         _levels(axes, 1.0)
         axes.set_ylabel("change / half width of 95 % interval")

@@ -15,8 +15,8 @@ from pincal.show.results import (
     parameters,
     readings_exact,
 )
-from pincal.words.numbers import VALUES
-from pincal.words.table import Cell, Quantity, Table, UnitOf, Value, columns
+from pincal.words.numbers import VALUES, uneven
+from pincal.words.table import Cell, Ends, Quantity, Table, UnitOf, Value, columns
 
 _MANY = 1e6  # standard errors, above which their number says nothing
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
@@ -63,14 +63,15 @@ def _chosen(result: CalibrationResult) -> str:
 
 def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
     """Return the cells of a parameter below ``_HEADS``."""
-    half, change = (p.high - p.low) / 2, p.identified - p.nominal
+    half, change = min(*p.ends, p.half), p.identified - p.nominal
     known = half > 0.0
     none = Cell(None, (p.given or "held") if half == 0.0 else "")
+    interval = Ends(*p.ends, p.unit) if uneven(*p.ends) else Quantity(half, p.unit, half)
     return (
         p.name,
         Quantity(p.nominal, p.unit, half),
         Quantity(p.identified, p.unit, half),
-        Quantity(half, p.unit, half) if known else none,
+        interval if known else none,
         UnitOf(p.unit),
         Cell(change, "") if p.given == "fixed" else Quantity(change, p.unit, half, sign="+"),
         Cell(change / p.std, _moved(change / p.std)) if p.std > 0.0 else None,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from pincal.calibration.checks.validation import MISSES, Validation
 from pincal.calibration.result import CalibrationResult
+from pincal.design.drift import Drift
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.estimation.observability.weak import WeakPair
@@ -25,6 +27,7 @@ _NO_FREEDOM = (
 )
 FRAMES = ", but for where the base and platform frames lie"
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
+_ALIASED = 1.0  # standard errors: a larger bias by drift is the plan's fault
 _ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
 
 
@@ -244,6 +247,34 @@ def forecast_lines(
     if found.poses < planned:
         lines.append(f"{planned - found.poses} of {planned} poses are out of reach")
     return lines
+
+
+def drift_lines(drifts: Sequence[Drift]) -> list[str]:
+    """Return what a drift over the run would do, of all legs together and of each leg alone."""
+    heads = (
+        "a drift of each measured quantity by one σ over the run, in this order",
+        "the same with --per-leg",
+    )
+    lines = []
+    for head, one in zip(heads, drifts, strict=False):
+        most = float(one.relative.max(initial=0.0))
+        text = f"{head}: {one.worst} off by {most:.2g} standard errors"
+        if np.isfinite(one.share):
+            text += f", the platform by {one.share:.2g} of its expected error"
+        if max(most, np.nan_to_num(one.share)) > _ALIASED:
+            text += " (measure in turns: pincal select writes such an order)"
+        lines.append(text)
+    return lines
+
+
+def drift_answer(one: Drift) -> dict[str, Any]:
+    """Return what a drift over the run would do, as JSON."""
+    return {
+        "parameter": one.worst,
+        "standard_errors": float(one.relative.max(initial=0.0)),
+        "platform": {"position": one.platform.position, "orientation": one.platform.orientation},
+        "platform_share": one.share,
+    }
 
 
 def _rank(found: Forecast) -> list[str]:

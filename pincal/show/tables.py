@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.drift import Drift
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
-from pincal.show.summary import forecast_lines
+from pincal.show.summary import drift_lines, forecast_lines
 from pincal.words.numbers import STORED
 from pincal.words.table import Cell, Column, Quantity, Table, UnitOf, Value, columns
 from pincal.workspace.articular import ArticularSymmetry
@@ -103,7 +104,11 @@ def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
 
 
 def forecast_table(
-    found: Forecast, error: PlatformError, planned: int, alone: PlatformError | None = None
+    found: Forecast,
+    error: PlatformError,
+    planned: int,
+    alone: PlatformError | None = None,
+    drifts: Sequence[Drift] = (),
 ) -> Table:
     """Return what a plan will give: standard errors by parameter and leg, and what they mean.
 
@@ -112,6 +117,7 @@ def forecast_table(
         error: Of the platform over the workspace.
         planned: Number of poses in the plan.
         alone: The same error with each leg calibrated alone, if that can be.
+        drifts: What a drift over the run would do; then the same of each leg alone.
     """
     mechanism = found.mechanism
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
@@ -131,7 +137,7 @@ def forecast_table(
             (name, UnitOf(unit), *(cell(leg, name, unit) for leg in mechanism.leg_names))
             for name, unit in units.items()
         ],
-        "\n".join(forecast_lines(found, error, planned, alone)),
+        "\n".join((*forecast_lines(found, error, planned, alone), *drift_lines(drifts))),
     )
 
 

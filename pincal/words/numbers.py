@@ -19,6 +19,7 @@ SMALL = {"m": "mm", "rad": "mrad", "1": ""}
 POSES = {"m": "mm", "rad": "°", "1": ""}
 #: As they are stored.
 STORED = {"m": "m", "rad": "rad", "1": ""}
+_EVEN = 0.01  # share by which the ends of an interval may differ that is said as ±
 #: Digits behind the point of values whose uncertainty is not known, by the unit they are read in.
 _DIGITS = {
     "m": 6, "cm": 4, "mm": 3, "µm": 0, "in": 5, "rad": 6, "mrad": 3, "°": 4, "turn": 7,
@@ -124,6 +125,24 @@ class Measured:
             return f"{fixed(self.value, 0.0, self.unit, units)} {units[self.unit]}".strip()
         value, half = (fixed(v, self.half, self.unit, units) for v in (self.value, self.half))
         return f"{value} ± {half} {units[self.unit]}".strip()
+
+
+def uneven(down: float, up: float) -> bool:
+    """Return whether an interval goes farther to one side than to the other, by what is shown."""
+    return not (isfinite(down) and isfinite(up) and abs(up - down) <= _EVEN * (up + down))
+
+
+def ends(down: float, up: float, unit: str, units: Mapping[str, str] = VALUES) -> str:
+    """Return how far an interval goes down and up, to two digits of the less: ``-0.12 +0.15``.
+
+    Args:
+        down: From the value to the lower end, in SI; infinite if there is none.
+        up: From the value to the upper end.
+        unit: Of both.
+        units: In which they are read.
+    """
+    said = (fixed(one, min(down, up), unit, units) if isfinite(one) else "∞" for one in (down, up))
+    return " ".join(f"{sign}{one}" for sign, one in zip("-+", said, strict=True))
 
 
 def fixed(

@@ -100,6 +100,13 @@ def _outliers_remedy(found: Finding) -> str:
     return f"Look at {them}, or use a robust loss (--robust reject)"
 
 
+def _curved_remedy(found: Finding) -> str:
+    measure = "Measure more poses, or with less noise"
+    if found.values.get("intervals") == "profile":
+        return f"{measure}; intervals are those of the profile, platform errors are too small"
+    return f"Ask for intervals by the profile of the cost (--intervals profile). {measure}"
+
+
 def _proportion(found: Finding) -> str:
     v = found.values
     parts = (f"{100 * ratio:.0f} % of it in {name}" for name, ratio in v["ratios"].items())
@@ -226,14 +233,30 @@ RESULTS: dict[str, Wording] = {
     ),
     "curved": Wording(
         "Intervals of a curved problem",
-        {"curvature": "curved part of the residuals over the straight one, at one standard error"},
+        {
+            "curvature": "curved part of the residuals over the straight one, at one standard "
+            "error",
+            "intervals": 'which there are: "wald" or "profile"',
+        },
         lambda f: (
             "within one standard error the problem is curved: the curved part of the "
             f"residuals' change is {f.values['curvature']:.2g} of the straight one"
         ),
         "Standard errors come from a straight line through a curve, and joint intervals are too "
         "small where it bends by half or more.",
-        "Measure more poses, or with less noise",
+        _curved_remedy,
+        general="Measure more poses, or with less noise. The interval of each parameter holds "
+        "where it is taken from the profile of the cost (--intervals profile)",
+    ),
+    "interval-open": Wording(
+        "Intervals without an end",
+        {},
+        "the 95 % intervals of {parameters} have no end on one side or both: with it held farther "
+        "and farther off, the others fitted, the measurements are explained as well",
+        "The profile of the cost (--intervals profile) does not rise enough within a hundred half "
+        "widths, or ends where the machine cannot reach the measured poses.",
+        "Measure poses that determine more (pincal select), or say how well nominal values are "
+        "known (--prior)",
     ),
     "step": Wording(
         "A step",

@@ -14,7 +14,7 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
-from pincal.words.numbers import SMALL, Measured, fixed, rounded, shown_in
+from pincal.words.numbers import SMALL, Measured, ends, fixed, rounded, shown_in
 
 if TYPE_CHECKING:
     import pandas
@@ -50,6 +50,20 @@ class Quantity(NamedTuple):
         return fixed(self.value, self.half, self.unit, units, self.sign)
 
 
+class Ends(NamedTuple):
+    """How far an interval goes down and up, in SI units that are not those of its whole column."""
+
+    value: float
+    """Down, raw, SI; infinite if there is no lower end."""
+    up: float
+    unit: str
+    """``"m"``, ``"rad"`` or ``"1"``."""
+
+    def text(self, units: Mapping[str, str]) -> str:
+        """Return both ends in the unit in which they are read: ``-0.12 +0.15``."""
+        return ends(self.value, self.up, self.unit, units)
+
+
 class UnitOf(NamedTuple):
     """The SI unit of what else is in a row: shown as that in which it is read."""
 
@@ -60,7 +74,7 @@ class UnitOf(NamedTuple):
         return units[self.value]
 
 
-Value: TypeAlias = "float | str | Measured | Quantity | UnitOf | Cell | None"
+Value: TypeAlias = "float | str | Measured | Quantity | Ends | UnitOf | Cell | None"
 
 
 @dataclass(frozen=True)
@@ -88,7 +102,7 @@ class Column:
             return ""
         if isinstance(value, Cell):
             return value.text
-        if isinstance(value, Quantity | UnitOf):
+        if isinstance(value, Quantity | Ends | UnitOf):
             return value.text(self.units)
         if isinstance(value, Measured):
             return value.text(self.units) if not self.unit else value.text(self.units).split(" ")[0]
@@ -232,7 +246,7 @@ class Table:
 
 def _raw(value: Value) -> float | str | None:
     """Return a value without its looks."""
-    if isinstance(value, (Measured, Quantity, UnitOf, Cell)):
+    if isinstance(value, (Measured, Quantity, Ends, UnitOf, Cell)):
         return value.value
     return value
 

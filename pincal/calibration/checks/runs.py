@@ -104,7 +104,7 @@ def runs_compared(calibration: Calibration) -> RunComparison:
     of_rows = np.array(measurements.runs)
     values, covariances, freedoms = [], [], 0.0
     for name in names:
-        result = identify(calibration.rows(of_rows == name))
+        result = identify(calibration.rows(of_rows == name).with_options(intervals="wald"))
         if not result.converged:
             raise MeasurementError(f"run {name!r}: {result.message}")
         values.append(np.concatenate([leg.identified for leg in result.legs]))

@@ -81,6 +81,13 @@ class Robust(StrEnum):
     reject = "reject"
 
 
+class Intervals(StrEnum):
+    """Where 95 % intervals end."""
+
+    wald = "wald"
+    profile = "profile"
+
+
 class HeldOut(StrEnum):
     """Which rows are held out together."""
 
@@ -188,6 +195,10 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             help="Hold what the measurements do not determine as near to nominal as can be.",
         ),
     ] = False
+    intervals: Annotated[
+        Intervals,
+        typer.Option(help="By standard errors, or by the profile of the cost: where curved."),
+    ] = Intervals.wald
     verbose: Annotated[
         bool, typer.Option("--verbose", help="Print all tables, and all that was found.")
     ] = False
@@ -223,6 +234,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             priors=_priors(self.prior or ()),
             rough=self.rough,
             hold_undetermined=self.hold_undetermined,
+            intervals=self.intervals.value,
         )
         return Calibration(mechanism, data, options)
 

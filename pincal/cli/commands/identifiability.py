@@ -10,10 +10,11 @@ import typer
 
 from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.cli.options import PlanOptions, TableOptions
+from pincal.design.drift import drift
 from pincal.design.forecast import forecast
 from pincal.files.measurements import read_poses
 from pincal.kinematics.configurations import check_reached
-from pincal.show.summary import poses_line
+from pincal.show.summary import drift_answer, poses_line
 from pincal.show.tables import forecast_table
 from pincal.workspace.sampling import sample_configurations
 
@@ -45,7 +46,8 @@ def identifiability(
 
     Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
     calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
-    the platform error over the workspace; with --accuracy how many poses that takes. With
+    the platform error over the workspace; with --accuracy how many poses that takes; and what a
+    drift over the run would do if poses are measured in the plan's order. With
     --per-leg also what 'pincal calibrate --per-leg' will give, where poses are measured in full.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
@@ -66,7 +68,9 @@ def identifiability(
     error = found.platform_error(over)
     own = forecast(mechanism, poses, noise, measured, setup, "per-leg") if per_leg else None
     alone = None if own is None else own.platform_error(over)
-    stdout.print(forecast_table(found, error, found.poses, alone).read_in(units))
+    drifts = [drift(found, over, error)]
+    drifts += [] if own is None else [drift(own, over, alone)]
+    stdout.print(forecast_table(found, error, found.poses, alone, drifts).read_in(units))
     needed = needed_alone = None
     if accuracy is not None:
         needed = found.poses_for(accuracy, over)
@@ -90,11 +94,13 @@ def identifiability(
             ],
             "platform_error": {"position": error.position, "orientation": error.orientation},
             "poses_for_accuracy": needed,
+            "drift": drift_answer(drifts[0]),
             "leg_by_leg": None
             if alone is None
             else {
                 "platform_error": {"position": alone.position, "orientation": alone.orientation},
                 "poses_for_accuracy": needed_alone,
+                "drift": drift_answer(drifts[1]),
             },
         }
     )

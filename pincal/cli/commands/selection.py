@@ -22,11 +22,13 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.cli.options import PlanOptions, TableOptions
+from pincal.design.drift import Drift, drift
+from pincal.design.forecast import forecast
 from pincal.design.orbits import selection_group
-from pincal.design.order import in_turns, with_verification
+from pincal.design.order import in_turns, with_reference, with_verification
 from pincal.design.select import Protocol, select_poses
 from pincal.design.select_configurations import select_configurations
-from pincal.errors import MechanismError, ObservabilityError, SymmetryError
+from pincal.errors import MeasurementError, MechanismError, ObservabilityError, SymmetryError
 from pincal.files.measurement_writing import write_poses
 from pincal.files.measurements import read_poses
 from pincal.files.output import refuse_existing
@@ -34,8 +36,9 @@ from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.inverse import sensor_law
 from pincal.kinematics.readers import free_of_collision
-from pincal.model.measurements import Plan
+from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show.summary import drift_answer, drift_lines
 from pincal.show.tables import choice_table, selection_table
 from pincal.words.table import Table
 from pincal.workspace.sampling import sample_configurations, sample_workspace
@@ -83,6 +86,10 @@ class Candidates:
         int,
         typer.Option(min=0, help="Random poses beside them, by which the calibration is checked."),
     ] = 0
+    reference: Annotated[
+        int | None,
+        typer.Option(min=1, help="Measure one pose again every so many rows: that shows drift."),
+    ] = None
     by_set: Annotated[
         bool, typer.Option("--by-set", help="Write set after set, not in turns: drift misleads.")
     ] = False
@@ -152,7 +159,9 @@ def select(
     the calibrated platform most accurate over the workspace, whatever single parameters are.
 
     The sets take turns in the plan, in a random order, so that what drifts while you measure is
-    no leg's error. --verify adds poses of the set 'verify', which 'pincal calibrate' predicts.
+    no leg's error; what a drift would do all the same is printed. --verify adds poses of the set
+    'verify', which 'pincal calibrate' predicts. --reference N measures the pose in the middle again
+    every N rows; in the column 'pose' its rows have one name, 'reference'.
     """
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
@@ -174,13 +183,33 @@ def select(
         plan = with_verification(mechanism, plan, offered, how.verify, how.seed)
         remark(f"{how.verify} more poses of the set 'verify' are for no fit: they check it")
     plan = plan if how.by_set else in_turns(plan, how.seed)
+    if how.reference is not None:
+        planned = len(plan)
+        plan = with_reference(mechanism, plan, how.reference)
+        remark(f"one pose is measured {len(plan) - planned} times more, as the pose 'reference'")
     write_poses(output, mechanism, plan, units=units, force=force)
     stdout.print(table)
+    drifts = _drifts(mechanism, plan, how)
+    for line in drift_lines(drifts):
+        stdout.print(line, markup=False)
+    found["drift"] = [drift_answer(one) for one in drifts]
     if found.get("unreachable"):
         remark(f"{found['unreachable']} candidate poses are out of reach and were left out")
     wrote(output)
     more = {"mechanism": mechanism.name, "plan": str(output), "poses": len(plan.poses)}
     answer(more | found)
+
+
+def _drifts(mechanism: Mechanism, plan: Plan, how: SelectOptions) -> list[Drift]:
+    """Return what a drift over the run would do: of all legs, and of each alone if it has a set."""
+    setup, sets = how.read(), set(plan.sets or ()) - {EVERY_LEG, VERIFY}
+    try:
+        found = [forecast(mechanism, plan, how.noise(), how.measured(mechanism, setup), setup)]
+        if sets:
+            found.append(forecast(mechanism, plan, how.noise(), method="per-leg"))
+    except MeasurementError:  # noise that leaves something exact: only its ratios chose the poses
+        return []
+    return [drift(one, plan) for one in found]
 
 
 def _by_protocol(

@@ -25,6 +25,20 @@ def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -
     return np.concatenate([changes_of(leg, size) for leg in legs or mechanism.legs])
 
 
+def nearest_to_nominal(mechanism: Mechanism, directions: Array) -> Array:
+    """Return what moves parameters along directions to those nearest to nominal, shape (n, n).
+
+    Each change is measured by how much machines differ: P = I − G (W G)⁺ W, W = 1 / these.
+
+    Args:
+        mechanism: The mechanism.
+        directions: Of the parameters of all legs, columns G of shape (n, k).
+    """
+    scales = plausible_changes(mechanism)
+    amounts = np.linalg.pinv(directions / scales[:, None]) / scales
+    return np.asarray(np.eye(len(scales)) - directions @ amounts)
+
+
 def changes_of(leg: Leg, size: float) -> Array:
     """Return by how much a leg's parameters may differ, shape (n_params,).
 

@@ -5,7 +5,8 @@ base points with it changes nothing that is measured; so does turning the platfo
 its orientation is not measured. Such directions are found as what generic poses leave
 undetermined, distinguished from parameters that are truly lost by what they do to the platform, and
 fixed by a choice: of all equal parameters those nearest to the nominal ones, each change
-measured by what it alone would do to the measurements.
+measured by how much machines differ from their drawings. So the choice is the machine's alone,
+wherever and however it was measured.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
+from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 from pincal.estimation.observability.frames import frames_moved, split_frames, still
 from pincal.estimation.observability.generic import derivatives_near, lost_directions
 from pincal.estimation.observability.indices import NEGLIGIBLE, identifiability
@@ -75,19 +77,14 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
             f"what is measured leaves parameters undetermined at any poses: "
             f"{_undetermined(mechanism, J, unknowns, moved, inside.shape[1], follows)}"
         )
-    owners = set(mechanism.leg_names)
-    weight = np.array(
-        [_weight(label, label.split(".")[0] in owners) for label in unknowns.free_labels]
-    )
     n_still = still(gain, moved) if len(lost) else 0
     found = _freedoms(len(lost) - n_still, mechanism, unknowns, directions @ T.T)
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
         found.append(finding("redundant-parameters", count=n_still, groups=groups))
     frames = frames_moved(mechanism.platform, generic.matrices, gain, moved)
-    return Gauge(
-        directions, lost * lengths * weight, tuple(found), moved if found else None, frames
-    )
+    nearest = (directions @ T.T * _weights(mechanism, problem)) @ T
+    return Gauge(directions, nearest, tuple(found), moved if found else None, frames)
 
 
 def _undetermined(
@@ -142,14 +139,16 @@ def _apart(columns: Array) -> bool:
     return bool(s[-1] > NEGLIGIBLE * s[0])
 
 
-def _weight(label: str, of_leg: bool) -> float:
-    """Return how much a free unknown counts in what is nearest to nominal.
+def _weights(mechanism: Mechanism, problem: Problem) -> Array:
+    """Return how much the square of each unknown's change counts in what is nearest to nominal.
 
     The frame is taken as it comes; targets too, unless nothing else tells the frame from them.
     """
-    if label.startswith("tracker."):
-        return 0.0
-    return 1.0 if of_leg else _TARGETS
+    outside, legs = problem.observation.external, plausible_changes(mechanism)
+    length = DIFFER * largest_size(mechanism.legs, mechanism.platform)
+    scales = np.array([length if unit == "m" else DIFFER for unit in outside.units])
+    counts = [0.0 if name.startswith("tracker.") else _TARGETS for name in outside.names]
+    return np.concatenate((1.0 / legs**2, np.array(counts) / scales**2))
 
 
 def _freedoms(

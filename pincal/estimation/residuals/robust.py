@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _ROUNDS = 10
 _MOST = 200  # evaluations for the fit without a loss, of which only the shift is said
 _GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
-_LINEAR = 0.1  # of the machine's size, up to which noise acts linearly
+_LINEAR = 0.1  # of the machine's size, or [rad], up to which noise acts linearly
 _LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
 Mask = NDArray[np.bool_]
 Progress = Callable[[str], None]
@@ -154,8 +154,11 @@ def _near(problem: Problem, linear: Linear) -> Mask:
     its size; neither has derivatives that say anything, and no loss bounds what they weigh.
     """
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
-    farthest = np.abs(moved).max(axis=1, initial=0.0)
-    return ~unsolved(problem, linear) & (farthest <= _LINEAR * largest_size(problem.legs))
+    far = {"m": _LINEAR * largest_size(problem.legs), "rad": _LINEAR}
+    seen = problem.observation.units if problem.latent else ()
+    units = [*["m"] * problem.leg_rows[-1].stop, *seen]
+    near = np.abs(moved) <= [far.get(unit, np.inf) for unit in units]
+    return ~unsolved(problem, linear) & near.all(axis=1)
 
 
 def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:

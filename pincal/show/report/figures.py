@@ -11,6 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
@@ -87,6 +88,11 @@ def poses_figure(found: Findings) -> Drawn:
     return drawn, f"The {len(plan.poses)} measured poses of the platform, {what}."
 
 
+def _bars(p: IdentifiedParameter) -> tuple[float, ...]:
+    """Return how far a bar goes down and up; none where an interval has no end."""
+    return tuple(one if np.isfinite(one) else 0.0 for one in p.ends)
+
+
 @on_page("figure-changes")
 def changes_figure(found: Findings) -> Drawn:
     """Return the change of each parameter with its interval, in 1e-3 of SI; no fixed ones."""
@@ -104,7 +110,7 @@ def changes_figure(found: Findings) -> Drawn:
         axes.errorbar(
             np.array([names.index(p.name) for p in free]) + shift,
             1e3 * np.array([p.change for p in free]),
-            1e3 * np.array([(p.high - p.low) / 2 for p in free]),
+            1e3 * np.array([_bars(p) for p in free]).reshape(-1, 2).T,
             fmt=marker,
             color=colour,
             label=label(leg.name),

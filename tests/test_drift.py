@@ -1,0 +1,130 @@
+"""What a drift over the run does to a calibration, said before it is measured; reference poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from command_line import done
+from measured import workspace
+
+import pincal
+from pincal.design.drift import drift
+from pincal.design.order import REFERENCE, in_turns, with_reference
+
+NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)
+
+
+def leg_after_leg(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
+    """Return a 3-RRR and poses for each leg, set after set."""
+    mechanism = pincal.load_mechanism("3RRR")
+    sets = tuple(leg for leg in mechanism.leg_names for _ in range(count))
+    return mechanism, pincal.Plan(workspace("3RRR", 3 * count), sets)
+
+
+@pytest.mark.parametrize("method", ["all-legs", "per-leg"])
+def test_the_shift_is_that_of_calibrations(method: Literal["all-legs", "per-leg"]) -> None:
+    """Mean of calibrations with a drift less those of the same noise without: as forecast, to 2 %.
+
+    Of a reading and of a coordinate, in standard errors, of the largest shift.
+    """
+    mechanism, plan = leg_after_leg(12)
+    found = drift(pincal.forecast(mechanism, plan, NOISE, method=method), plan)
+    when = np.linspace(-0.5, 0.5, len(plan))
+
+    def fitted(data: pincal.Measurements) -> pincal.CalibrationResult:
+        return pincal.calibrate(mechanism, data, noise=NOISE, method=method)
+
+    for column, field, place, sigma in (
+        (1, "readings", 1, NOISE.reading),
+        (len(mechanism.reading_names), "poses", 0, NOISE.position),
+    ):
+        shifts = []
+        for seed in range(3):
+            data = pincal.simulate(mechanism, mechanism, plan, NOISE, seed).measurements
+            drifted = getattr(data, field).copy()
+            drifted[:, place] += sigma * when
+            first, then = fitted(data), fitted(replace(data, **{field: drifted}))
+            std = np.array([p.std for p in first.parameters])
+            shifts.append(
+                [(b.identified - a.identified) / a.std
+                 for a, b in zip(first.parameters, then.parameters, strict=True)]
+            )  # fmt: skip
+        mean, told = np.mean(shifts, axis=0), found.shifts[:, column] / std
+        off = np.abs(np.sign(mean @ told) * told - mean).max()
+        assert off < 0.02 * np.abs(mean).max()
+
+
+def test_in_turns_a_drift_averages_out() -> None:
+    """Leg after leg the platform of legs calibrated alone is off three times as far, and more.
+
+    Of many poses: what each leg takes for its own place does not fall with their number, as the
+    standard errors do, with which it is compared.
+    """
+    mechanism, plan = leg_after_leg(100)
+    shares = [
+        drift(pincal.forecast(mechanism, one, NOISE, method="per-leg"), plan).share
+        for one in (plan, in_turns(plan))
+    ]
+    assert shares[0] > 3.0 * shares[1]
+
+
+def test_rows_to_verify_with_take_time() -> None:
+    """They are in the run, and no parameter follows them."""
+    mechanism, plan = leg_after_leg(12)
+    verify = replace(plan, sets=("verify", *("all",) * 35))
+    found = pincal.forecast(mechanism, verify, NOISE)
+    np.testing.assert_allclose(found.when, np.linspace(-0.5, 0.5, 36)[1:])
+    assert len(found.influence) == 35
+
+
+def test_one_pose_is_measured_again(tmp_path: Path) -> None:
+    """Every so many rows and last, by one name, for every leg; written, read and simulated so."""
+    mechanism, plan = leg_after_leg(8)
+    more = with_reference(mechanism, plan, 10)
+    assert len(more) == 24 + 4
+    assert more.places is not None
+    assert more.sets is not None
+    again = np.array([one == REFERENCE for one in more.places])
+    assert again.sum() == 5  # with the row of the plan that it repeats
+    assert len(np.unique(more.poses[again], axis=0)) == 1
+    for row in (0, 11, 22, 27):
+        assert (more.places[row], more.sets[row]) == (REFERENCE, "all")
+    middle, mean = more.poses[again][0], plan.poses.mean(axis=0)
+    assert np.linalg.norm(middle - mean) <= np.median(np.linalg.norm(plan.poses - mean, axis=1))
+    more.to_csv(tmp_path / "plan.csv", mechanism)
+    assert pincal.Plan.from_csv(tmp_path / "plan.csv", mechanism).places == more.places
+    data = pincal.simulate(mechanism, mechanism, more, NOISE).measurements
+    assert data.places == more.places
+    with pytest.raises(pincal.MeasurementError, match="every"):
+        with_reference(mechanism, plan, 0)
+
+
+def test_reference_poses_show_a_drift() -> None:
+    """A sensor that drifts by ten standard deviations: the calibration says so."""
+    mechanism, plan = leg_after_leg(12)
+    more = with_reference(mechanism, in_turns(plan), 4)
+    data = pincal.simulate(mechanism, mechanism, more, NOISE).measurements
+    drifted = data.readings + 10.0 * NOISE.reading * np.linspace(-0.5, 0.5, len(data))[:, None]
+    codes: list[set[str]] = [
+        {one.code for one in pincal.calibrate(mechanism, found, noise=NOISE).findings}
+        for found in (data, replace(data, readings=drifted))
+    ]
+    assert not codes[0] & {"model-lacks", "step"}
+    assert codes[1] & {"model-lacks", "step"}
+
+
+def test_the_command_line_says_it(tmp_path: Path) -> None:
+    """``select --reference`` writes the rows, and what a drift would do is printed."""
+    pincal.Plan(workspace("3RRR", 100)).to_csv(tmp_path / "some.csv", "3RRR")
+    given: list[Any] = ["3RRR", "-o", tmp_path / "plan.csv", "--candidates", tmp_path / "some.csv"]
+    said = done("select", *given, "--count", 12, "--starts", 1, "--reference", 6)
+    assert "as the pose 'reference'" in said.err
+    assert "a drift of each measured quantity" in said.out
+    assert "the same with --per-leg" in said.out
+    plan = pincal.Plan.from_csv(tmp_path / "plan.csv", "3RRR")
+    assert plan.places is not None
+    assert plan.places.count(REFERENCE) > 2
