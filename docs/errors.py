@@ -21,8 +21,8 @@ from pincal import errors, formats
 from pincal.calibration.checks.runs import compare_runs
 from pincal.calibration.result_files import read_result
 from pincal.cli.registry import NAMES
-from pincal.files.measurement_writing import write_measurements, write_poses
-from pincal.files.measurements import read_measurements, read_poses
+from pincal.files.tables.measurement_writing import write_measurements, write_poses
+from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.setups import read_setup
 from pincal.formats.arm import load_arm
 from pincal.show.report.report import report

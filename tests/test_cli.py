@@ -20,7 +20,7 @@ from marks import quick, some_slow
 
 import pincal
 from pincal.cli.registry import NAMES, registered
-from pincal.files.measurements import read_readings
+from pincal.files.tables.measurements import read_readings
 from pincal.files.mechanism_folders import bundled
 
 KINDS = quick(1, ["3RRR", "5R", "4cable"])

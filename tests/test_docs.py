@@ -19,7 +19,7 @@ from typer.main import get_command
 import pincal
 from pincal import errors
 from pincal.cli.app import app
-from pincal.files.units import UNITS
+from pincal.files.tables.units import UNITS
 from pincal.model.orientation import WAYS
 from pincal.words.sentences import WORDINGS
 

@@ -10,8 +10,8 @@ from command_line import done, run
 from measured import machine
 
 import pincal
-from pincal.files.measurements import read_measurements, read_readings
-from pincal.files.tables import read_table
+from pincal.files.tables.measurements import read_measurements, read_readings
+from pincal.files.tables.table import read_table
 from pincal.words.numbers import FACTORS
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
@@ -167,7 +167,7 @@ def test_tables_in_mm_and_degrees_on_request(counted: Path, tmp_path: Path) -> N
 
 def test_every_unit_of_tables_can_be_printed() -> None:
     """Units to write in and units to print in are the same, with the same factors."""
-    from pincal.files.units import UNITS, Units
+    from pincal.files.tables.units import UNITS, Units
 
     for name, (dimension, factor) in UNITS.items():
         if dimension != "1":

@@ -106,7 +106,7 @@ class Plan:
             FileError: the file is missing or cannot be read.
             MeasurementError: a column or cell that is missing or wrong; the message says where.
         """
-        from pincal.files.measurements import read_poses
+        from pincal.files.tables.measurements import read_poses
 
         return read_poses(path, mechanism, partial=partial)
 
@@ -142,8 +142,8 @@ class Plan:
         Raises:
             FileError: the file exists and ``force`` is not set, or cannot be written.
         """
-        from pincal.files.measurement_writing import columns_of
-        from pincal.files.tables import write_table
+        from pincal.files.tables.measurement_writing import columns_of
+        from pincal.files.tables.table import write_table
 
         write_table(path, columns_of(mechanism, self, orientation, setup), force=force)
 
@@ -155,8 +155,8 @@ class Plan:
         setup: Setup | None = None,
     ) -> Any:
         """Return a pandas DataFrame with the columns of a CSV file, units in brackets."""
-        from pincal.files.measurement_writing import columns_of
-        from pincal.files.tables import dataframe
+        from pincal.files.tables.measurement_writing import columns_of
+        from pincal.files.tables.table import dataframe
 
         return dataframe(columns_of(mechanism, self, orientation, setup))
 
@@ -269,7 +269,7 @@ class Measurements(Plan):
             FileError: the file is missing or cannot be read.
             MeasurementError: a column or cell that is missing or wrong; the message says where.
         """
-        from pincal.files.measurements import read_measurements
+        from pincal.files.tables.measurements import read_measurements
 
         return read_measurements(path, mechanism, setup, partial=partial)
 

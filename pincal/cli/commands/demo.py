@@ -17,7 +17,7 @@ from pincal.cli.commands.workspace import WorkspaceOptions, workspace
 from pincal.cli.registry import register
 from pincal.design.simulate import accuracy
 from pincal.errors import FileError
-from pincal.files.measurements import read_poses
+from pincal.files.tables.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
 from pincal.kinematics.closure import largest_size

@@ -12,7 +12,7 @@ from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.cli.options import PlanOptions, TableOptions
 from pincal.design.drift import drift
 from pincal.design.forecast import forecast
-from pincal.files.measurements import read_poses
+from pincal.files.tables.measurements import read_poses
 from pincal.kinematics.configurations import check_reached
 from pincal.show.summary import drift_answer, poses_line
 from pincal.show.tables import forecast_table

@@ -13,8 +13,8 @@ import typer
 
 from pincal.cli.app import Force, command, output_option, remark, stdout, warn, wrote
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.measurement_writing import write_measurements
-from pincal.files.measurements import read_poses
+from pincal.files.tables.measurement_writing import write_measurements
+from pincal.files.tables.measurements import read_poses
 from pincal.files.mechanism_folders import (
     YAML,
     load_mechanism,

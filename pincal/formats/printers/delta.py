@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.units import UNITS
+from pincal.files.tables.units import UNITS
 from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import sensor_law

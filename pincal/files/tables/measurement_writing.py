@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.covariances import product_unit
+from pincal.files.tables.covariances import product_unit
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.tables import write_table
-from pincal.files.units import SI, Units
+from pincal.files.tables.table import write_table
+from pincal.files.tables.units import SI, Units
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, plain_number, read_bytes, read_text, why_no_number
 from pincal.files.output import writing
-from pincal.files.units import COUNTS, SI, UNITS, Units, scale_said
+from pincal.files.tables.units import COUNTS, SI, UNITS, Units, scale_said
 from pincal.model.checks import LARGEST, must_be
 
 Array = NDArray[np.float64]

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.columns import Source, table_for
-from pincal.files.covariances import read_covariances
+from pincal.files.tables.columns import Source, table_for
+from pincal.files.tables.covariances import read_covariances
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.tables import Table
+from pincal.files.tables.table import Table
 from pincal.model.checks import must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
 from pincal.model.mechanism import Mechanism

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.files.tables import Table
-from pincal.files.units import UNITS
+from pincal.files.tables.table import Table
+from pincal.files.tables.units import UNITS
 
 Array = NDArray[np.float64]
 _SQUARE = re.compile(r"(.+?)\s*(?:\^|\*\*)?\s*[2²]")

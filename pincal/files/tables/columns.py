@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.covariances import covariance_headers
-from pincal.files.tables import Table, read_table
-from pincal.files.units import COUNTS, UNITS
+from pincal.files.tables.covariances import covariance_headers
+from pincal.files.tables.table import Table, read_table
+from pincal.files.tables.units import COUNTS, UNITS
 from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
