@@ -21,9 +21,9 @@ from pincal import errors, formats
 from pincal.calibration.checks.runs import compare_runs
 from pincal.calibration.result_files import read_result
 from pincal.cli.registry import NAMES
+from pincal.files.setups import read_setup
 from pincal.files.tables.measurement_writing import write_measurements, write_poses
 from pincal.files.tables.measurements import read_measurements, read_poses
-from pincal.files.setups import read_setup
 from pincal.formats.arm import load_arm
 from pincal.show.report.report import report
 from pincal.words.faults import FAULTS

@@ -20,8 +20,8 @@ from marks import quick, some_slow
 
 import pincal
 from pincal.cli.registry import NAMES, registered
-from pincal.files.tables.measurements import read_readings
 from pincal.files.mechanism_folders import bundled
+from pincal.files.tables.measurements import read_readings
 
 KINDS = quick(1, ["3RRR", "5R", "4cable"])
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]

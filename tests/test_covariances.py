@@ -324,7 +324,7 @@ def test_a_file_holds_covariances_and_a_tracker(tmp_path: Path) -> None:
         ("cov_x_y", "mm", "expected 'cov_x_y [m2]'"),
         ("cov_x_phi", "mm2", "expected 'cov_x_phi [m rad]'"),
         ("cov_x_y", None, "has no unit"),
-        ("sigma_range", "mm", "say where it stands"),
+        ("sigma_range", "mm", "say where it is"),
     ],
 )
 def test_a_column_that_says_too_little_is_refused(header: str, unit: str, words: str) -> None:
@@ -354,7 +354,7 @@ def test_what_contradicts_itself_is_refused() -> None:
         (
             replace(data, sigma_poses=turns, sigma_extra=polar),
             pincal.Setup(),
-            "say where it stands",
+            "say where it is",
         ),
     ]
     for given, setup, words in cases:

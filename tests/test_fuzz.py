@@ -24,8 +24,8 @@ import pincal
 from pincal.calibration import result_files
 from pincal.errors import PincalError
 from pincal.files import measurements
-from pincal.files.tables.measurement_writing import write_readings
 from pincal.files.mechanism_folders import bundled
+from pincal.files.tables.measurement_writing import write_readings
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.delta import DeltaPrinter, Expressed
 from pincal.formats.printers.klipper import read_klipper, write_klipper

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.given import as_measurements, as_mechanism, as_plan, as_setup
+from pincal.files.mechanism_folders import bundled
 from pincal.files.tables.measurement_writing import write_measurements, write_poses, write_readings
 from pincal.files.tables.measurements import read_readings
-from pincal.files.mechanism_folders import bundled
 
 THREE = pincal.load_mechanism("3RRR")
 POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))

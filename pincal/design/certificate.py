@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from pincal.design.criteria import Parts, variance
 from pincal.design.exchange import Effort
 from pincal.errors import ObservabilityError
+from pincal.kinematics.inverse import CHUNK
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
 _EFFORT = Effort(exchanges=100, pool=400, rounds=100, tolerance=1e-4)
-_CHUNK = 50_000  # candidates at a time
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ def _inverse(rows: Parts, weights: Array) -> Parts:
 def _variances(rows: Parts, inverse: Parts) -> Array:
     """Return dⱼ = tr Aⱼ M⁻¹ Aⱼᵀ, shape (M,), in parts that memory holds."""
     found = np.zeros(len(rows[0]))
-    for first in range(0, len(found), _CHUNK):
-        some = slice(first, first + _CHUNK)
+    for first in range(0, len(found), CHUNK):
+        some = slice(first, first + CHUNK)
         for one, M in zip(rows, inverse, strict=True):
             found[some] += variance(one[some], M[None])[0]
     return found

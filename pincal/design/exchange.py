@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.criteria import Criterion, Determinant, Parts
+from pincal.kinematics.inverse import CHUNK
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
@@ -33,11 +34,11 @@ class Effort:
     """Of the bound on det^(1/n), where it ends."""
     at_once: int = 1
     """Of the best sets, those that are exchanged against all candidates."""
+    few: int = 40
+    """Candidates of several rows, of those that promise most, whose gain is looked at exactly."""
 
 
 _EFFORT = Effort(exchanges=1000, pool=500, rounds=100, tolerance=1e-9, at_once=5)
-_FEW = 40  # candidates of several rows whose gain is looked at exactly
-_CHUNK = 50_000  # candidates of one look at all at a time
 
 
 def exchange(
@@ -98,8 +99,8 @@ def _promising(rows: Parts, sets: Index, criterion: Criterion) -> Index:
     total = len(rows[0])
     gain = np.concatenate(
         [
-            criterion.promise(tuple(one[first : first + _CHUNK] for one in rows), inverse)
-            for first in range(0, total, _CHUNK)
+            criterion.promise(tuple(one[first : first + CHUNK] for one in rows), inverse)
+            for first in range(0, total, CHUNK)
         ],
         axis=1,
     )
@@ -145,12 +146,12 @@ def _best(rows: Parts, sets: Index, inverse: Parts, criterion: Criterion) -> Ind
     Where candidates have several rows, of those that promise most: log det(I + K) is tr K at most.
     """
     several = any(one.shape[1] > 1 for one in rows)
-    promised = several and len(rows[0]) > sets.shape[1] + _FEW
+    promised = several and len(rows[0]) > sets.shape[1] + _EFFORT.few
     gain = criterion.promise(rows, inverse) if promised else criterion.change(rows, inverse, 1.0)
     np.put_along_axis(gain, sets, -np.inf, axis=1)
     if not promised:
         return np.asarray(gain.argmax(axis=1))
-    few = np.argpartition(-gain, _FEW, axis=1)[:, :_FEW]
+    few = np.argpartition(-gain, _EFFORT.few, axis=1)[:, : _EFFORT.few]
     exact = criterion.change(tuple(one[few] for one in rows), inverse, 1.0)
     return np.take_along_axis(few, exact.argmax(axis=1)[:, None], axis=1)[:, 0]
 

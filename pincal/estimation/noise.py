@@ -116,7 +116,7 @@ def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> No
     if setup.tracker is None:
         if own:
             raise MeasurementError(
-                f"a column 'sigma_{own[0]}' says how well a tracker measures; say where it stands "
+                f"a column 'sigma_{own[0]}' says how well a tracker measures; say where it is "
                 "(Setup(tracker=Tracker(at=...)), or 'tracker: {at: [x, y, z]}' in the setup)"
             )
         return

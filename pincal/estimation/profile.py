@@ -34,7 +34,7 @@ class Way:
     same: float = 2e-3
     """Of half an interval, by which an end may be off."""
     farthest: float = 100.0
-    """Half intervals, beyond which there is no end."""
+    """Half intervals, past which there is no end."""
     growth: float = 3.0
     """Times as far a next step leads, at most."""
     most: int = 60

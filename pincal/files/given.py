@@ -8,10 +8,10 @@ from typing import Any
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
-from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import GivenMechanism as GivenMechanism
 from pincal.files.mechanism_folders import as_mechanism as as_mechanism
 from pincal.files.setups import read_setup
+from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.tables.table import is_dataframe
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Noise, Plan

@@ -72,7 +72,7 @@ def read_text(
         largest: Size up to which it is read, [bytes].
         error_type: Raised if it is no text.
         pipe: Whether it may be a pipe or a device.
-        otherwise: Encoding of a file in which nothing beyond ASCII is UTF-8; said if it is used.
+        otherwise: Encoding of a file in which nothing outside ASCII is UTF-8; said if it is used.
 
     Raises:
         FileError: the file is missing or cannot be read.

@@ -25,7 +25,7 @@ _DIGITS = {
     "m": 6, "cm": 4, "mm": 3, "µm": 0, "in": 5, "rad": 6, "mrad": 3, "°": 4, "turn": 7,
     "1": 6, "": 6,
 }  # fmt: skip
-#: Digits behind the point beyond which nobody measures: 0.1 µm, 0.1 µrad.
+#: Digits behind the point past which nobody measures: 0.1 µm, 0.1 µrad.
 _FINEST = {
     "m": 7, "cm": 5, "mm": 4, "µm": 1, "in": 5, "rad": 7, "mrad": 4, "°": 5, "turn": 8,
     "1": 9, "": 9,

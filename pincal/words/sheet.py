@@ -1,4 +1,4 @@
-"""What the columns of a measuring sheet are, in words."""
+"""What the columns of a measuring sheet mean."""
 
 from __future__ import annotations
 

@@ -34,9 +34,9 @@ from pincal.cli.app import (
 )
 from pincal.cli.options import SetupOptions, TableOptions, with_unit
 from pincal.errors import MeasurementError, MisfitError
-from pincal.files.tables.measurements import read_measurements
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
+from pincal.files.tables.measurements import read_measurements
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES

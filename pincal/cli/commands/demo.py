@@ -17,9 +17,9 @@ from pincal.cli.commands.workspace import WorkspaceOptions, workspace
 from pincal.cli.registry import register
 from pincal.design.simulate import accuracy
 from pincal.errors import FileError
-from pincal.files.tables.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
+from pincal.files.tables.measurements import read_poses
 from pincal.kinematics.closure import largest_size
 from pincal.show.tables import accuracy_table
 

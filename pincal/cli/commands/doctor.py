@@ -15,10 +15,10 @@ from pincal.calibration.options import Options
 from pincal.cli.app import Force, Mech, answer, command, remark, stdout, typed, working, wrote
 from pincal.cli.commands.calibration import GivenNoise
 from pincal.cli.options import CountOptions, SetupOptions
+from pincal.files.output import refuse_existing
 from pincal.files.tables.columns import unknown_columns
 from pincal.files.tables.measurement_writing import Columns, columns_of
 from pincal.files.tables.measurements import read_measurements
-from pincal.files.output import refuse_existing
 from pincal.files.tables.table import Table, read_table, write_table
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup

@@ -13,8 +13,6 @@ import typer
 
 from pincal.cli.app import Force, command, output_option, remark, stdout, warn, wrote
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.tables.measurement_writing import write_measurements
-from pincal.files.tables.measurements import read_poses
 from pincal.files.mechanism_folders import (
     YAML,
     load_mechanism,
@@ -23,6 +21,8 @@ from pincal.files.mechanism_folders import (
     write_mechanism,
 )
 from pincal.files.output import refuse_existing, writing
+from pincal.files.tables.measurement_writing import write_measurements
+from pincal.files.tables.measurements import read_poses
 from pincal.files.urdf import more_than_a_turn
 from pincal.formats.arm import load_arm
 from pincal.formats.figaroh import read_figaroh

@@ -23,9 +23,9 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.cli.options import TableOptions
+from pincal.files.output import refuse_existing
 from pincal.files.tables.measurement_writing import columns_of, reason_column, write_readings
 from pincal.files.tables.measurements import read_poses, read_readings
-from pincal.files.output import refuse_existing
 from pincal.files.tables.table import write_table
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.inverse import inverse as solve_inverse

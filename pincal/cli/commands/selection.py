@@ -29,9 +29,9 @@ from pincal.design.order import in_turns, with_reference, with_verification
 from pincal.design.select import Protocol, select_poses
 from pincal.design.select_configurations import select_configurations
 from pincal.errors import MeasurementError, MechanismError, ObservabilityError, SymmetryError
+from pincal.files.output import refuse_existing
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.measurements import read_poses
-from pincal.files.output import refuse_existing
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.inverse import sensor_law

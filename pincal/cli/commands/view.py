@@ -26,9 +26,9 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.errors import FileError, MeasurementError
-from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder, load_mechanism
 from pincal.files.output import refuse_existing
+from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.tables.table import read_table
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan

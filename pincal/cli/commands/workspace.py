@@ -22,9 +22,9 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.errors import WorkspaceError
-from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
+from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.table import write_table
 from pincal.model.mechanism import Mechanism
 from pincal.show.workspace_answers import (

@@ -1,7 +1,7 @@
 """The noise of what was measured in each row: standard deviations, and what goes together.
 
 A tracker measures a range and two angles: errors of x, y and z are correlated, the more so the
-farther it stands. Columns ``cov_x_y`` say any covariance.
+farther it is. Columns ``cov_x_y`` say any covariance.
 """
 
 from __future__ import annotations

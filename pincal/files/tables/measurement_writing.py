@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.tables.covariances import product_unit
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.tables.covariances import product_unit
 from pincal.files.tables.table import write_table
 from pincal.files.tables.units import SI, Units
 from pincal.model.checks import array_of, must_be

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables.columns import Source, table_for
 from pincal.files.tables.covariances import read_covariances
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables.table import Table
 from pincal.model.checks import must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
@@ -56,7 +56,7 @@ def read_measurements(
     if not polar and (own := [name for name in ("range", "elevation") if f"sigma_{name}" in table]):
         raise MeasurementError(
             f"{table.path}: column 'sigma_{own[0]}' says how well a tracker measures; say where it "
-            "stands in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
+            "is in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
             "(--setup), or leave the column out"
         )
     for name, whose in setup.required.items():

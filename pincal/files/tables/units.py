@@ -55,8 +55,8 @@ class Units:
             MeasurementError: an unknown unit, two of one dimension, or counts that are not known.
         """
         names: dict[str, str] = {}
-        words = [one.strip() for one in said.split(",") if one.strip()]
-        for unit in words:
+        listed = [one.strip() for one in said.split(",") if one.strip()]
+        for unit in listed:
             if unit == COUNTS:
                 lacking = [name for name in readings if name not in counts]
                 if lacking:
@@ -74,7 +74,7 @@ class Units:
                     f"({', '.join(known)}, {COUNTS})"
                 )
             names[dimension] = unit
-        return cls(names, counts if COUNTS in words else {})
+        return cls(names, counts if COUNTS in listed else {})
 
     def written(self, columns: Columns) -> Columns:
         """Return columns (header to values, SI) in these units, which their headers say."""

@@ -85,7 +85,7 @@ def _letters(text: str) -> int:
 
 
 def _box(name: Annotation, point: float) -> Array:
-    """Return the least and largest of where a leg's name stands, shape (2, 2), [m]."""
+    """Return the least and largest of where a leg's name is, shape (2, 2), [m]."""
     height = float(name.get_fontsize()) * point
     half = 0.5 * height * np.array((PICTURE.letter * len(name.get_text()), 1.2))
     shift = {"left": 1.0, "right": -1.0, "bottom": 1.0, "top": -1.0, "center": 0.0}
