@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.fits import Fits
-from pincal.estimation.fit import influence
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
@@ -36,7 +35,8 @@ def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
         )
         covariance[np.ix_(places, places)] = one.covariance[: len(places), : len(places)]
         last = one.problem.reading_columns[-1].stop
-        by_pose = influence(one)[:, : len(places), last : last + mechanism.platform.dof]
+        columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
+        by_pose = one.influence[:, : len(places), columns]
         parts.append((places, robust.rows, by_pose))
     for index, (places, rows, K) in enumerate(parts):
         for others, their_rows, L in parts[:index]:
