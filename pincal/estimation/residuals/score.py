@@ -20,6 +20,7 @@ from pincal.estimation.observability.indices import RANK_TOLERANCE
 
 Array = NDArray[np.float64]
 _HARMONICS = (1, 2, 3)
+ALL = "readings"  # all of them together
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Score:
     """One test: which quantity, which term, and how probable by chance."""
 
     quantity: str
-    """Reading or measured quantity, as ``Problem.quantities`` names it."""
+    """Reading or measured quantity, as ``Problem.quantities`` names it; or ``"readings"``, all."""
     term: str
     """``"angle"``, ``"pose"``, ``"order"``, ``"approach"`` or ``"step"``."""
     p_value: float
@@ -68,17 +69,15 @@ class _Residuals:
         ratio = inside / rank / (np.maximum(self.chi2 - inside, 1e-300) / free)
         return np.asarray(fdtrc(rank, free, ratio))
 
-    def term(self, w: Array, b: Array) -> float:
-        """Return the probability of residuals so far along terms b, shape (n_used, f).
+    def along(self, W: Array) -> float:
+        """Return the probability of residuals so far along the white rows of errors.
 
         Args:
-            w: White rows of a unit error of the quantity, shape (n_used, m).
-            b: The terms.
+            W: Of each error, shape (n_used, m, f).
         """
-        W = w[:, :, None] * b[:, None]
+        lengths = np.linalg.norm(W, axis=(0, 1))
         W = W - self.Q @ np.einsum("nmi,nmf->if", self.Q, W)
         flat = W.reshape(-1, W.shape[2])
-        lengths = np.linalg.norm(w[:, :, None] * b[:, None], axis=(0, 1))
         flat = flat[:, lengths > 0.0] / lengths[lengths > 0.0]
         U, s, _ = np.linalg.svd(flat, full_matrices=False)
         U = U[:, s > RANK_TOLERANCE]
@@ -105,17 +104,34 @@ class _Residuals:
 
 
 def scores(one: Fit) -> Iterator[Score]:
-    """Yield the score tests of a fit: each reading by each term, and each quantity by steps."""
+    """Yield the score tests of a fit.
+
+    Each reading by each term, and each quantity by steps. What all motors have in common is
+    clearer in all readings together: each term with the same amplitudes in every reading, and
+    their own angles also with amplitudes of their own.
+    """
     if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
         return
     left, problem = _Residuals.of(one), one.problem
     n_readings = problem.reading_columns[-1].stop
+    alike: dict[tuple[str, int], Array] = {}
+    angles: list[Array] = []
     for column, (name, w) in enumerate(_errors(one, left.used)):
-        yield Score(name, "order", left.term(w, np.linspace(-1.0, 1.0, len(w))[:, None]))
+        terms = [("order", np.linspace(-1.0, 1.0, len(w))[:, None])]
         yield Score(name, "step", *left.step(w))
         if column < n_readings:
-            for term, b in _terms(one, column, left.used):
-                yield Score(name, term, left.term(w, b))
+            terms += _terms(one, column, left.used)
+        for term, b in terms:
+            W = w[:, :, None] * b[:, None]
+            yield Score(name, term, left.along(W))
+            if column < n_readings > 1:
+                kind = term, b.shape[1]
+                alike[kind] = alike.get(kind, 0.0) + W
+                angles += [W] if term == "angle" else []
+    for (term, _), W in alike.items():
+        yield Score(ALL, term, left.along(W))
+    if angles:
+        yield Score(ALL, "angle", left.along(np.concatenate(angles, axis=2)))
 
 
 def _errors(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
