@@ -28,7 +28,8 @@ class Score:
     """One test: which quantity, which term, and how probable by chance."""
 
     quantity: str
-    """Reading or measured quantity, as ``Problem.quantities`` names it; or ``"readings"``, all."""
+    """Reading or measured quantity, as ``Problem.quantities`` names it; ``"readings"``, all,
+    or ``"lengths"`` of the legs."""
     term: str
     """``"angle"``, ``"pose"``, ``"order"``, ``"approach"`` or ``"step"``."""
     p_value: float
@@ -108,7 +109,7 @@ def scores(one: Fit) -> Iterator[Score]:
 
     Each reading by each term, and each quantity by steps. What all motors have in common is
     clearer in all readings together: each term with the same amplitudes in every reading, and
-    their own angles also with amplitudes of their own.
+    their own angles also with amplitudes of their own. And all lengths that grow with time.
     """
     if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
         return
@@ -128,6 +129,8 @@ def scores(one: Fit) -> Iterator[Score]:
                 kind = term, b.shape[1]
                 alike[kind] = alike.get(kind, 0.0) + W
                 angles += [W] if term == "angle" else []
+    time = np.linspace(-1.0, 1.0, len(left.used))[:, None]
+    yield Score("lengths", "order", left.along((_grown(one, left.used) * time)[:, :, None]))
     for (term, _), W in alike.items():
         yield Score(ALL, term, left.along(W))
     if angles:
@@ -153,6 +156,15 @@ def _errors(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
             error = np.zeros((*stack.value.shape, 1))
             error[:, n_legs + column, 0] = problem.observation.measured[:, column]
             yield next(names), one.last.white(error)[used, :, 0]
+
+
+def _grown(one: Fit, used: NDArray[np.intp]) -> Array:
+    """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
+    J, lengths = one.last.jacobian[used], np.zeros(len(one.unknowns.names))
+    for leg, columns in zip(one.problem.legs, one.problem.columns, strict=True):
+        long = np.array([leg.units[name] == "m" for name in leg.parameter_names])
+        lengths[columns] = long * one.parameters[columns]
+    return np.asarray(J @ lengths)
 
 
 def _terms(one: Fit, column: int, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
