@@ -522,7 +522,7 @@ def rows(sets: int) -> Lines:
             for seed in range(draws):
                 result = pincal.calibrate(one.nominal, drawn(one, NOISE, seed), noise=given)
                 found.append(bool(result.outliers))
-                other.append(any(f.severity != "note" for f in result.findings))
+                other.append(bool(codes(result) - {"noise-estimated"}))
             said = "given" if given else "estimated"
             yield (
                 f"clean {kind}, {len(one.positions)} rows, noise {said}: rows suspected; "
