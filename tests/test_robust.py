@@ -379,6 +379,19 @@ def test_good_rows_are_judged_at_the_noise_in_question() -> None:
     assert not result.outliers
 
 
+def test_few_outliers_of_a_loss_contradict_nothing() -> None:
+    """Three of sixty rows 30 σ off, Huber's loss: χ² and tests are of the rows that fit."""
+    one, data = cramer_rao.machine("5R", 60), []
+    for seed in range(8):
+        clean = drawn(one, cramer_rao.NOISE, seed)
+        data.append(put(clean, "poses", [5, 25, 45], clean.poses[[5, 25, 45]] + 3e-3))
+    found = [
+        pincal.calibrate(one.nominal, each, noise=cramer_rao.NOISE, loss="huber") for each in data
+    ]
+    assert all({5, 25, 45} <= {out.row for out in each.outliers} for each in found)
+    assert sum(not each.promises for each in found) <= 1
+
+
 def test_groups_of_noise_that_differ_cost_degrees_of_freedom() -> None:
     """Readings far noisier than positions are a group of their own: fewer freedoms than of χ²."""
     one = cramer_rao.machine("3RRR", 60)

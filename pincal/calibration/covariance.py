@@ -57,7 +57,7 @@ def chi2_freedoms(fits: Sequence[Robust]) -> float:
     parts, total = [], 0
     for robust in fits:
         one = robust.fit
-        used = np.flatnonzero(one.weights > 0.0)
+        used = np.flatnonzero(one.good)
         J = one.last.jacobian[used] @ one.unknowns.map
         _, prior = one.unknowns.prior_rows(one.unknowns.start)
         flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))

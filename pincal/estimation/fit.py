@@ -70,6 +70,11 @@ class Fit:
         return self.last.state.parameters
 
     @cached_property
+    def good(self) -> NDArray[np.bool_]:
+        """Which rows take part and are no outliers, shape (N,)."""
+        return _good(self.system, self.last, self.weights, self.scale)
+
+    @cached_property
     def influence(self) -> Array:
         """How all unknowns follow the noise in standard deviations, shape (N, n, s + 1).
 
@@ -159,15 +164,19 @@ def fit(
     )
 
 
+def _good(system: System, linear: Linear, weights: Array, scale: float) -> NDArray[np.bool_]:
+    if system.loss is None:
+        return weights > 0.0
+    return (weights > 0.0) & ~outlying(linear.squares / scale**2, linear.equations)
+
+
 def _chi2(system: System, linear: Linear, weights: Array, scale: float) -> tuple[float, int]:
     """Return χ² and the degrees of freedom of rows in use and priors.
 
     With a robust loss, that of the rows that are not outliers, at their own optimum.
     """
     prior, _ = system.unknowns.prior_rows(system.values(linear.state))
-    own = weights > 0.0
-    if system.loss is not None:
-        own &= ~outlying(linear.squares / scale**2, linear.equations)
+    own = _good(system, linear, weights, scale)
     dof = int(linear.equations[own].sum()) + len(prior) - system.unknowns.map.shape[1]
     if system.loss is None and system.problem.weighted:
         return float(weights[own] @ linear.squares[own] + prior @ prior), dof

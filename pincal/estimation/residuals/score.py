@@ -54,7 +54,7 @@ class _Residuals:
 
     @classmethod
     def of(cls, one: Fit) -> _Residuals:
-        used = np.flatnonzero(one.weights > 0.0)
+        used = np.flatnonzero(one.good)
         r, J = one.last.value[used], one.last.jacobian[used] @ one.unknowns.map
         _, prior = one.unknowns.prior_rows(one.unknowns.start)
         flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
