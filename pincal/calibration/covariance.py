@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.fits import Fits
-from pincal.estimation.fit import influence, response
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
@@ -34,7 +33,8 @@ def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
         places = _places(mechanism, one.problem.legs)
         covariance[np.ix_(places, places)] = one.covariance[: len(places), : len(places)]
         last = one.problem.reading_columns[-1].stop
-        by_pose = influence(one)[:, : len(places), last : last + mechanism.platform.dof]
+        columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
+        by_pose = one.influence[:, : len(places), columns]
         parts.append((places, robust.rows, by_pose))
     for index, (places, rows, K) in enumerate(parts):
         for others, their_rows, L in parts[:index]:
@@ -64,7 +64,7 @@ def chi2_freedoms(fits: Sequence[Robust]) -> float:
     parts, total = [], 0
     for robust in fits:
         one = robust.fit
-        used = np.flatnonzero(one.weights > 0.0)
+        used = np.flatnonzero(one.good)
         J = one.last.jacobian[used] @ one.unknowns.map
         _, prior = one.unknowns.prior_rows(one.unknowns.start)
         flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
@@ -127,7 +127,7 @@ def systematic(found: Fits) -> Array:
         own = seen.systematic(fit.last.state.matrices, fit.last.state.external)
         errors = np.zeros((*fit.last.stack.value.shape, own.shape[2]))
         errors[:, errors.shape[1] - own.shape[1] :] = own
-        return response(fit, errors)
+        return fit.spread.response(errors)
     external = found.external or seen.external.start
     poses, _ = calibration.given_poses(found.external)
     matrices = mechanism.platform.matrices(poses)
@@ -143,7 +143,7 @@ def systematic(found: Fits) -> Array:
         errors = np.zeros((*one.last.stack.value.shape, own.shape[2]))
         for leg, error, used in zip(one.problem.leg_rows, moved, one.problem.used.T, strict=True):
             errors[used, leg] = error[used]
-        follows[places] = response(one, errors)[: len(places)]
+        follows[places] = one.spread.response(errors)[: len(places)]
     if found.gauge is None or found.unknowns is None:
         return follows
     return _nearest(found.gauge, found.unknowns, n) @ follows

@@ -111,7 +111,7 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
         fits = [robust.fit for robust in one.fits]
         if not all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits):
             break
-        then, pools = _noise_of(one, noise, unit)
+        then, pools = _noise_of(one, noise, unit, pools)
         if _alike(noise, then):
             break
         noise, unit = then, then.reading or unit
@@ -123,16 +123,18 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
     return replace(one, pools=pools)
 
 
-def _noise_of(one: Fits, noise: Noise, unit: float) -> tuple[Noise, Pools | None]:
+def _noise_of(
+    one: Fits, noise: Noise, unit: float, pools: Pools | None
+) -> tuple[Noise, Pools | None]:
     """Return the noise that the residuals of fits show, and which groups share a variance.
 
     Args:
         one: The fits.
         noise: At which they were made.
         unit: Standard deviation of readings to try where they were exact.
+        pools: Groups that shared a variance before; all of them if not given.
     """
     fits, calibration = [robust.fit for robust in one.fits], one.calibration
-    pools: Pools | None = None
     for _ in range(_BY.rounds):
         problems = _problems(calibration.with_noise(noise), one)
         moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)

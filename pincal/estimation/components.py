@@ -166,7 +166,7 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
     linear = problem.with_this_noise(one.last)
     rows = one.weights > 0.0
     if one.system.loss is not None:
-        rows &= ~outlying(linear.squares / one.scale**2, linear.equations)
+        rows &= ~outlying(linear.squares / one.system.scale(linear) ** 2, linear.equations)
     n_readings = problem.reading_columns[-1].stop
     unit = replace(problem, sigma_readings=np.full_like(problem.sigma_readings, readings))
     by_reading = unit.with_this_noise(one.last).stack.noise[:, :, :n_readings]

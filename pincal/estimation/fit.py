@@ -17,7 +17,8 @@ from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
 from pincal.estimation.solve import near_start, search
-from pincal.estimation.system import ROWS_FOLLOW, Normal, System
+from pincal.estimation.spread import Spread
+from pincal.estimation.system import ROWS_FOLLOW, System
 from pincal.estimation.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -69,6 +70,25 @@ class Fit:
         return self.last.state.parameters
 
     @cached_property
+    def good(self) -> NDArray[np.bool_]:
+        """Which rows take part and are no outliers, shape (N,)."""
+        return _good(self.system, self.last, self.weights, self.scale)
+
+    @cached_property
+    def spread(self) -> Spread:
+        """How it follows what rows are off by."""
+        variance = self.chi2 / max(self.degrees_of_freedom, 1)
+        return Spread.of(self.system, self.last, self.weights, self.scale, variance)
+
+    @cached_property
+    def influence(self) -> Array:
+        """How all unknowns follow the noise in standard deviations, shape (N, n, s + 1).
+
+        The last column is what an outlier moves.
+        """
+        return self.noise_scale * self.spread.influence
+
+    @cached_property
     def noise_scale(self) -> float:
         """Standard deviation of white residuals: 1 if the noise is known."""
         if self.known:
@@ -118,16 +138,17 @@ def fit(
         if ran_away:
             ran_away(error)
         raise
-    chi2, dof = _chi2(system, linear, weights)
+    chi2, dof = _chi2(system, linear, weights, found.scale)
     if dof < 1 and not system.known:
         n = unknowns.map.shape[1]
         raise ObservabilityError(
             f"{dof + n} equations for {n} parameters, and the scale of the noise is not known; "
             "measure more, or give the noise"
         )
-    covariance = _covariance(system, linear, weights, found.scale)
+    spread = Spread.of(system, linear, weights, found.scale, chi2 / max(dof, 1))
+    covariance = spread.covariance
     if not system.known:
-        size = float(np.sqrt(chi2 / dof)) if system.loss is None else found.scale
+        size = float(np.sqrt(chi2 / dof))
         at = (linear, size) if found.converged else (first, 1.0)
         check_information(problem, unknowns, (at[0],), at[1])
         covariance = covariance * size**2
@@ -147,67 +168,24 @@ def fit(
     )
 
 
-def _chi2(system: System, linear: Linear, weights: Array) -> tuple[float, int]:
+def _good(system: System, linear: Linear, weights: Array, scale: float) -> NDArray[np.bool_]:
+    if system.loss is None:
+        return weights > 0.0
+    return (weights > 0.0) & ~outlying(linear.squares / scale**2, linear.equations)
+
+
+def _chi2(system: System, linear: Linear, weights: Array, scale: float) -> tuple[float, int]:
     """Return χ² and the degrees of freedom of rows in use and priors.
 
-    With a robust loss, what χ² would be if all rows were like the middle ones.
+    With a robust loss, that of the rows that are not outliers, at their own optimum.
     """
     prior, _ = system.unknowns.prior_rows(system.values(linear.state))
-    own = weights > 0.0
+    own = _good(system, linear, weights, scale)
     dof = int(linear.equations[own].sum()) + len(prior) - system.unknowns.map.shape[1]
-    if system.loss is not None:
-        return dof * system.scale(linear) ** 2, dof
-    if not system.problem.weighted:  # what white residuals would be at their own optimum
-        return float(system.triangle(linear, weights, white=True)[-1, -1] ** 2), dof
-    return float(weights[own] @ linear.squares[own] + prior @ prior), dof
-
-
-def _covariance(system: System, linear: Linear, weights: Array, scale: float) -> Array:
-    """Return the covariance of all unknowns, shape (n, n).
-
-    Whitened least squares: (Jᵀ V⁻¹ J)⁻¹. Unweighted: (AᵀA)⁻¹ Aᵀ V A (AᵀA)⁻¹, V = S Sᵀ. Robust: the
-    rows that are not outliers, inflated.
-    """
-    T = system.unknowns.map
-    used, inflation = weights > 0.0, 1.0
-    if system.loss is not None:
-        used &= ~outlying(linear.squares / scale**2, linear.equations)
-        inflation = system.loss.inflation(int(np.median(linear.equations[used])))
-    bread = Normal.of(system.triangle(linear, used.astype(float))).covariance
-    if system.problem.weighted:
-        return inflation * T @ bread @ T.T
-    J = system.derivatives(linear) @ T
-    meat = (linear.white.noise.transpose(0, 2, 1) / system.unit @ J)[used]
-    flat = meat.reshape(-1, T.shape[1])
-    return inflation * T @ bread @ (flat.T @ flat) @ bread @ T.T
-
-
-def influence(one: Fit) -> Array:
-    """Return how all unknowns follow the noise, in standard deviations, shape (N, n, s).
-
-    K = −(JᵀJ)⁻¹ Jᵀ W at each pose, W = L⁻¹NᵀS.
-    """
-    return one.noise_scale * _following(one, one.last.white.noise)
-
-
-def response(one: Fit, errors: Array) -> Array:
-    """Return how all unknowns follow errors of the conditions, shape (n, q).
-
-    Args:
-        one: The fit.
-        errors: By how much the conditions are off for each, shape (N, k, q).
-    """
-    return np.asarray(_following(one, errors).sum(axis=0))
-
-
-def _following(one: Fit, errors: Array) -> Array:
-    """Return −(JᵀJ)⁻¹ Jᵀ L⁻¹Nᵀ c at each pose, shape (N, n, q), of errors c, shape (N, k, q)."""
-    linear, T, system = one.last, one.unknowns.map, one.system
-    white = linear.white(errors) if system.problem.weighted else errors / system.unit
-    root = np.sqrt(one.weights)[:, None, None]
-    J = system.derivatives(linear) @ T * root
-    bread = T @ Normal.of(system.triangle(linear, one.weights)).covariance
-    return -np.asarray(bread @ (J.transpose(0, 2, 1) @ (white * root)))
+    if system.loss is None and system.problem.weighted:
+        return float(weights[own] @ linear.squares[own] + prior @ prior), dof
+    triangle = system.triangle(linear, own.astype(float), white=True)
+    return float(triangle[-1, -1] ** 2), dof  # what white residuals would be at their own optimum
 
 
 def without(system: System, kept: NDArray[np.bool_]) -> System:

@@ -222,7 +222,8 @@ RESULTS: dict[str, Wording] = {
     "model-lacks": Wording(
         "Residuals follow something",
         {
-            "quantity": "the reading or measured quantity that is off",
+            "quantity": 'the reading or measured quantity that is off; "readings" is all of them, '
+            '"lengths" those of the legs',
             "term": 'what its error follows: "angle", "pose", "order" or "approach"',
             "p_value": "the probability of the most improbable of all such tests, by chance",
         },

@@ -19,6 +19,7 @@ from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.drift import UNLIKELY, drifts
 from pincal.calibration.checks.folds import FOLDS, By, folds_of
+from pincal.calibration.checks.least import least_of_folds
 from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.fits import Fits, fitted
@@ -130,6 +131,8 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         whole = _converged(calibration, "the fit of the rows that fit")
         calibration = whole.calibration
     groups = folds_of(calibration.measurements, folds, by)
+    every = bool((groups >= 0).all())  # rows to verify with are in no fit
+    total = sum(one.fit.chi2 for one in whole.fits) if every else None
     count = int(groups.max()) + 1
     parts: list[_Predicted] = []
     misfits: list[Array] = []
@@ -140,7 +143,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         found = _converged(seen, f"fold {fold + 1} of {count}")
         unseen = calibration.rows(groups == fold)
         own = [_Predicted.of(one, linear) for one, linear in _predictions(found, unseen)]
-        chances.append(_chance(found, own))
+        chances.append(_chance(found, own, total))
         parts += own
         misfits.append(_misfit(unseen, found))
     equations = sum(one.equations for one in parts)
@@ -150,7 +153,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     growth = sum(one.unknown for one in parts) / equations
     held = np.sqrt(sum(one.squares for one in parts) / equations / unit)
     expected = np.sqrt(fit / unit * (1.0 + growth))
-    p_value = float(-np.expm1(count * np.log1p(-min(min(chances), 1.0 - 1e-16))))
+    p_value = least_of_folds(min(chances), whole.fits, groups, known=calibration.noise.known)
     more = []
     if p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
         more.append(
@@ -187,18 +190,25 @@ def _converged(calibration: Calibration, what: str) -> Fits:
     return found
 
 
-def _chance(found: Fits, parts: Sequence[_Predicted]) -> float:
+def _chance(found: Fits, parts: Sequence[_Predicted], total: float | None) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
-    By Σ rᵀ (1 + J C Jᵀ)⁻¹ r, χ² of all rows is larger than that of the rows seen: χ² too, and
-    independent of theirs. An F test where the scale of the noise was estimated (G. C. Chow 1960).
+    χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
+    an F test where the scale of the noise was estimated (G. C. Chow 1960). To first order that is
+    Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
+
+    Args:
+        found: The fits of the rows seen.
+        parts: What they predict of the others.
+        total: χ² of all rows at this noise; by the first order if not given.
     """
     equations = sum(one.equations for one in parts)
     fits = [one.fit for one in found.fits]
     dof = sum(one.degrees_of_freedom for one in fits)
     share = 1.0 if found.latent else chi2_freedoms(found.fits) / max(dof, 1)
-    ratio = sum(one.statistic for one in parts) / equations
-    own = sum(one.chi2 for one in fits) / max(dof, 1)
+    seen = sum(one.chi2 for one in fits)
+    inside = sum(one.statistic for one in parts) if total is None else max(total - seen, 0.0)
+    ratio, own = inside / equations, seen / max(dof, 1)
     if found.calibration.noise.known:
         sure = confidence(found).of_chi2
         if exceeded(own, share * dof, sure) >= UNEXPLAINED:  # else the noise is not as given

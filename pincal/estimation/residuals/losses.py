@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -21,7 +20,6 @@ from pincal.errors import MeasurementError
 
 Array = NDArray[np.float64]
 LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
-_DRAWS = 20_000  # points of a mean over χ²
 OUTLYING = 1e-3  # probability that a good row is left out
 _STEP = 1e-4  # of the logarithm of a residual, for slopes
 _LEAST_BEND = 1e-2
@@ -67,32 +65,50 @@ class Loss:
         """
         return self.weigh(np.sqrt(squares) / self.constant(equations))
 
-    def bend(self, squares: Array, equations: NDArray[np.intp]) -> Array:
-        """Return the curvature along the residuals over the weight, shape (N,).
-
-        1 + d ln w / d ln u; kept above zero, as what is minimised must rise on both sides.
+    def slope(self, squares: Array, equations: NDArray[np.intp]) -> Array:
+        """Return the curvature along the residuals, d(u w)/du, shape (N,).
 
         Args:
             squares: χ² of each row, shape (N,).
             equations: How many equations each row gives, shape (N,) or (1,).
         """
         u, h = np.sqrt(squares) / self.constant(equations), _STEP
-        less, more = (self.weigh(u * np.exp(step)) for step in (-h, h))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.log(more / less) / (2.0 * h)
-        return np.clip(np.where(np.isfinite(slope), 1.0 + slope, 1.0), _LEAST_BEND, 1.0)
+        less, more = (np.exp(step) * self.weigh(u * np.exp(step)) for step in (-h, h))
+        return np.asarray((more - less) / (2.0 * np.sinh(h)))
 
-    @lru_cache(maxsize=256)  # noqa: B019 - losses are few, and live as long as the module
-    def inflation(self, equations: int) -> float:
-        """Return by how much the loss makes the covariance of good data larger.
+    def bend(self, squares: Array, equations: NDArray[np.intp]) -> Array:
+        """Return the curvature along the residuals over the weight, shape (N,).
 
-        k E[w² d²] / E[w d²]², d² a χ² with k degrees of freedom: the asymptotic covariance of an
-        M-estimator (Huber 1981), its mean slope by Stein's identity.
+        Kept above zero, as what is minimised must rise on both sides.
+
+        Args:
+            squares: χ² of each row, shape (N,).
+            equations: How many equations each row gives, shape (N,) or (1,).
         """
-        k = max(equations, 1)
-        d2 = _quantile((np.arange(_DRAWS) + 0.5) / _DRAWS, k)
-        w = self.weights(d2, np.array([k]))
-        return float(k * (w**2 * d2).mean() / (w * d2).mean() ** 2)
+        w = self.weights(squares, equations)
+        bend = np.divide(self.slope(squares, equations), w, out=np.ones_like(w), where=w > 0.0)
+        return np.clip(bend, _LEAST_BEND, 1.0)
+
+    def moments(
+        self, squares: Array, equations: NDArray[np.intp], free: int = 0
+    ) -> tuple[float, float, float]:
+        """Return slope and square of ψ of rows that fit, and Huber's factor for few of them.
+
+        Over all n equations: m, the mean of ψ's slopes (w across the residuals, d(u w)/du along
+        them), the square Σ w² d² / (n − p), and K = 1 + (p / n) v / m², v the slopes' variance
+        (P. J. Huber, Robust Statistics, 1981, 7.6).
+
+        Args:
+            squares: χ² of each row over the square of the scale, shape (N,).
+            equations: How many equations each row gives, shape (N,).
+            free: p, parameters that are free.
+        """
+        k, w = equations.astype(float), self.weights(squares, equations)
+        n, along = max(float(k.sum()), 1.0), self.slope(squares, equations)
+        along, across = np.where(k > 0.0, along, 0.0), np.maximum(k - 1.0, 0.0)
+        m = max(float(across @ w + along.sum()) / n, _LEAST_BEND)
+        v = float(across @ w**2 + (along**2).sum()) / n - m**2
+        return m, float(w**2 @ squares) / max(n - free, 1.0), 1.0 + free / n * v / m**2
 
 
 LOSSES: dict[str, Loss] = {

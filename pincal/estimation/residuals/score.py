@@ -20,6 +20,7 @@ from pincal.estimation.observability.indices import RANK_TOLERANCE
 
 Array = NDArray[np.float64]
 _HARMONICS = (1, 2, 3)
+ALL = "readings"  # all of them together
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,8 @@ class Score:
     """One test: which quantity, which term, and how probable by chance."""
 
     quantity: str
-    """Reading or measured quantity, as ``Problem.quantities`` names it."""
+    """Reading or measured quantity, as ``Problem.quantities`` names it; ``"readings"``, all,
+    or ``"lengths"`` of the legs."""
     term: str
     """``"angle"``, ``"pose"``, ``"order"``, ``"approach"`` or ``"step"``."""
     p_value: float
@@ -52,7 +54,7 @@ class _Residuals:
 
     @classmethod
     def of(cls, one: Fit) -> _Residuals:
-        used = np.flatnonzero(one.weights > 0.0)
+        used = np.flatnonzero(one.good)
         r, J = one.last.value[used], one.last.jacobian[used] @ one.unknowns.map
         _, prior = one.unknowns.prior_rows(one.unknowns.start)
         flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
@@ -68,17 +70,15 @@ class _Residuals:
         ratio = inside / rank / (np.maximum(self.chi2 - inside, 1e-300) / free)
         return np.asarray(fdtrc(rank, free, ratio))
 
-    def term(self, w: Array, b: Array) -> float:
-        """Return the probability of residuals so far along terms b, shape (n_used, f).
+    def along(self, W: Array) -> float:
+        """Return the probability of residuals so far along the white rows of errors.
 
         Args:
-            w: White rows of a unit error of the quantity, shape (n_used, m).
-            b: The terms.
+            W: Of each error, shape (n_used, m, f).
         """
-        W = w[:, :, None] * b[:, None]
+        lengths = np.linalg.norm(W, axis=(0, 1))
         W = W - self.Q @ np.einsum("nmi,nmf->if", self.Q, W)
         flat = W.reshape(-1, W.shape[2])
-        lengths = np.linalg.norm(w[:, :, None] * b[:, None], axis=(0, 1))
         flat = flat[:, lengths > 0.0] / lengths[lengths > 0.0]
         U, s, _ = np.linalg.svd(flat, full_matrices=False)
         U = U[:, s > RANK_TOLERANCE]
@@ -105,17 +105,36 @@ class _Residuals:
 
 
 def scores(one: Fit) -> Iterator[Score]:
-    """Yield the score tests of a fit: each reading by each term, and each quantity by steps."""
+    """Yield the score tests of a fit.
+
+    Each reading by each term, and each quantity by steps. What all motors have in common is
+    clearer in all readings together: each term with the same amplitudes in every reading, and
+    their own angles also with amplitudes of their own. And all lengths that grow with time.
+    """
     if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
         return
     left, problem = _Residuals.of(one), one.problem
     n_readings = problem.reading_columns[-1].stop
+    alike: dict[tuple[str, int], Array] = {}
+    angles: list[Array] = []
     for column, (name, w) in enumerate(_errors(one, left.used)):
-        yield Score(name, "order", left.term(w, np.linspace(-1.0, 1.0, len(w))[:, None]))
+        terms = [("order", np.linspace(-1.0, 1.0, len(w))[:, None])]
         yield Score(name, "step", *left.step(w))
         if column < n_readings:
-            for term, b in _terms(one, column, left.used):
-                yield Score(name, term, left.term(w, b))
+            terms += _terms(one, column, left.used)
+        for term, b in terms:
+            W = w[:, :, None] * b[:, None]
+            yield Score(name, term, left.along(W))
+            if column < n_readings > 1:
+                kind = term, b.shape[1]
+                alike[kind] = alike.get(kind, 0.0) + W
+                angles += [W] if term == "angle" else []
+    time = np.linspace(-1.0, 1.0, len(left.used))[:, None]
+    yield Score("lengths", "order", left.along((_grown(one, left.used) * time)[:, :, None]))
+    for (term, _), W in alike.items():
+        yield Score(ALL, term, left.along(W))
+    if angles:
+        yield Score(ALL, "angle", left.along(np.concatenate(angles, axis=2)))
 
 
 def _errors(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
@@ -137,6 +156,15 @@ def _errors(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
             error = np.zeros((*stack.value.shape, 1))
             error[:, n_legs + column, 0] = problem.observation.measured[:, column]
             yield next(names), one.last.white(error)[used, :, 0]
+
+
+def _grown(one: Fit, used: NDArray[np.intp]) -> Array:
+    """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
+    J, lengths = one.last.jacobian[used], np.zeros(len(one.unknowns.names))
+    for leg, columns in zip(one.problem.legs, one.problem.columns, strict=True):
+        long = np.array([leg.units[name] == "m" for name in leg.parameter_names])
+        lengths[columns] = long * one.parameters[columns]
+    return np.asarray(J @ lengths)
 
 
 def _terms(one: Fit, column: int, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:

@@ -1,0 +1,87 @@
+"""The least of several folds' probabilities: folds share rows, so their tests are dependent.
+
+To first order all of them follow from one fit of all rows, J = Q R: a fold's residuals are
+e = z − Q_f c, c = Σ Q_fᵀ z, z of unit variance, and its statistic is eᵀ (1 − Q_f Q_fᵀ)⁻¹ e. Only
+the part of z in the range of Q_f is shared with other folds, so few numbers need be drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, fdtrc
+
+from pincal.estimation.fit import Fit
+from pincal.estimation.residuals.robust import Robust
+
+Array = NDArray[np.float64]
+_DRAWS = 9999
+_RANK = 1e-10  # least share of a direction in a fold
+
+
+def least_of_folds(
+    least: float, fits: Sequence[Robust], groups: NDArray[np.intp], *, known: bool
+) -> float:
+    """Return the probability that the least of all folds' probabilities is so small, or smaller.
+
+    By draws from what the model would make of noise; never above what independent folds would give
+    (Šidák 1967), which counts where no draw is as small.
+
+    Args:
+        least: The least probability of a fold.
+        fits: Of all rows.
+        groups: The fold of each row of the measurements, shape (N,); below 0 in none.
+        known: Whether the scale of the noise is known, else folds are compared with the others.
+    """
+    count = int(groups.max()) + 1
+    bound = float(-np.expm1(count * np.log1p(-min(least, 1.0 - 1e-16))))
+    if count < 2 or (groups < 0).any():
+        return bound
+    random = np.random.default_rng(0)
+    parts = [_drawn(robust.fit, groups[robust.rows], count, random) for robust in fits]
+    inside, own, equations = (np.sum(one, axis=0) for one in zip(*parts, strict=True))
+    dof = sum(one.fit.degrees_of_freedom for one in fits)
+    if known:
+        chances = chdtrc(equations, inside)
+    else:
+        rest = own.sum(axis=1, keepdims=True) - inside
+        chances = fdtrc(equations, dof - equations, inside / equations / rest * (dof - equations))
+    below = int((np.asarray(chances).min(axis=1) <= least).sum())
+    return min(bound, (1 + below) / (1 + _DRAWS))
+
+
+def _drawn(
+    one: Fit, folds: NDArray[np.intp], count: int, random: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Return drawn statistics and squared residuals of folds, (draws, count), their equations."""
+    weights = (one.weights > 0.0)[:, None, None]
+    J = np.where(weights, one.last.jacobian @ one.unknowns.map, 0.0)
+    _, prior = one.unknowns.prior_rows(one.unknowns.start)
+    flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
+    size = np.linalg.norm(flat, axis=0)
+    R = np.asarray(np.linalg.qr(flat / size, mode="r"))
+    Q = np.linalg.solve(R.T, (J / size).transpose(0, 2, 1))  # (N, n, m)
+    roots, kept = [], []
+    for fold in range(count):
+        part = Q[folds == fold]
+        share, V = np.linalg.eigh(np.einsum("nim,njm->ij", part, part))
+        has = share > _RANK
+        roots.append((np.sqrt(share[has])[:, None] * V[:, has].T, 1.0 - share[has]))
+        kept.append(int(one.last.equations[folds == fold][weights[folds == fold, 0, 0]].sum()))
+    drawn = [random.standard_normal((_DRAWS, len(left))) for _, left in roots]
+    taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
+    if len(prior):
+        taken = (
+            taken
+            + random.standard_normal((_DRAWS, len(prior)))
+            @ np.linalg.solve(R.T, (prior / size).T).T
+        )
+    inside, own = np.empty((_DRAWS, count)), np.empty((_DRAWS, count))
+    for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):
+        e = u - taken @ root.T
+        rest = random.chisquare(max(kept[fold] - len(left), 1e-9), _DRAWS)
+        inside[:, fold] = (e**2 / np.maximum(left, _RANK)).sum(axis=1) + rest
+        own[:, fold] = (e**2).sum(axis=1) + rest
+    return inside, own, np.array(kept, dtype=float)
