@@ -8,6 +8,7 @@ from pathlib import Path
 import cramer_rao
 import numpy as np
 import pytest
+from correlated import TRACKER, bound, correlated, pairs, polar_covariance, scaled, slopes
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -15,54 +16,6 @@ from scipy.spatial.transform import Rotation
 import pincal
 
 Array = NDArray[np.float64]
-TRACKER = pincal.Tracker((3.0, -2.0, 0.5), range=2e-6, azimuth=2e-5, elevation=2e-5)
-
-
-def polar_covariance(points: Array, tracker: pincal.Tracker) -> Array:
-    """Return covariances of points measured by range and angles, by differences, (N, 3, 3)."""
-
-    def cartesian(polar: Array) -> Array:
-        r, a, e = polar.T
-        ray = np.column_stack((np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)))
-        return r[:, None] * ray
-
-    x, y, z = (points - tracker.at).T
-    polar = np.column_stack(
-        (np.sqrt(x**2 + y**2 + z**2), np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)))
-    )
-    J = np.stack(
-        [(cartesian(polar + d) - cartesian(polar - d)) / 2e-6 for d in 1e-6 * np.eye(3)], axis=2
-    )
-    root = J * [tracker.range, tracker.azimuth, tracker.elevation]
-    return root @ root.transpose(0, 2, 1)
-
-
-def correlated(
-    one: cramer_rao.Machine, covariance: Array, sigma: float, seed: int
-) -> pincal.Measurements:
-    """Return measurements whose poses err by covariances (N, dof, dof), readings by sigma."""
-    rng = np.random.default_rng(seed)
-    root = np.linalg.cholesky(covariance)
-    still = np.zeros((len(covariance), one.dof))
-    twists = (root @ rng.standard_normal((*still.shape, 1)))[:, :, 0]
-    readings = one.readings(one.parameters, still)
-    readings = readings + sigma * rng.standard_normal(readings.shape)
-    return pincal.Measurements(
-        poses=one.coordinates(twists),
-        readings=readings,
-        sigma_poses=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)),
-        sigma_readings=np.full(readings.shape, sigma),
-    )
-
-
-def pairs(names: tuple[str, ...], covariance: Array) -> dict[str, Array]:
-    """Return the columns of covariances (N, dof, dof)."""
-    return {
-        f"{a},{b}": covariance[:, i, j]
-        for i, a in enumerate(names)
-        for j, b in enumerate(names)
-        if i < j
-    }
 
 
 def planar(count: int = 24) -> tuple[cramer_rao.Machine, Array]:
@@ -128,27 +81,6 @@ def test_the_standard_errors_are_those_of_the_bound() -> None:
     assert std == pytest.approx(bound(one, covariance, 5e-5), rel=1e-4)
 
 
-def slopes(one: cramer_rao.Machine) -> tuple[Array, Array]:
-    """Return readings by parameters (N, m, n) and by the platform's twist (N, m, dof)."""
-    n, dof, h = len(one.parameters), one.dof, 1e-6
-    still = np.zeros((len(one.positions), dof))
-
-    def slope(step: Array, twist: Array) -> Array:
-        ends = [one.readings(one.parameters + s * step, still + s * twist) for s in (1, -1)]
-        return (ends[0] - ends[1]) / (2 * h)
-
-    A = np.stack([slope(step, np.zeros(dof)) for step in h * np.eye(n)], axis=2)
-    return A, np.stack([slope(np.zeros(n), step) for step in h * np.eye(dof)], axis=2)
-
-
-def bound(one: cramer_rao.Machine, covariance: Array, sigma: float) -> Array:
-    """Return the least standard errors, poses eliminated pose by pose, by differences."""
-    A, B = slopes(one)
-    V = sigma**2 * np.eye(A.shape[1]) + B @ covariance @ B.transpose(0, 2, 1)
-    F = (A.transpose(0, 2, 1) @ np.linalg.solve(V, A)).sum(axis=0)
-    return np.sqrt(np.diagonal(np.linalg.inv(F)))
-
-
 @pytest.mark.parametrize("method", ["all-legs", "per-leg"])
 def test_a_tracker_s_range_and_angles_are_covariances(method: str) -> None:
     """Of x and y: the same result as with the covariances that differences give."""
@@ -185,13 +117,6 @@ def test_positions_of_a_stewart_platform_by_a_tracker() -> None:
     assert std == pytest.approx(least, rel=0.02)
     off = (values - one.parameters) / least
     assert np.sqrt((off**2).mean()) < 1.5
-
-
-def scaled(data: pincal.Measurements, by: float) -> pincal.Measurements:
-    """Return measurements by an instrument whose scale is off by so much."""
-    poses = data.poses.copy()
-    poses[:, :2] *= 1.0 + by
-    return replace(data, poses=poses)
 
 
 @pytest.mark.parametrize("method", ["all-legs", "per-leg"])
