@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,20 @@ from pincal.model.checks import ROUNDING
 from pincal.model.setup import ORIGIN, Setup
 from pincal.words.sentences import finding
 
-_MUCH = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
-_CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
-_FEW = 1.5  # residuals a parameter, below which more poses are advised
+
+@dataclass(frozen=True)
+class Questions:
+    """From where something is said."""
+
+    much: float = 0.1
+    """Share of rows that do not fit, from which the noise or the model is questioned."""
+    curved: float = 0.5
+    """Curved part over the straight one, at one standard error (Bates and Watts 1980)."""
+    few: float = 1.5
+    """Residuals a parameter, below which more poses are advised."""
+
+
+QUESTIONS = Questions()
 
 
 def findings_of(
@@ -163,9 +175,11 @@ def _lacking(fits: Fits) -> list[Finding]:
 def _curved(fits: Fits) -> list[Finding]:
     """Return a finding if intervals of a linearised problem mean little."""
     own = (one.fit for one in fits.fits if one.fit.problem.weighted)
-    most = max((curvature(one, _CURVED) for one in own), default=0.0)
+    most = max((curvature(one, QUESTIONS.curved) for one in own), default=0.0)
     intervals = fits.calibration.options.intervals
-    return [finding("curved", curvature=most, intervals=intervals)] if most > _CURVED else []
+    return (
+        [finding("curved", curvature=most, intervals=intervals)] if most > QUESTIONS.curved else []
+    )
 
 
 def _open(result: CalibrationResult) -> list[Finding]:
@@ -223,7 +237,7 @@ def unused_options(setup: Setup) -> tuple[str, ...]:
 def _rows(result: CalibrationResult) -> list[Finding]:
     outliers, total = result.outliers, len(result.measurements)
     rows = [one.row for one in outliers]
-    if len(outliers) > _MUCH * total:
+    if len(outliers) > QUESTIONS.much * total:
         return [finding("many-outliers", rows, share=len(outliers) / total)]
     if not outliers or result.loss != "none":
         return []
@@ -241,5 +255,5 @@ def _legs(result: CalibrationResult) -> list[Finding]:
     return found + [
         finding("few-poses", legs=(leg.name,), poses=leg.n_poses, unknowns=len(leg.parameters))
         for leg in result.legs
-        if leg.n_residuals < _FEW * len(leg.parameters)
+        if leg.n_residuals < QUESTIONS.few * len(leg.parameters)
     ]

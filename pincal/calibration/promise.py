@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
-_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
-_MISSED = 0.01  # standard deviations, below which a leg misses nothing
-_FELL = 0.5  # of the residuals: less must be left of them if anything was corrected
 #: Findings that contradict the model or its noise.
 CONTRADICT = frozenset(
     {
@@ -51,6 +49,21 @@ CONTRADICT = frozenset(
 )
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Up to where uncertainties mean something."""
+
+    promised: float = 3.0
+    """Times the noise given, up to which residuals may be noise that is larger."""
+    missed: float = 0.01
+    """Standard deviations, below which a leg misses nothing."""
+    fell: float = 0.5
+    """Of the residuals: less must be left of them if anything was corrected."""
+
+
+_UP_TO = Limits()
+
+
 def excess_of(chi2: float, p_value: float) -> float:
     """Return how many times larger residuals are than the noise makes them; 1 if it may be."""
     return float(np.sqrt(chi2)) if p_value < UNEXPLAINED else 1.0
@@ -58,7 +71,7 @@ def excess_of(chi2: float, p_value: float) -> float:
 
 def explained(result: CalibrationResult) -> bool:
     """Return whether residuals fell, and so near to the noise that uncertainties mean anything."""
-    return result.excess <= _PROMISED and corrects(result)
+    return result.excess <= _UP_TO.promised and corrects(result)
 
 
 def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
@@ -83,9 +96,9 @@ def whitened(parts: Sequence[LegResult | Observed]) -> tuple[Array, Array]:
 def corrects(result: CalibrationResult) -> bool:
     """Return whether residuals fell by half at least, in standard deviations, or are noise."""
     legs = whitened(result.legs)
-    shown = legs if np.abs(legs[0]).max(initial=0.0) > _MISSED else result.whitened
+    shown = legs if np.abs(legs[0]).max(initial=0.0) > _UP_TO.missed else result.whitened
     before, after = ((one**2).sum() for one in shown)
-    return result.excess == 1.0 or bool(after <= _FELL**2 * before)
+    return result.excess == 1.0 or bool(after <= _UP_TO.fell**2 * before)
 
 
 def expected_error(result: CalibrationResult, poses: Plan | Array) -> PlatformError:

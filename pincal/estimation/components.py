@@ -21,11 +21,23 @@ from pincal.estimation.residuals.losses import outlying
 from pincal.model.measurements import Noise
 
 Array = NDArray[np.float64]
-_CLEAR = 3.0  # standard errors from which a component is none of chance
-_MOST = 10.0  # by which a variance changes at once
-_ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
 _P, _O, _R = range(3)  # position, orientation, reading
 Pools = tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How variances are told apart, and how far they go at once."""
+
+    clear: float = 3.0
+    """Standard errors from which a component is none of chance."""
+    most: float = 10.0
+    """Times that a variance changes at once."""
+    rounding: float = 1e-10
+    """Standard deviation over the assumed one, below which residuals are rounding."""
+
+
+_BY = Steps()
 
 
 @dataclass(frozen=True)
@@ -75,7 +87,7 @@ class Moments:
     @property
     def rounding(self) -> bool:
         """Whether the residuals are rounding errors."""
-        return not self.scale > _ROUNDING**2
+        return not self.scale > _BY.rounding**2
 
     def components(self, P: Array) -> tuple[Array, Array]:
         """Return variances s of V = Σ_g (P s)_g V_g and their standard errors, shape (k,) each."""
@@ -102,7 +114,7 @@ class Moments:
         if no group differs so.
         """
         pooled = {group: pool for pool in pools for group in pool}
-        best, most = None, _CLEAR
+        best, most = None, _BY.clear
         for group in (_O, _R):
             if not self.F[group, group] > 0.0 or len(pooled.get(group, (0, 0))) < 2:
                 continue
@@ -152,7 +164,7 @@ def estimated_noise(moments: Moments, noise: Noise, reading: float, pools: Pools
     """
     P = _columns(pools)
     variance, _ = moments.components(P)
-    least, most = moments.scale / _MOST, moments.scale * _MOST
+    least, most = moments.scale / _BY.most, moments.scale * _BY.most
     factors = np.sqrt(P @ np.clip(variance, least, most))
     return Noise(
         float(noise.position * (factors[_P] or 1.0)),

@@ -7,7 +7,7 @@ the rigid motion that takes the targets there to where they were measured.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,25 @@ from pincal.words.numbers import amount
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _NEWTON = Newton(steps=60, small=1e-7, largest=0.2)
-_USUAL = 3.0  # times the median gap that contradicting readings leave
-_WAY = 5  # steps from the readings at home to those measured
-_CLOSES = 1e-3  # of a leg's size, a gap that is left when readings contradict each other
-_TILTED = 1e-3  # [rad]
-_MISSED = 0.03  # of the mechanism's size, median over the rows, from which nothing is identified
+
+
+@dataclass(frozen=True)
+class Starting:
+    """How a start is looked for, and when there is none."""
+
+    usual: float = 3.0
+    """Times the median gap, up to which readings leave what contradicting ones do."""
+    way: int = 5
+    """Steps from the readings at home to those measured."""
+    closes: float = 1e-3
+    """Of a leg's size, a gap that is left when readings contradict each other."""
+    tilted: float = 1e-3
+    """[rad], from which a platform is not upright."""
+    missed: float = 0.03
+    """Of the mechanism's size, median over the rows, from which nothing is identified."""
+
+
+_BY = Starting()
 
 
 def align_start(
@@ -66,7 +80,7 @@ def align_start(
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     joints = (None,) * len(problem.legs)
     state = State(parameters, home if there is None else there, joints, external)
-    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:] if there is None else ():
+    for share in np.linspace(0.0, 1.0, _BY.way + 1)[1:] if there is None else ():
         state = poses_at_rest(_driven(mechanism, problem, share), state)
     good = _well(mechanism, problem, state)
     if len(outside):
@@ -126,8 +140,8 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     for leg, closure, own in zip(legs, closures, problem.used.T, strict=True):
         missed = np.fmax(missed, np.where(own, np.abs(closure.gap).max(axis=1) / leg.size, 0.0))
         good &= ~own | (mode_sign(closure) == home_mode(leg.leg, leg.platform))
-    usual = _USUAL * np.median(missed[known]) if redundant and known.any() else 0.0
-    return good & (missed <= max(_CLOSES, usual))
+    usual = _BY.usual * np.median(missed[known]) if redundant and known.any() else 0.0
+    return good & (missed <= max(_BY.closes, usual))
 
 
 def placed(problem: Problem, data: Measurements, parameters: Array, external: External) -> State:
@@ -142,7 +156,7 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
     platform = problem.platform
     partly = np.where(np.isfinite(data.poses), data.poses, platform.home)
     if "tilt" in platform.coordinates:  # upright, tilt has no direction in which to grow
-        partly[:, platform.coordinates.index("tilt")] += _TILTED
+        partly[:, platform.coordinates.index("tilt")] += _BY.tilted
     matrices = platform.matrices(partly).copy()
     turns = problem.observation.orientations
     known = np.isfinite(turns).all(axis=(1, 2))
@@ -246,7 +260,7 @@ def check_start(problem: Problem, state: State) -> None:
     lengths = [unit == "m" for unit in problem.observation.units]
     missed = stack.value[:, [*range(n_legs), *(n_legs + np.flatnonzero(lengths))]]
     worst = float(np.median(np.linalg.norm(missed, axis=1)))
-    if worst > _MISSED * size:
+    if worst > _BY.missed * size:
         raise MeasurementError(
             f"readings and measured positions contradict each other by {amount(worst, 'm')} in the "
             f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "

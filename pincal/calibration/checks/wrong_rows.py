@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pincal.calibration.assemble import assemble
+from pincal.calibration.findings import QUESTIONS
 from pincal.calibration.fits import fitted
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import PincalError
 from pincal.words.sentences import finding
 
-FEW = 0.1
-"""Share of the rows: of more it is rather the noise or the model that is wrong."""
 #: Findings that follow from wrong rows.
 _FOLLOW = frozenset(
     {
@@ -40,7 +39,7 @@ def wrong_rows(result: CalibrationResult) -> CalibrationResult:
     except PincalError:
         return result
     left = [one for one in robust.outliers if one.weight == 0.0]
-    few = 0 < len(left) <= FEW * len(result.measurements)
+    few = 0 < len(left) <= QUESTIONS.much * len(result.measurements)
     if not (few and robust.converged and robust.excess == 1.0):
         return result
     worst = left[0]

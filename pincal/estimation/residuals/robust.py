@@ -22,13 +22,26 @@ from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_ROUNDS = 10
-_MOST = 200  # evaluations for the fit without a loss, of which only the shift is said
-_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
-_LINEAR = 0.1  # of the machine's size, or [rad], up to which noise acts linearly
 _LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
 Mask = NDArray[np.bool_]
 Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Refits:
+    """How often a robust fit is made again, and of which rows."""
+
+    rounds: int = 10
+    """Of leaving rows out."""
+    most: int = 200
+    """Evaluations of the fit without a loss, of which only the shift is said."""
+    good: float = 10.0
+    """Reduced χ² up to which a fit says something about its poses."""
+    linear: float = 0.1
+    """Of the machine's size, or [rad], up to which noise acts linearly."""
+
+
+_BY = Refits()
 
 
 @dataclass(frozen=True)
@@ -99,7 +112,7 @@ def robust_fit(
     except ObservabilityError as error:
         check_weakly_determined(mechanism, system.problem, system.unknowns, error)
         raise
-    fit_is_good = found.fit.chi2 <= _GOOD * max(found.fit.degrees_of_freedom, 1)
+    fit_is_good = found.fit.chi2 <= _BY.good * max(found.fit.degrees_of_freedom, 1)
     if fit_is_good or not system.known:
         one = found.fit
         check_covariance(
@@ -125,7 +138,7 @@ def _fitted(
     if rejecting:
         one = _without_outliers(one, search)
     try:
-        plain = search(system, start=one.last.state, most=_MOST)
+        plain = search(system, start=one.last.state, most=_BY.most)
     except (PincalError, np.linalg.LinAlgError):
         plain = None
     return Robust(
@@ -154,7 +167,7 @@ def _near(problem: Problem, linear: Linear) -> Mask:
     its size; neither has derivatives that say anything, and no loss bounds what they weigh.
     """
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
-    far = {"m": _LINEAR * largest_size(problem.legs), "rad": _LINEAR}
+    far = {"m": _BY.linear * largest_size(problem.legs), "rad": _BY.linear}
     seen = problem.observation.units if problem.latent else ()
     units = [*["m"] * problem.leg_rows[-1].stop, *seen]
     near = np.abs(moved) <= [far.get(unit, np.inf) for unit in units]
@@ -165,7 +178,7 @@ def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
     """Return the least-squares fit of the rows that fit each other."""
     one, kept = robust, np.ones(len(robust.weights), dtype=bool)
     counts = kept if robust.system.kept is None else robust.system.kept
-    for _ in range(_ROUNDS):
+    for _ in range(_BY.rounds):
         linear = one.last
         now = counts & ~outlying(linear.squares / robust.scale**2, linear.equations)
         if one is not robust and (now == kept).all():
