@@ -61,23 +61,27 @@ def test_a_drift_does_not_hide_in_legs() -> None:
     """A tracker that drifts by 0.2 mm: limits of the platform's error hold, or are withdrawn.
 
     Leg after leg, each leg is calibrated by its own part of the drift, which its residuals do not
-    show: limits are broken. In turns they are not.
+    show: errors are larger than the noise makes them. In turns they are not.
     """
     mechanism, noise = pincal.load_mechanism("3RRR"), pincal.Noise(2e-5, 2e-5)
     poses = workspace("3RRR", 60)
     plan = pincal.Plan(poses, tuple(leg for leg in mechanism.leg_names for _ in range(20)))
     drift = np.linspace(-1e-4, 1e-4, 60)[:, None] * [1.0, 0.0, 0.0]
 
-    def holds(seed: int, planned: pincal.Plan) -> bool:
+    def shares(seed: int, planned: pincal.Plan) -> tuple[float, float]:
         truth = pincal.disturb(mechanism, 2e-3, seed)
         data = pincal.simulate(mechanism, truth, planned, noise, seed).measurements
         data = replace(data, poses=data.poses + drift)
         result = pincal.calibrate(mechanism, data, method="per-leg")
-        limit = result.expected_error(poses).limit[0]
-        return pincal.accuracy(result.identified, truth, poses).position <= limit
+        expected, error = (
+            result.expected_error(poses),
+            pincal.accuracy(result.identified, truth, poses),
+        )
+        share = error.position / expected.limit[0]
+        return share, share * expected.unseen
 
-    assert all(holds(seed, in_turns(plan, seed)) for seed in range(6))
-    assert not all(holds(seed, plan) for seed in range(6))
+    assert all(shares(seed, in_turns(plan, seed))[0] <= 1.0 for seed in range(6))
+    assert max(shares(seed, plan)[1] for seed in range(6)) > 1.0
 
 
 def test_select_writes_in_turns_and_calibrate_verifies(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal.calibration.confidence import unseen
 from pincal.design.platform_error import (
     PlatformError,
     Unidentified,
@@ -121,7 +122,9 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
     same = 1e-9 if setup is None else 1e-4
     np.testing.assert_allclose(found.sizes, errors.after, rtol=same)
     assert found.where_determined == pytest.approx(errors.mean_after(), rel=same)
-    assert found.limit == pytest.approx(errors.limit, rel=same, abs=1e-15)
+    wider = unseen(result.reduced_chi2, result.chi2_freedoms)
+    limit = tuple(wider * one for one in found.limit)
+    assert limit == pytest.approx(errors.limit, rel=same, abs=1e-15)
 
 
 def test_held_directions_give_the_numbers_of_all() -> None:
@@ -140,7 +143,8 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     known = found.determined
     np.testing.assert_allclose(found.sizes[known], errors.after[known], rtol=1e-9)
     assert found.where_determined == pytest.approx(errors.mean_after(), rel=1e-9, nan_ok=True)
-    assert found.limit == pytest.approx(errors.limit, rel=1e-9, nan_ok=True)
+    limit = tuple(errors.expected.unseen * one for one in found.limit)
+    assert limit == pytest.approx(errors.limit, rel=1e-9, nan_ok=True)
     assert result.expected_error(poses).position == found.position
 
 
@@ -166,3 +170,11 @@ def test_what_is_printed(hexapod: tuple[pincal.Mechanism, np.ndarray, np.ndarray
     assert repr(found).startswith("PlatformError(")
     assert "\n" not in repr(found)
     assert "95 of 100" in str(found)
+
+
+def test_a_limit_takes_in_what_residuals_cannot_show() -> None:
+    """By χ² tables: 5 % of χ² of 100 freedoms lie below 77.93; never less than the noise given."""
+    assert unseen(1.0, 100.0) == pytest.approx(np.sqrt(100.0 / 77.93), rel=1e-4)
+    assert unseen(0.5, 100.0) == 1.0
+    assert unseen(1.0, 1e6) == pytest.approx(1.0, abs=2e-3)
+    assert unseen(np.nan, 0.0) == 1.0

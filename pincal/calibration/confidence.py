@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc, ndtri, stdtrit
+from scipy.special import chdtrc, chdtri, fdtrc, ndtri, stdtrit
 
 from pincal.calibration.fits import Fits
 from pincal.design.platform_error import CONFIDENCE
@@ -70,6 +70,20 @@ def quantiles(degrees_of_freedom: Array) -> Array:
     half = (1 + CONFIDENCE) / 2
     known = ~np.isfinite(degrees_of_freedom)
     return np.where(known, ndtri(half), stdtrit(np.where(known, 1.0, degrees_of_freedom), half))
+
+
+def unseen(chi2: float, degrees_of_freedom: float) -> float:
+    """Return how many times larger than the noise residuals may be by their χ², at 95 %; 1 or more.
+
+    Errors of the model of that size cannot be told from noise.
+
+    Args:
+        chi2: Over its degrees of freedom.
+        degrees_of_freedom: Of it.
+    """
+    if not degrees_of_freedom:
+        return 1.0
+    return float(np.sqrt(max(1.0, chi2 * degrees_of_freedom / chdtri(degrees_of_freedom, 0.95))))
 
 
 def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -> float:

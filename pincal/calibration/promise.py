@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.confidence import unseen
 from pincal.calibration.leg_result import LegResult, Observed
 from pincal.design.platform_error import (
     PlatformError,
@@ -113,7 +114,7 @@ def expected_error(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
 
 def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
     lost = result.undetermined_directions
-    return platform_error(
+    found = platform_error(
         result.identified,
         result.covariance,
         poses,
@@ -121,6 +122,7 @@ def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
         result.frames_moved,
         result.noise_freedoms,
     )
+    return replace(found, unseen=unseen(result.reduced_chi2, result.chi2_freedoms))
 
 
 def _seen(result: CalibrationResult) -> float:

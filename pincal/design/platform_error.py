@@ -59,6 +59,9 @@ class PlatformError:
     """Eigenvalues of the mean squares of position and orientation, shape (2, n)."""
     degrees_of_freedom: float | None = None
     """Of the noise, where its scale was estimated; None where it is known."""
+    unseen: float = 1.0
+    """Factor of the limit for what residuals cannot show: errors of the model, up to the largest
+    scale that χ² leaves possible at 95 %."""
     promised: bool = True
     """Whether a limit is promised: not where something contradicts the model or its noise."""
 
@@ -94,7 +97,7 @@ class PlatformError:
 
         With errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal
         numbers, weighted by the eigenvalues of MC: drawn, with the scale of the noise if that was
-        estimated. Infinite where nothing is promised.
+        estimated, and larger by what residuals cannot show. Infinite where nothing is promised.
         """
         if not self.promised:
             return np.inf, np.inf
@@ -106,7 +109,7 @@ class PlatformError:
             dof = max(self.degrees_of_freedom, 1)
             squares *= dof / rng.chisquare(dof, (_DRAWS, 1))
         position, orientation = np.sqrt(np.quantile(squares @ self.weights.T, CONFIDENCE, axis=0))
-        return float(position), float(orientation)
+        return self.unseen * float(position), self.unseen * float(orientation)
 
     def __repr__(self) -> str:
         return f"PlatformError({self._said(self.position, self.orientation)}, {self.poses} poses)"
