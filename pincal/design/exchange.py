@@ -71,20 +71,18 @@ def exchange(
     pool = np.argsort(-priority, kind="stable")[: max(_EFFORT.pool, 2 * count)]
     drawn = [pool[:count], *(rng.permutation(total)[:count] for _ in range(starts - 1))]
     sets = np.array(drawn)
-    best = np.full(len(sets), -np.inf)
+    best = -np.inf
     for _ in range(_EFFORT.rounds):
         pool = np.union1d(pool, sets)
         own = tuple(one[pool] for one in rows)
         sets = pool[_improved(own, np.searchsorted(pool, sets), criterion)]
+        sets = np.unique(np.sort(sets, axis=1), axis=0)
         values = np.array([_value(rows, one, criterion) for one in sets])
-        order = np.argsort(-values, kind="stable")
+        order = np.argsort(-values, kind="stable")[: _EFFORT.at_once]
         sets, values = sets[order], values[order]
-        sets, first = np.unique(np.sort(sets, axis=1), axis=0, return_index=True)
-        order = np.argsort(-values[first], kind="stable")[: _EFFORT.at_once]
-        sets, values = sets[order], values[first][order]
-        if not values[0] > best[0] + _EFFORT.tolerance:
+        if not values[0] > best + _EFFORT.tolerance:
             break
-        best = values
+        best = values[0]
         pool = np.union1d(pool, _promising(rows, sets, criterion))
     return sets[0], float(values[0]) + lacking
 
@@ -95,8 +93,10 @@ def _value(rows: Parts, chosen: Index, criterion: Criterion) -> float:
 
 def _promising(rows: Parts, sets: Index, criterion: Criterion) -> Index:
     """Return the candidates that would improve one of some sets most."""
-    inverse = _inverses(rows, sets)
     total = len(rows[0])
+    if total <= _EFFORT.pool:
+        return np.arange(total)
+    inverse = _inverses(rows, sets)
     gain = np.concatenate(
         [
             criterion.promise(tuple(one[first : first + CHUNK] for one in rows), inverse)
@@ -104,8 +104,6 @@ def _promising(rows: Parts, sets: Index, criterion: Criterion) -> Index:
         ],
         axis=1,
     )
-    if total <= _EFFORT.pool:
-        return np.arange(total)
     return np.unique(np.argpartition(-gain, _EFFORT.pool, axis=1)[:, : _EFFORT.pool])
 
 

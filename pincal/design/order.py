@@ -26,7 +26,7 @@ def in_turns(plan: Plan, seed: int = 0) -> Plan:
 
     Sets of one size have the same order: poses that a symmetry maps follow one another.
     """
-    sets = np.array(plan.sets or (EVERY_LEG,) * len(plan))
+    sets = np.array(plan.serving)
     when = np.empty(len(plan))
     for name in np.unique(sets):
         own = np.flatnonzero(sets == name)
@@ -64,10 +64,11 @@ def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
         order += [middle, *range(begin, min(begin + every, count))]
     order.append(middle)
     found = plan.rows(np.array(order))
-    sets = list(found.sets or (EVERY_LEG,) * len(order))
+    sets = list(found.serving)
     for row in (*range(0, len(order) - 1, every + 1), -1):
         sets[row] = EVERY_LEG
-    places = tuple(REFERENCE if row == middle else "" for row in order)
+    own = found.places or ("",) * len(order)
+    places = tuple(REFERENCE if row == middle else own[i] for i, row in enumerate(order))
     return replace(found, sets=tuple(sets), places=places)
 
 
@@ -102,6 +103,7 @@ def with_verification(
         readings = np.concatenate((plan.readings, chosen.readings))
     return Plan(
         np.concatenate((plan.poses, chosen.poses)),
-        (*(plan.sets or (EVERY_LEG,) * len(plan)), *(VERIFY,) * count),
+        (*plan.serving, *(VERIFY,) * count),
         readings,
+        places=None if plan.places is None else (*plan.places, *("",) * count),
     )

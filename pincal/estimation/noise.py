@@ -75,7 +75,7 @@ def noise_model(
     if rows or data.sigma_readings is not None:
         _check_sigmas(mechanism, data, setup)
         source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
-    elif noise is not None or (setup.tracker is not None and setup.tracker.said):
+    elif noise is not None or (setup.tracker is not None and setup.tracker.has_noise):
         one = noise or Noise(_ASSUMED, _ASSUMED, 0.0)
     elif (repeated := noise_of_repeats(mechanism, data)) is not None:
         source, (one, freedoms) = "repeats", repeated

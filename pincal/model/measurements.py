@@ -190,6 +190,11 @@ class Plan:
         )
 
     @property
+    def serving(self) -> tuple[str, ...]:
+        """The sets of all rows: every leg where none are said, length N."""
+        return self.sets or (EVERY_LEG,) * len(self)
+
+    @property
     def verifying(self) -> Mask:
         """Which rows no fit follows, ``set`` being ``verify``, shape (N,)."""
         if self.sets is None:

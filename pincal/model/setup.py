@@ -160,7 +160,7 @@ class Setup:
 
     @property
     def polar(self) -> dict[str, str]:
-        """What a tracker measures of which columns say the noise, and the units."""
+        """Columns ``sigma_…`` that say a tracker's noise, and units; none without a tracker."""
         return {} if self.tracker is None else POLAR
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import hypot
 
@@ -34,15 +35,15 @@ class Tracker:
     def __post_init__(self) -> None:
         at = array_of(self.at, (3,), "place of the tracker", MeasurementError)
         object.__setattr__(self, "at", tuple(at.tolist()))
-        _check_sizes(self, POLAR, "noise of the tracker's")
+        _check_sizes(self, tuple(POLAR), "noise of the tracker's")
 
     @property
-    def said(self) -> bool:
+    def has_noise(self) -> bool:
         """Whether it has noise without columns of it."""
         return any((self.range, self.azimuth, self.elevation))
 
     def by_polar(self, points: Array) -> Array:
-        """Return how points move by range, azimuth and elevation, shape (N, 3, 3).
+        """Return how points move by range [1], azimuth and elevation [m/rad], shape (N, 3, 3).
 
         Args:
             points: Positions in the frame of the measurements, shape (N, 3), [m].
@@ -76,7 +77,7 @@ class Systematic:
     """Of the offset of each target that is taken as known, along each axis, [m]."""
 
     def __post_init__(self) -> None:
-        _check_sizes(self, vars(self), "systematic uncertainty, its")
+        _check_sizes(self, tuple(vars(self)), "systematic uncertainty, its")
 
     @property
     def relative(self) -> float:
@@ -84,13 +85,13 @@ class Systematic:
         return hypot(self.scale, self.temperature * self.expansion)
 
 
-def _check_sizes(one: object, names: object, what: str) -> None:
+def _check_sizes(one: object, names: Iterable[str], what: str) -> None:
     """Make fields numbers of 0 or more.
 
     Raises:
         MeasurementError: something else.
     """
-    for name in names:  # type: ignore[attr-defined]
+    for name in names:
         value = number_of(getattr(one, name), f"the {what} {name}", MeasurementError)
         object.__setattr__(one, name, value)
         if not 0.0 <= value < np.inf:

@@ -45,19 +45,28 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> NDArray[np.intp
         firsts = np.array([rows[0] for rows in poses.values()])
         own = np.arange(len(poses)) % folds
         if by == "region":
-            own = _regions(data.readings[firsts], min(folds, len(poses)))
+            own = _regions(_scaled(data.readings[firsts]), min(folds, len(poses)))
         for rows, fold in zip(poses.values(), own, strict=True):
             found[rows] = fold
     return found
+
+
+def _scaled(readings: Array) -> Array:
+    """Return readings over the ranges that they have, in the middle where there is none, (N, n)."""
+    measured = np.isfinite(readings)
+    low = np.min(readings, axis=0, where=measured, initial=np.inf)
+    high = np.max(readings, axis=0, where=measured, initial=-np.inf)
+    some = high > low
+    shares = (readings - np.where(some, low, 0.0)) / np.where(some, high - low, 1.0)
+    return np.where(measured & some, shares, 0.5)
 
 
 def _regions(readings: Array, count: int) -> NDArray[np.intp]:
     """Return the region of each row, shape (N,): halves of halves along the widest reading."""
     if count == 1:
         return np.zeros(len(readings), dtype=np.intp)
-    known = np.where(np.isfinite(readings), readings, np.nanmedian(readings))
-    spread = np.ptp(known, axis=0)
-    order = np.argsort(known[:, int(np.argmax(spread))], kind="stable")
+    spread = np.ptp(readings, axis=0)
+    order = np.argsort(readings[:, int(np.argmax(spread))], kind="stable")
     first = count // 2
     low, high = np.split(order, [round(len(order) * first / count)])
     found = np.empty(len(readings), dtype=np.intp)

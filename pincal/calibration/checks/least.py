@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc
+from scipy.special import bdtrc, chdtrc, fdtrc
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.residuals.robust import Robust
@@ -36,7 +36,7 @@ def least_of_folds(
         known: Whether the scale of the noise is known, else folds are compared with the others.
     """
     count = int(groups.max()) + 1
-    bound = float(-np.expm1(count * np.log1p(-min(least, 1.0 - 1e-16))))
+    bound = float(bdtrc(0, count, least))
     if count < 2 or (groups < 0).any():
         return bound
     random = np.random.default_rng(0)

@@ -185,7 +185,6 @@ def _planned(mechanism: Mechanism, size: PlanSize) -> tuple[Plan, ConfigurationC
     """Return a plan in the order of measuring, with the readings there, and how good it is."""
     offered = sample_configurations(mechanism, _CANDIDATES, size.seed)
     noise = Noise(reading=_READ if mechanism.redundant else 0.0)
-    noise = Noise(reading=_READ if mechanism.redundant else 0.0)
     chosen = select_configurations(
         mechanism, offered, size.count, noise=noise, seed=size.seed, starts=_STARTS
     )

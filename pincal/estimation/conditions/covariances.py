@@ -117,8 +117,25 @@ def _targets(
                 "some not; a tracker measures all of them (or give 'sigma_x' and the like instead "
                 "of the tracker)"
             )
+        if setup.tracker is not None:
+            _check_level(setup.tracker, points)
         found.append((np.array([place[name] for name in names]), points))
     return found
+
+
+def _check_level(tracker: Tracker, points: Array) -> None:
+    """Raise if a point, shape (N, 3), is straight above or below the tracker.
+
+    Raises:
+        MeasurementError: naming the row.
+    """
+    ray = points - tracker.at
+    above = np.hypot(ray[:, 0], ray[:, 1]) <= ROUNDING**0.5 * np.linalg.norm(ray, axis=1)
+    if above.any():
+        raise MeasurementError(
+            f"data row {int(np.argmax(above)) + 1}: the point is on the vertical axis of the "
+            "tracker, where an azimuth says nothing; say where the tracker is ('at' of the tracker)"
+        )
 
 
 def _of_tracker(tracker: Tracker, points: Array, data: Measurements) -> Array:

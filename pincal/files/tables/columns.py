@@ -29,7 +29,8 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     every = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
     counts = every | {f"sigma_{name}": by for name, by in every.items()}
-    table = replace(read_table(path), counts=counts)
+    read = read_table(path)
+    table = replace(read, units=dict(read.units), text=dict(read.text), counts=counts)
     units = _known(mechanism, more or {})
     other: dict[str, str] = {}
     for column, own in table.units.items():
@@ -49,8 +50,10 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
         table.units[name] = table.units.pop(column) or _said_in(column, name, units[name])
         table.text[name] = table.text.pop(column)
     if other:
-        read = (f"{column!r} as '{name} [{table.units[name]}]'" for column, name in other.items())
-        _log.info("%s: columns read: %s", table.path, ", ".join(read))
+        renamed = [
+            f"{column!r} as '{name} [{table.units[name]}]'" for column, name in other.items()
+        ]
+        _log.info("%s: columns read: %s", table.path, ", ".join(renamed))
     if unused := list(unknown_columns(table, mechanism, more)):
         names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
         names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)
