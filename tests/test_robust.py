@@ -450,3 +450,14 @@ def test_intervals_hold_with_a_fifth_of_gross_errors(loss: str) -> None:
         squares.append((((value - one.parameters) / std) ** 2).mean())
     assert np.sqrt(np.mean(squares)) == pytest.approx(1.0, abs=0.1)
     assert np.mean(covered) == pytest.approx(0.95, abs=0.025)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_to_verify_with_are_no_outliers(seed: int) -> None:
+    """Rows that no fit follows are judged by validation: none is called one that does not fit."""
+    noise = pincal.Noise(2e-5, 5e-5, 5e-6)
+    mechanism, _, data = machine("3RRR", 36, noise=noise, seed=seed)
+    sets = tuple("verify" if row % 5 == 2 else "all" for row in range(36))
+    result = pincal.calibrate(mechanism, replace(data, sets=sets), noise=noise)
+    assert not result.outliers
+    assert result.promises

@@ -126,7 +126,8 @@ def _fitted(
 ) -> Robust:
     if loss is None:
         one = search(system)
-        return Robust(one, rows, _outliers(one, one.noise_scale, rows, _seen_scale(one)), None)
+        found = _outliers(one, one.noise_scale, rows, system.kept, _seen_scale(one))
+        return Robust(one, rows, found, None)
     rejecting = loss.name == "reject"
     coarse = search(replace(system, loss=LOSSES["cauchy"]))
     fine = LOSSES["tukey"] if rejecting else loss
@@ -144,7 +145,7 @@ def _fitted(
     return Robust(
         replace(one, first=coarse.first),
         rows,
-        _outliers(one, scale, rows),
+        _outliers(one, scale, rows, system.kept),
         plain if plain is not None and plain.converged else None,
     )
 
@@ -189,7 +190,7 @@ def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
 
 
 def _outliers(
-    one: Fit, scale: float, rows: NDArray[np.intp], judged: float = 0.0
+    one: Fit, scale: float, rows: NDArray[np.intp], counts: Mask | None, judged: float = 0.0
 ) -> tuple[Outlier, ...]:
     """Return the rows that do not fit, the worst first.
 
@@ -197,6 +198,8 @@ def _outliers(
         one: The fit.
         scale: Of the noise.
         rows: Rows of the measurements.
+        counts: Which of them a fit may follow, shape (N,); all if not given. Others, such as those
+            for verification, are judged elsewhere.
         judged: Scale by which rows in use are judged, if larger.
     """
     linear = one.last
@@ -206,7 +209,8 @@ def _outliers(
     relative = linear.squares / scale**2
     left_out = outlying(relative, equations) & (one.weights == 0.0)
     far = np.where(linear.equations > 0, linear.squares / max(scale, judged) ** 2, 0.0)
-    listed = np.flatnonzero((left_out | suspected(far, equations)) & (linear.equations > 0))
+    listed = (left_out | suspected(far, equations)) & (linear.equations > 0)
+    listed = np.flatnonzero(listed if counts is None else listed & counts)
     legs = tuple(leg.name for leg in one.problem.legs)
     noise = np.abs(linear.noise[:, : len(one.problem.quantities)]) / scale
     worst = noise.argmax(axis=1)
