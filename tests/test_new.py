@@ -390,3 +390,23 @@ def test_the_page_names_each_dimension() -> None:
         assert f"`{one.name}`" in page
         for each in one.dimensions:
             assert f"`{each.name}`" in page, (one.name, each.name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("architecture", "low", "high"),
+    [
+        ("cable-4", (-1.0, -0.75, -0.5), (1.0, 0.75, 0.5)),
+        ("cable-8", (-2.0, -2.0, 0.3), (2.0, 2.0, 3.0)),
+        ("linear-delta", (-0.12, -0.12, 0.0), (0.12, 0.12, 0.3)),
+    ],
+)
+def test_planned_poses_are_where_the_machine_works(
+    tmp_path: Path, architecture: str, low: tuple[float, ...], high: tuple[float, ...]
+) -> None:
+    """In the frame of the cables, above the bed."""
+    run("new", architecture, "--defaults", "-o", tmp_path / "own")
+    mechanism = pincal.load_mechanism(tmp_path / "own")
+    poses = pincal.Plan.from_csv(tmp_path / "own" / "plan.csv", mechanism).poses[:, :3]
+    assert (poses >= low).all()
+    assert (poses <= high).all()

@@ -25,6 +25,7 @@ _LABELS = {
     for letter, what in (("A", "anchor"), ("b", "platform's corner"))
     for axis in "xyz"
 } | {"k": "gain of the reading"}
+_WITHIN, _TURN = 0.8, pi / 9  # of the room that a platform has in its frame; from upright
 
 
 def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
@@ -102,6 +103,25 @@ def _spatial(d: Values) -> Mechanism:
     return _robot(np.array(anchors), np.array(corners), home)
 
 
+def _in_plane(d: Values) -> tuple[Array, Array]:
+    """Return where a platform is well inside its frame, turned by 20° at most."""
+    sides = d["frame_width"] - d["platform_width"], d["frame_height"] - d["platform_height"]
+    high = np.array([*(_WITHIN * side / 2 for side in sides), _TURN])
+    return -high, high
+
+
+def _in_space(d: Values) -> tuple[Array, Array]:
+    """Return where a platform is well inside its frame, tilted and turned by 20° at most."""
+    frame = np.array([d["frame_length"], d["frame_width"], d["upper"] - d["lower"]])
+    sides = np.array([d["platform_length"], d["platform_width"], d["platform_height"]])
+    half = _WITHIN * np.maximum(frame - sides, 0.0) / 2
+    middle = np.array([0.0, 0.0, (d["upper"] + d["lower"]) / 2])
+    return (
+        np.array([*(middle - half), -np.pi, 0.0, -_TURN]),
+        np.array([*(middle + half), np.pi, _TURN, _TURN]),
+    )
+
+
 CABLES = (
     Architecture(
         "cable-4",
@@ -130,6 +150,7 @@ CABLES = (
             ),
         ),
         _planar,
+        _in_plane,
     ),
     Architecture(
         "cable-8",
@@ -168,5 +189,6 @@ CABLES = (
             ),
         ),
         _spatial,
+        _in_space,
     ),
 )

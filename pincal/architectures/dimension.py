@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees
 from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.checks import must_be, number_of
@@ -13,6 +16,7 @@ from pincal.model.mechanism import Mechanism
 
 #: Dimensions by name: lengths [m], angles [rad], and texts.
 Values: TypeAlias = Mapping[str, Any]
+Corner: TypeAlias = "Sequence[float] | NDArray[np.float64]"
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,9 @@ class Architecture:
     title: str
     dimensions: tuple[Dimension, ...]
     make: Callable[[Values], Mechanism]
+    region: Callable[[Values], tuple[Corner, Corner]] | None = None
+    """Lower and upper coordinates between which it works, where readings have no limits that say
+    so, [m] and [rad]."""
 
     def complete(self, given: Values) -> dict[str, float | str]:
         """Return all dimensions in order: those given, others in proportion to these.

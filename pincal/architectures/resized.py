@@ -204,6 +204,10 @@ RESIZED = (
             ),
         ),
         _linear_delta,
+        lambda d: (
+            (-d["print_radius"], -d["print_radius"], 0.0),
+            (d["print_radius"], d["print_radius"], d["endstop_height"]),
+        ),
     ),
     Architecture(
         "five-bar",

@@ -9,9 +9,10 @@ from dataclasses import asdict, dataclass, make_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
-from pincal.architectures.dimension import Architecture
+from pincal.architectures.dimension import Architecture, Values
 from pincal.architectures.new import ARCHITECTURES, architecture_of, new_mechanism
 from pincal.cli.app import (
     Force,
@@ -37,6 +38,7 @@ from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.tables import choice_table
+from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
 #: Files in the folder beside the mechanism, and what they are.
@@ -114,7 +116,8 @@ def new(
     name = re.sub(r"\W+", "_", output.absolute().name).strip("_") or one.name
     mechanism = new_mechanism(one.name, name=name, **given)
     with working("choosing poses"):
-        plan, chosen = _planned(mechanism, size)
+        offered = _offered(one, one.complete(given), mechanism, size.seed)
+        plan, chosen = _planned(mechanism, offered, size)
     _write(output, mechanism, plan, force=force)
     stdout.print(mechanism.description, markup=False)
     stdout.print(choice_table(mechanism, chosen))
@@ -181,9 +184,19 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _planned(mechanism: Mechanism, size: PlanSize) -> tuple[Plan, ConfigurationChoice]:
+def _offered(one: Architecture, values: Values, mechanism: Mechanism, seed: int) -> Plan:
+    """Return poses to choose from: where the machine works, or all that its readings reach."""
+    if one.region is None:
+        return sample_configurations(mechanism, _CANDIDATES, seed)
+    low, high = one.region(values)
+    poses = np.random.default_rng(seed).uniform(low, high, (4 * _CANDIDATES, len(low)))
+    return Plan(poses[in_workspace(mechanism, poses)][:_CANDIDATES])
+
+
+def _planned(
+    mechanism: Mechanism, offered: Plan, size: PlanSize
+) -> tuple[Plan, ConfigurationChoice]:
     """Return a plan in the order of measuring, with the readings there, and how good it is."""
-    offered = sample_configurations(mechanism, _CANDIDATES, size.seed)
     noise = Noise(reading=_READ if mechanism.redundant else 0.0)
     chosen = select_configurations(
         mechanism, offered, size.count, noise=noise, seed=size.seed, starts=_STARTS
