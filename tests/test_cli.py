@@ -135,6 +135,16 @@ def test_calibrated_mechanism_serves_as_mech(kind: str, chains: Chains, tmp_path
     assert after < 0.1 * before
 
 
+def test_poses_outside_the_limits_of_joints_are_said(tmp_path: Path) -> None:
+    """Their readings are written all the same; which joints, of which rows."""
+    poses = tmp_path / "p.csv"
+    poses.write_text("x [m],y [m],z [m]\n0,0,0.02\n0,0,0.5\n")
+    outcome = run("inverse", "linear_delta", poses, "-o", tmp_path / "r.csv")
+    assert outcome.code == 0
+    assert f"{poses}: 1 of 2 poses are outside the limits of joints" in outcome.err
+    assert "line 3: leg_1 carriage" in outcome.err
+
+
 @pytest.mark.parametrize(
     ("command", "header", "good", "bad", "why"),
     [

@@ -145,6 +145,10 @@ def _explained(
             and repr(fault["loc"][-1]) in question
             for fault in faults
         )
+    elif first["type"] == "missing" and isinstance(first["loc"][-1], int):
+        have = first["loc"][-1]
+        text = f"{named} has {have} value{'s' * (have != 1)}, which is not enough"
+        text += f"; {'one more is' if have else 'some are'} expected"
     elif first["type"] == "missing":
         text, place = f"key {named!r} is missing", place[:-1]
     else:

@@ -231,6 +231,20 @@ def inverse(mechanism: GivenMechanism, poses: Poses) -> InverseSolution:
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
 
 
+def outside_limits(mechanism: Mechanism, solution: InverseSolution) -> list[tuple[str, ...]]:
+    """Return the joints of each pose that are outside their limits, as ``leg_1 slide``."""
+    found: list[list[str]] = [[] for _ in solution.reached]
+    for leg in mechanism.legs:
+        slack = ROUNDING * max(1.0, leg.size)
+        for joint, values in zip(leg.moving, solution.joints[leg.name].T, strict=True):
+            if joint.limited:
+                with np.errstate(invalid="ignore"):
+                    out = (values < joint.lower - slack) | (values > joint.upper + slack)
+                for row in np.flatnonzero(out):
+                    found[row].append(f"{leg.name} {joint.name}")
+    return [tuple(one) for one in found]
+
+
 def reached(mechanism: Mechanism, poses: Poses) -> Mask:
     """Return which legs reach poses in their working modes, shape (N, n_legs).
 

@@ -28,8 +28,10 @@ from pincal.files.tables.measurement_writing import columns_of, reason_column, w
 from pincal.files.tables.measurements import read_poses, read_readings
 from pincal.files.tables.table import write_table
 from pincal.kinematics.forward import forward as solve_forward
+from pincal.kinematics.inverse import InverseSolution, outside_limits
 from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
 from pincal.words.wording import LISTED
 from pincal.workspace.criteria import Margins
 from pincal.workspace.sampling import sample_workspace
@@ -46,7 +48,7 @@ def inverse(
     """Write the sensor readings of poses.
 
     Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
-    code is then 1.
+    code is then 1. Of poses outside the limits of joints readings are written, with a warning.
     """
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
@@ -58,6 +60,7 @@ def inverse(
     values = np.where(lost[:, None], np.nan, solution.readings)
     write_readings(output, mechanism, values, reasons=reasons, units=units, force=force)
     wrote(output)
+    _warn_of_limits(poses, [plan.place(row) for row in range(len(lost))], mechanism, solution)
     read = mechanism.reading_names, mechanism.reading_units
     found = {"mechanism": mechanism.name, "readings": _columns(*read, values)}
     answer(found | {"reasons": reasons})
@@ -120,6 +123,20 @@ def _columns(
     """Return columns by name, with their units, for JSON."""
     columns = zip(names, units, values.T, strict=True)
     return {name: {"unit": unit, "values": column} for name, unit, column in columns}
+
+
+def _warn_of_limits(
+    path: Path, places: list[str], mechanism: Mechanism, solution: InverseSolution
+) -> None:
+    """Say which poses need joints outside their limits: their readings are written all the same."""
+    pairs = zip(places, outside_limits(mechanism, solution), strict=True)
+    found = [f"{place}: {', '.join(joints)}" for place, joints in pairs if joints]
+    if found:
+        more = f"; and {len(found) - LISTED} more" if len(found) > LISTED else ""
+        warn(
+            f"{path}: {len(found)} of {len(places)} poses are outside the limits of joints; their "
+            f"readings are written all the same. {'; '.join(found[:LISTED])}{more}"
+        )
 
 
 def _leave_if_lost(path: Path, places: list[str], reasons: list[str], what: str) -> None:
