@@ -40,7 +40,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     covariance, outer = covariances(found)
     sure = confidence(found)
     dof = sum(one.degrees_of_freedom for one in fits)
-    chi2 = float(sum(one.chi2 for one in fits) / dof) if dof else np.nan
+    chi2 = float(sum(one.chi2 for one in fits) / dof) if dof > 0 else np.nan
     free = float(dof) if found.latent else chi2_freedoms(found.fits)
     p_value = exceeded(chi2, free, sure.of_chi2) if calibration.noise.known else 1.0
     by = excess_of(chi2, p_value)

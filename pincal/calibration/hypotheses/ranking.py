@@ -149,7 +149,7 @@ def explains(one: Judged, given: Judged) -> bool:
     units = one.hypothesis.values.get("units", ())
     shrinks = any((unit, how) == ("m", "mm") for _, unit, how in units)
     gap = max((fit.gap for fit in given.fits if fit.rows > 1), default=np.inf)
-    if shrinks and gap < 1.0:
+    if shrinks and (gap < 1.0 or one.questioned):
         return False  # lengths too large miss by far, and shrinking makes any misfit small
     return one.plausible and one.misfit * RULE.each**one.hypothesis.faults <= given.misfit
 

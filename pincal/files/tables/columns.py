@@ -54,7 +54,12 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
             f"{column!r} as '{name} [{table.units[name]}]'" for column, name in other.items()
         ]
         _log.info("%s: columns read: %s", table.path, ", ".join(renamed))
-    if unused := list(unknown_columns(table, mechanism, more)):
+    unused = [
+        name
+        for name in unknown_columns(table, mechanism, more)
+        if name != "row" and not name.startswith("planned_")  # of a measuring sheet
+    ]
+    if unused:
         names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
         names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)
         _log.info("%s: columns not used: %s", table.path, ", ".join(names))

@@ -11,7 +11,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.model.measurements import EVERY_LEG, Noise
 from pincal.show.results import noise_said
 from pincal.show.summary import check_lines, tie_lines
-from pincal.words.numbers import capital
+from pincal.words.numbers import capital, counted
 
 SOURCES = {
     "given": "as given",
@@ -41,7 +41,9 @@ def rows(result: CalibrationResult) -> str:
             counts = Counter("every leg" if one in ("", EVERY_LEG) else one for one in values)
             parts.append(f"{name}: {', '.join(f'{one} {n}' for one, n in counts.items())}")
     if data.places is not None:
-        parts.append(f"{len(set(data.places))} poses, some measured more than once")
+        counts = Counter(name for name in data.places if name)
+        again = sum(n > 1 for n in counts.values())
+        parts.append(f"{counted(again, 'pose')} measured more than once")
     return "; ".join(parts)
 
 
