@@ -348,3 +348,56 @@ def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
     print(f"kept {np.mean(kept):.3f}, without {np.mean(without):.3f}")
     assert np.mean(kept) >= 0.93
     assert np.mean(without) < 0.6
+
+
+def test_a_tracker_says_nothing_of_other_noise() -> None:
+    """Noise of orientations and readings is asked for, not invented; a wire may not be a range."""
+    one, covariance = planar(12)
+    data = replace(correlated(one, covariance, 5e-5, 0), sigma_poses=None, sigma_readings=None)
+    setup = pincal.Setup(tracker=TRACKER)
+    with pytest.raises(pincal.MeasurementError, match="give the noise of all else"):
+        pincal.calibrate(one.nominal, data, setup=setup)
+    given = pincal.calibrate(
+        one.nominal, data, setup=setup, noise=pincal.Noise(0.0, 1e-4, 5e-5), loss="none"
+    )
+    assert given.noise_source == "given"
+    wire = replace(setup, distances={"range": pincal.Distance((0.0, 0.0, 0.0))})
+    with pytest.raises(pincal.MeasurementError, match="'range', which means something else"):
+        wire.columns(one.nominal)
+
+
+@pytest.mark.parametrize(
+    ("pair", "words"),
+    [
+        ("x,z", "expected two of"),
+        ("X,y", "expected two of"),
+        ("x,x", "expected two of"),
+        ("x,leg_1", "expected two of"),
+        ("y,x", "each pair once"),
+    ],
+)
+def test_covariances_of_what_was_not_measured_are_refused(pair: str, words: str) -> None:
+    """None is dropped in silence, none replaces a variance."""
+    one, covariance = planar(12)
+    data = correlated(one, covariance, 5e-5, 0)
+    own = {"x,y": covariance[:, 0, 1], pair: covariance[:, 0, 1]}
+    with pytest.raises(pincal.MeasurementError, match=words):
+        pincal.calibrate(one.nominal, replace(data, covariances=own))
+    table = data.to_dataframe(one.nominal)
+    table["cov_x_leg_1 [mm mrad]"] = 1e-9
+    with pytest.raises(pincal.MeasurementError, match="no covariance of two quantities"):
+        pincal.Measurements.from_dataframe(table, one.nominal)
+
+
+def test_covariances_need_standard_deviations_beside_them() -> None:
+    """Without any, and with one that is exact."""
+    one, covariance = planar(12)
+    data = correlated(one, covariance, 5e-5, 0)
+    said = {"x,y": covariance[:, 0, 1]}
+    bare = replace(data, sigma_poses=None, sigma_readings=None, covariances=said)
+    with pytest.raises(pincal.MeasurementError, match="no standard deviations beside them"):
+        pincal.calibrate(one.nominal, bare)
+    exact = data.sigma_poses.copy()
+    exact[:, 0] = 0.0
+    with pytest.raises(pincal.MeasurementError, match="larger than its standard deviations allow"):
+        pincal.calibrate(one.nominal, replace(data, sigma_poses=exact, covariances=said))

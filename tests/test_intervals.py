@@ -216,3 +216,16 @@ def test_intervals_of_a_curved_problem_cover() -> None:
         shares.append(np.mean(inside))
     spread = np.std(shares, ddof=1) / np.sqrt(len(shares))
     assert abs(np.mean(shares) - 0.95) < 3.0 * spread
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-3, 1e-4])
+def test_every_end_of_a_well_determined_machine_is_found(size: float) -> None:
+    """3-RRR, 24 poses, noise on everything: no end is infinite, all within a fifth of Wald's."""
+    one = machine("3RRR", 24)
+    noise = pincal.Noise(size, size, size)
+    result = pincal.calibrate(one.nominal, drawn(one, noise, 0), noise=noise, intervals="profile")
+    for leg in result.legs:
+        for p in leg.parameters:
+            for end in p.ends:
+                assert 0.8 < end / (1.959964 * p.std) < 1.3

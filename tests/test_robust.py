@@ -461,3 +461,18 @@ def test_rows_to_verify_with_are_no_outliers(seed: int) -> None:
     result = pincal.calibrate(mechanism, replace(data, sets=sets), noise=noise)
     assert not result.outliers
     assert result.promises
+
+
+def test_wrong_rows_hide_nothing_that_is_found_without_them() -> None:
+    """A drift beside two gross rows: both are said, and no sound row is named."""
+    noise = pincal.Noise(2e-5, 2e-5, 1e-5)
+    mechanism, _, data = machine("3RRR", 60, noise=noise)
+    poses = data.poses.copy()
+    poses[[11, 32], 0] += 3e-3
+    readings = data.readings + np.linspace(-1e-4, 1e-4, 60)[:, None]
+    bad = replace(data, poses=poses, readings=readings)
+    result = pincal.calibrate(mechanism, bad, noise=noise)
+    codes = [one.code for one in result.findings]
+    named = {row for one in result.findings if one.code == "wrong-rows" for row in one.rows}
+    assert named <= {11, 32}
+    assert set(codes) & {"model-lacks", "step", "chi2-too-large"}

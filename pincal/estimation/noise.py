@@ -58,6 +58,7 @@ def noise_model(
         MeasurementError: given twice, or rows that give it for readings only.
     """
     _check_tracker(mechanism, data, setup)
+    _check_covariances(mechanism, data, setup)
     rows = data.sigma_poses is not None or bool(data.sigma_extra)
     full = bool(np.isfinite(data.poses).all())
     if data.sigma_readings is not None and full and not rows:
@@ -75,8 +76,13 @@ def noise_model(
     if rows or data.sigma_readings is not None:
         _check_sigmas(mechanism, data, setup)
         source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
-    elif noise is not None or (setup.tracker is not None and setup.tracker.has_noise):
-        one = noise or Noise(_ASSUMED, _ASSUMED, 0.0)
+    elif noise is None and setup.tracker is not None:
+        raise MeasurementError(
+            "the setup says how well the tracker measures positions; give the noise of all else "
+            "that was measured, 0 for what is exact (--noise-orientation, --noise-reading)"
+        )
+    elif noise is not None:
+        one = noise
     elif (repeated := noise_of_repeats(mechanism, data)) is not None:
         source, (one, freedoms) = "repeats", repeated
     else:
@@ -136,6 +142,31 @@ def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> No
         raise MeasurementError(
             "positions have standard deviations of their own and those of a tracker's range and "
             "angles as well; leave out one of them"
+        )
+
+
+def _check_covariances(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
+    """Raise if covariances are not of two quantities measured of the platform, with variances.
+
+    Raises:
+        MeasurementError: naming the pair.
+    """
+    names = {*mechanism.platform.freedoms, *setup.columns(mechanism)}
+    said: set[frozenset[str]] = set()
+    for pair, values in data.covariances.items():
+        both = frozenset(pair.split(","))
+        if not both <= names or len(both) < 2 or both in said:
+            raise MeasurementError(
+                f"covariance {pair!r}: expected two of {', '.join(sorted(names))} with a comma "
+                "between them, each pair once"
+            )
+        said.add(both)
+        if np.isinf(values).any():
+            raise MeasurementError(f"covariance {pair!r} is infinite in a row")
+    if said and data.sigma_poses is None and not data.sigma_extra:
+        raise MeasurementError(
+            "the measurements have covariances, but no standard deviations beside them; add "
+            "columns such as 'sigma_x'"
         )
 
 

@@ -20,7 +20,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.solve import rounding, search
-from pincal.estimation.system import System
+from pincal.estimation.system import ROWS_FOLLOW, System
 
 Array = NDArray[np.float64]
 
@@ -128,7 +128,11 @@ class _Path:
             with np.errstate(all="ignore"):
                 state = problem.moved(here, amount * self.along)
                 start, _ = solve_poses(problem, problem.linearise(state))
-                found = last_steps(self.system, search(self.system, start, most=_BY.most))
+                weights, _ = self.system.weights(start)
+                cost = self.system.cost(self.system.residuals(start), weights, start.state)
+                highest = (1.0 + ROWS_FOLLOW) * cost  # the last steps were taken here before
+                near = search(self.system, start, highest=highest, most=_BY.most)
+                found = last_steps(self.system, near)
         except (MeasurementError, np.linalg.LinAlgError):
             return None
         return found.linear if found.converged else None

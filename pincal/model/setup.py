@@ -212,7 +212,7 @@ class Setup:
                 "choose another name"
             )
         taken |= {"pose", "rx", "ry", "rz", *(n for names, _ in WAYS.values() for n in names)}
-        taken |= {name for name in columns if name.startswith("sigma_")}
+        taken |= {name for name in columns if name.startswith("sigma_")} | set(self.polar)
         taken |= taken_twice
         if both := taken & set(columns):
             raise MeasurementError(

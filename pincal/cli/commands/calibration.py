@@ -40,6 +40,7 @@ from pincal.files.tables.measurements import read_measurements
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
+from pincal.model.setup import Setup
 from pincal.show.report.report import report
 from pincal.show.result_tables import calibration_tables
 from pincal.show.results import warnings
@@ -142,7 +143,7 @@ class GivenNoise:
         float | None, with_unit("m rad", "Standard deviation of readings [rad or m].")
     ] = None
 
-    def of(self, mechanism: Mechanism, data: Measurements) -> Noise | None:
+    def of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
         """Return the noise given, or None if none was.
 
         Raises:
@@ -154,7 +155,10 @@ class GivenNoise:
         angles = np.array([unit == "rad" for unit in mechanism.platform.units])
         single, measured = set(data.extra) & set(SINGLE_ANGLES), np.isfinite(data.poses)
         turned = bool(measured[:, angles].any() or single)
-        placed = bool(measured[:, ~angles].any() or set(data.extra) - single)
+        further = set(data.extra) - single
+        placed = bool(measured[:, ~angles].any() or further)
+        if setup.tracker is not None:  # says how well positions were measured
+            placed = bool(further - set(setup.points(mechanism.platform)))
         needed = {"--noise-position": position} if placed else {}
         needed |= {"--noise-orientation": orientation} if turned else {}
         if None in needed.values():
@@ -226,7 +230,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             method="per-leg" if self.alone else "all-legs",
             residual=self.residual.value,
             poses="all" if self.poses is Poses.all else "own",
-            noise=self.of(mechanism, data),
+            noise=self.of(mechanism, data, setup),
             setup=setup,
             loss=self.robust.value,
             fixed=tuple(self.fix or ()),

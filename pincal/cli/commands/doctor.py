@@ -58,7 +58,7 @@ def doctor(
     setup = how.read()
     table = read_table(measurements)
     data = read_measurements(table, mechanism, setup, partial=True)
-    options = Options(noise=how.of(mechanism, data), setup=setup)
+    options = Options(noise=how.of(mechanism, data, setup), setup=setup)
     found: list[Remedy] = []
     with working("trying what may be wrong") as progress:
         for one in remedies(Calibration(mechanism, data, options)):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
+from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup
 from pincal.model.uncertainty import POLAR, Tracker
@@ -67,7 +68,11 @@ def row_noise(
     """
     general = [noise.position if unit == "m" else noise.orientation for unit in units]
     sigma = np.tile(general, (len(data), 1)).astype(float)
-    own = dict(data.sigma_extra)
+    own = {name: v for name, v in data.sigma_extra.items() if name not in setup.polar}
+    turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
+    if data.sigma_poses is not None and platform.turns == 3:  # single angles: as whole turns have
+        middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
+        own |= {name: middle for name in (*turns, *SINGLE_ANGLES) if name not in own}
     if data.sigma_poses is not None:
         own |= dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
     place = {name: column for column, name in enumerate(names)}
@@ -87,10 +92,18 @@ def row_noise(
     for pair, values in data.covariances.items():
         first, second = pair.split(",")
         if first in place and second in place:
-            known = np.isfinite(values)
+            sigmas = (_sigma_of(data, platform, name) for name in (first, second))
+            known = np.isfinite(values) & np.logical_and(*map(np.isfinite, sigmas))
             for i, j in ((place[first], place[second]), (place[second], place[first])):
                 covariance[known, i, j] = values[known]
     return _rooted(covariance, data)
+
+
+def _sigma_of(data: Measurements, platform: Platform, name: str) -> Array:
+    """Return the standard deviations that rows give of a quantity, shape (N,); NaN where none."""
+    if name in platform.freedoms and data.sigma_poses is not None:
+        return data.sigma_poses[:, platform.freedoms.index(name)]
+    return data.sigma_extra.get(name, np.full(len(data), np.nan))
 
 
 def _targets(
@@ -159,6 +172,8 @@ def _rooted(covariance: Array, data: Measurements) -> RowNoise:
     exact = np.where(sigma > 0.0, 0.0, 1.0)
     values, axes = np.linalg.eigh(correlation + exact[:, :, None] * np.eye(sigma.shape[1]))
     low = values.min(axis=1, initial=0.0)
+    beside = np.abs(covariance).sum(axis=2) > np.diagonal(covariance, axis1=1, axis2=2)
+    low = np.where((beside & (sigma == 0.0)).any(axis=1), -1.0, low)  # what is exact has none
     if (low < -(ROUNDING**0.5)).any():
         row = int(np.argmin(low))
         raise MeasurementError(

@@ -41,8 +41,14 @@ def read_covariances(table: Table, units: Mapping[str, str]) -> dict[str, Array]
     Raises:
         MeasurementError: a unit that is not the product of both, or a cell that is no number.
     """
+    headers = covariance_headers(units)
+    if other := [name for name in table.units if name.startswith("cov_") and name not in headers]:
+        raise MeasurementError(
+            f"{table.path}: column {other[0]!r} is no covariance of two quantities measured of the "
+            f"platform ({', '.join(units)}); rename it, or leave it out"
+        )
     found: dict[str, Array] = {}
-    for header, (first, second) in covariance_headers(units).items():
+    for header, (first, second) in headers.items():
         if header not in table:
             continue
         if (pair := f"{first},{second}") in found:

@@ -53,7 +53,8 @@ def read_measurements(
     more = setup.columns(mechanism)
     polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
     table = table_for(path, mechanism, more | polar)
-    if not polar and (own := [name for name in ("range", "elevation") if f"sigma_{name}" in table]):
+    said = [name for name in ("range", "elevation") if name not in more]
+    if not polar and (own := [name for name in said if f"sigma_{name}" in table]):
         raise MeasurementError(
             f"{table.path}: column 'sigma_{own[0]}' says how well a tracker measures; say where it "
             "is in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
