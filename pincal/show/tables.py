@@ -16,6 +16,7 @@ from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
 from pincal.show.summary import drift_lines, forecast_lines
 from pincal.words.numbers import STORED
+from pincal.words.selection import mapped_diagonals
 from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty, UnitOf, Value, columns
 from pincal.workspace.articular import ArticularSymmetry
 from pincal.workspace.inscribed import Inscribed
@@ -53,7 +54,7 @@ def selection_table(selection: Selection) -> Table:
             (
                 "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
                 "O1: of the unweighted Jacobian, over the number of parameters",
-                *selection.remarks,
+                *([mapped_diagonals(selection.diagonals_differ)] if selection.mapped else []),
             )
         ),
     )
