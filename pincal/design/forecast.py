@@ -32,6 +32,7 @@ from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
 from pincal.model.setup import Setup
+from pincal.words.numbers import amount
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -122,7 +123,9 @@ class Forecast(Estimable):
         legs = self.mechanism.legs
         units = [leg.units[name] for leg in legs for name in leg.parameter_names]
         rows = [
-            f"  {name:<24} {std:12.4g} {unit}" if std < np.inf else f"  {name:<24} not determined"
+            f"  {name:<24} {amount(std, unit, 4)}"
+            if std < np.inf
+            else f"  {name:<24} not determined"
             for name, std, unit in zip(parameter_ids(self.mechanism), self.std, units, strict=True)
         ]
         if more := len(rows) - ROWS:
