@@ -31,6 +31,7 @@ from pincal.words.freedoms import FREEDOMS
 from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
+from pincal.words.rows import ROWS
 from pincal.words.wording import Wording
 from pincal.workspace.criteria import in_workspace
 
@@ -71,7 +72,8 @@ speaks against.
 """
 #: Kinds of findings: title, what they are, and their wordings.
 _KINDS: tuple[tuple[str, str, Mapping[str, Wording]], ...] = (
-    ("The fit", "Noise, residuals, outliers, held-out rows, runs.", RESULTS),
+    ("The fit", "Whether it converged, its noise, χ² and intervals.", RESULTS),
+    ("Rows", "What residuals follow, outliers, held-out rows, runs.", ROWS),
     ("Parameters", "Poses that are too few, values that moved far, ties.", PARAMETERS),
     ("Gauge freedoms", "What was fixed by choice; `result.gauge`.", FREEDOMS),
     ("Measurements", "What cannot be right, whatever the mechanism's parameters.", FAULTS),

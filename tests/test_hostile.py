@@ -17,7 +17,7 @@ from pincal.calibration.result_files import read_result
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
 from pincal.files.input import LARGEST_FILE
 from pincal.files.mechanism_folders import bundled, mechanism_files
-from pincal.files.tables.table import read_table
+from pincal.files.tables.table_reading import read_table
 from pincal.formats.printers.klipper import read_klipper
 from pincal.formats.printers.reprap import read_reprap
 

@@ -16,7 +16,7 @@ from scipy.special import ndtri
 import pincal
 from pincal.calibration.calibrate import prepared
 from pincal.calibration.fits import fitted
-from pincal.cli.commands.calibration import CalibrateOptions, Intervals
+from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.estimation.curvature import curvature
 from pincal.estimation.fit import Fit
 from pincal.estimation.profile import profile
@@ -194,7 +194,7 @@ def test_the_command_line_asks_for_them(tmp_path: Path) -> None:
     drawn(one, SMALL, 0).to_csv(tmp_path / "data.csv", "5R")
     chosen = [
         how.calibration(one.nominal, tmp_path / "data.csv").options.intervals
-        for how in (CalibrateOptions(intervals=Intervals.profile), CalibrateOptions())
+        for how in (CalibrateOptions(intervals="profile"), CalibrateOptions())
     ]
     assert chosen == ["profile", "wald"]
     with pytest.raises(pincal.MeasurementError, match="unknown intervals"):

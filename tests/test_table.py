@@ -20,7 +20,8 @@ from pincal.errors import FileError, MeasurementError, PincalError
 from pincal.files.input import LARGEST
 from pincal.files.tables.measurement_writing import write_readings
 from pincal.files.tables.measurements import read_readings
-from pincal.files.tables.table import read_table, write_table
+from pincal.files.tables.table import write_table
+from pincal.files.tables.table_reading import read_table
 
 Array = NDArray[np.float64]
 KINDS = {name: pincal.load_mechanism(name) for name in ("3RRR", "5R")}

@@ -16,6 +16,7 @@ from scipy.stats import chi2, f, spearmanr
 import pincal
 from pincal.calibration.checks.drift import trends
 from pincal.calibration.checks.runs import compare_runs
+from pincal.words.numbers import amount
 from pincal.words.sentences import finding, sentence
 
 FRAME = pincal.Setup(unknown_frame=True)
@@ -168,6 +169,11 @@ def test_runs_are_compared_as_independent_estimates(noise: pincal.Noise | None) 
     weights = [np.linalg.inv(one.covariance) for one in alone]
     mean = np.linalg.solve(sum(weights), sum(W @ v for W, v in zip(weights, values, strict=True)))
     off = [(v - mean) @ W @ (v - mean) for W, v in zip(weights, values, strict=True)]
+    most = found.spread / found.predicted
+    assert found.worst == tuple(np.argsort(-most)[:3])
+    first = found.worst[0]
+    spread = amount(found.spread[first], found.units[first])
+    assert f"{found.names[first]} most: spread {spread}, predicted " in str(found)
     n, freedoms = len(mean), sum(one.degrees_of_freedom for one in alone)
     assert found.ratio == pytest.approx(np.sqrt(sum(off) / n), rel=1e-6)
     p = chi2.sf(sum(off), n) if noise else f.sf(sum(off) / n, n, freedoms)

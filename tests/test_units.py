@@ -11,7 +11,7 @@ from measured import machine
 
 import pincal
 from pincal.files.tables.measurements import read_measurements, read_readings
-from pincal.files.tables.table import read_table
+from pincal.files.tables.table_reading import read_table
 from pincal.words.numbers import FACTORS
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pincal.architectures.dimension import Architecture, Dimension, Values
 from pincal.errors import MechanismError
-from pincal.files.tables.table import is_dataframe, read_table
+from pincal.files.tables.table import is_dataframe
+from pincal.files.tables.table_reading import read_table
 from pincal.formats.arm import arm, load_arm
 from pincal.model.leg import Joint
 from pincal.model.mechanism import Mechanism

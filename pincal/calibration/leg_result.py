@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.model.parameter import Parameter
-from pincal.words.numbers import SMALL, VALUES, Measured, ends, fixed, shown_in, uneven
+from pincal.words.numbers import SMALL, VALUES, ends, fixed, measured, shown_in, uneven
 
 Array = NDArray[np.float64]
 
@@ -50,14 +50,14 @@ class IdentifiedParameter(Parameter):
         With both ends, ``1.23 -0.40 +0.52``, where one is farther off.
         """
         if not uneven(*self.ends):
-            return Measured(self.identified, self.half, self.unit).text()
+            return measured(self.identified, self.half, self.unit)
         value = fixed(self.identified, min(self.ends), self.unit)
         return f"{value} {ends(*self.ends, self.unit)} {VALUES[self.unit]}".strip()
 
     def __str__(self) -> str:
         """Return what is known of it, in a line: ``leg_1.l: 1501.4 ± 0.8 mm (95 %), …``."""
         sure = " (95 %)" if self.high > self.low else f", {self.given or 'held'}"
-        nominal = Measured(self.nominal, 0.0, self.unit).text()
+        nominal = measured(self.nominal, 0.0, self.unit)
         return f"{self.id}: {self.text}{sure}, nominal {nominal}"
 
 

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
+from pincal.design.estimable import Method
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.leg_condition import Residual
 from pincal.estimation.residuals.losses import Loss, LossName, loss_of
 from pincal.model.measurements import Noise
 from pincal.model.setup import Setup
 
-Method = Literal["all-legs", "per-leg"]
 Poses = Literal["own", "all"]
 Intervals = Literal["wald", "profile"]
 Progress = Callable[[str], None] | None

@@ -32,6 +32,7 @@ from pincal.kinematics.derivatives import leg_demand
 from pincal.model.checks import count_of, described
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.words.selection import ALIKE, mapped_diagonals
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -91,17 +92,9 @@ class Selection:
         )
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """Whether mapped legs are as observable as their references, parameter by parameter."""
-        if self.protocol != "symmetric" or len(self.legs) == 1:
-            return ()
-        off = self.diagonals_differ
-        if off < 1e-6:
-            return ("|R_ii| of mapped legs are those of their reference legs (Eq. 10)",)
-        return (
-            f"|R_ii| of mapped legs differ by up to {100 * off:.2g} %: offsets, gains or Cartesian "
-            "coordinates turn into each other. Their product, and O1, is equal but for a constant",
-        )
+    def mapped(self) -> bool:
+        """Whether poses of a leg were mapped to others, whose |R_ii| can be compared with its."""
+        return self.protocol == "symmetric" and len(self.legs) > 1
 
     def to_dataframe(self) -> DataFrame:
         """Return a row for each leg: poses, efficiency, observability indices, condition."""
@@ -125,8 +118,8 @@ class Selection:
             for leg in self.legs
         ]
         lines = [repr(self), "  leg          poses  efficiency  condition", *rows]
-        if self.protocol == "symmetric":
-            lines += [f"  {text}" for text in self.remarks if "differ" in text]
+        if self.mapped and self.diagonals_differ >= ALIKE:
+            lines.append(f"  {mapped_diagonals(self.diagonals_differ)}")
         return "\n".join(lines)
 
 

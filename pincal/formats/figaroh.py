@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError
-from pincal.files.tables.table import Table, read_table
+from pincal.files.tables.table import Table
+from pincal.files.tables.table_reading import read_table
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 

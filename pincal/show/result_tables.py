@@ -16,7 +16,7 @@ from pincal.show.results import (
     readings_exact,
 )
 from pincal.words.numbers import VALUES, uneven
-from pincal.words.table import Cell, Ends, Quantity, Table, UnitOf, Value, columns
+from pincal.words.table import Cell, Ends, Quantity, Table, Uncertainty, UnitOf, Value, columns
 
 _MANY = 1e6  # standard errors, above which their number says nothing
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
@@ -66,7 +66,7 @@ def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
     half, change = min(*p.ends, p.half), p.identified - p.nominal
     known = half > 0.0
     none = Cell(None, (p.given or "held") if half == 0.0 else "")
-    interval = Ends(*p.ends, p.unit) if uneven(*p.ends) else Quantity(half, p.unit, half)
+    interval = Ends(*p.ends, p.unit) if uneven(*p.ends) else Uncertainty(half, p.unit)
     return (
         p.name,
         Quantity(p.nominal, p.unit, half),

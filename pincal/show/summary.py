@@ -19,7 +19,7 @@ from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import amount, chance, listed, number, rounded, size
 from pincal.words.results import systematic
 from pincal.words.sentences import finding, sentence
-from pincal.words.wording import LISTED
+from pincal.words.wording import LISTED, group_in_words
 
 _NO_FREEDOM = (
     "as many unknowns as measured values: residuals vanish whatever the machine is, and show "
@@ -281,7 +281,7 @@ def _rank(found: Forecast) -> list[str]:
     """Return what is not determined: first what is no fault of the plan, then what is."""
     rank, count = found.rank, found.gauge.shape[1]
     start = f"rank {rank.rank} of {rank.n_params}"
-    groups = rank.sentences
+    groups = [group_in_words(group) for group in rank.groups]
     lines = [start if count else f"{start}, condition {rank.condition:.3g}"]
     if count:
         which = f" ({groups[0]})" if len(groups) == 1 else ""

@@ -16,7 +16,8 @@ from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
 from pincal.show.summary import drift_lines, forecast_lines
 from pincal.words.numbers import STORED
-from pincal.words.table import Cell, Column, Quantity, Table, UnitOf, Value, columns
+from pincal.words.selection import mapped_diagonals
+from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty, UnitOf, Value, columns
 from pincal.workspace.articular import ArticularSymmetry
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.positions import Grid
@@ -53,7 +54,7 @@ def selection_table(selection: Selection) -> Table:
             (
                 "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
                 "O1: of the unweighted Jacobian, over the number of parameters",
-                *selection.remarks,
+                *([mapped_diagonals(selection.diagonals_differ)] if selection.mapped else []),
             )
         ),
     )
@@ -127,7 +128,7 @@ def forecast_table(
     def cell(leg: str, name: str, unit: str) -> Value:
         if (std := errors.get((leg, name))) is None:
             return None
-        return Quantity(std, unit, std) if std < np.inf else Cell(std, "—")
+        return Uncertainty(std, unit) if std < np.inf else Cell(std, "—")
 
     return Table(
         f"{mechanism.name}: standard errors (1 σ) from {found.poses} poses, measured: "

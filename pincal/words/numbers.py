@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from math import floor, isfinite, log10, pi
 
 #: Units by name, and how many of each an SI unit is.
@@ -53,9 +52,14 @@ def amount(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = 
 def number(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
     """Return what ``amount`` does, without the unit; less than anybody measures is a bound."""
     shown, finest = shown_in(value, unit, units), _FINEST[units[unit]]
-    if units[unit] and 0.0 < abs(shown) < 0.5 * 10.0**-finest:
+    if units[unit] and _is_below(abs(value), unit, units):
         return _below(finest)
     return rounded(round(shown, finest) if units[unit] else shown, digits)
+
+
+def _is_below(value: float, unit: str, units: Mapping[str, str]) -> bool:
+    """Return whether a size is not zero, and the last digit that anybody measures shows zero."""
+    return 0.0 < shown_in(value, unit, units) < 0.5 * 10.0 ** -_FINEST[units[unit]]
 
 
 def _below(digits: int) -> str:
@@ -107,24 +111,20 @@ def capital(text: str) -> str:
     return text if named else f"{text[:1].upper()}{text[1:]}"
 
 
-@dataclass(frozen=True)
-class Measured:
-    """A number with its uncertainty, in SI."""
+def measured(value: float, half: float, unit: str = "1", units: Mapping[str, str] = VALUES) -> str:
+    """Return value ± uncertainty to two digits of the latter, with the unit: ``1.23 ± 0.45 mm``.
 
-    value: float
-    half: float
-    """Half width of its interval, or its standard error."""
-    unit: str = "1"
+    Without an uncertainty, the value to the digits of its unit.
 
-    def text(self, units: Mapping[str, str] = VALUES) -> str:
-        """Return value ± uncertainty to two digits of the latter, with the unit: ``1.23 ± 0.45``.
-
-        Without an uncertainty, the value to the digits of its unit.
-        """
-        if not self.half > 0.0 or not isfinite(self.half):
-            return f"{fixed(self.value, 0.0, self.unit, units)} {units[self.unit]}".strip()
-        value, half = (fixed(v, self.half, self.unit, units) for v in (self.value, self.half))
-        return f"{value} ± {half} {units[self.unit]}".strip()
+    Args:
+        value: In SI.
+        half: Half width of its interval, or its standard error, in SI.
+        unit: Of both.
+        units: In which they are read.
+    """
+    known = half > 0.0 and isfinite(half)
+    sure = f" ± {uncertainty(half, unit, units)}" if known else ""
+    return f"{fixed(value, half, unit, units)}{sure} {units[unit]}".strip()
 
 
 def uneven(down: float, up: float) -> bool:
@@ -135,14 +135,25 @@ def uneven(down: float, up: float) -> bool:
 def ends(down: float, up: float, unit: str, units: Mapping[str, str] = VALUES) -> str:
     """Return how far an interval goes down and up, to two digits of the less: ``-0.12 +0.15``.
 
+    Where both are less than anybody measures, one bound: ``± < 0.0001``.
+
     Args:
         down: From the value to the lower end, in SI; infinite if there is none.
         up: From the value to the upper end.
         unit: Of both.
         units: In which they are read.
     """
+    if _is_below(max(down, up), unit, units):
+        return f"± {uncertainty(max(down, up), unit, units)}"
     said = (fixed(one, min(down, up), unit, units) if isfinite(one) else "∞" for one in (down, up))
     return " ".join(f"{sign}{one}" for sign, one in zip("-+", said, strict=True))
+
+
+def uncertainty(half: float, unit: str, units: Mapping[str, str] = VALUES) -> str:
+    """Return an uncertainty of SI units to two digits; less than anybody measures is a bound."""
+    if _is_below(half, unit, units):
+        return _below(_FINEST[units[unit]])
+    return fixed(half, half, unit, units)
 
 
 def fixed(
@@ -154,8 +165,6 @@ def fixed(
 ) -> str:
     """Return a value of SI units, as it is read, to two digits of an uncertainty.
 
-    The uncertainty itself, where it is less than anybody measures, as a bound: ``< 0.0001``.
-
     Args:
         value: In SI.
         half: The uncertainty, in SI; 0 or infinite if there is none.
@@ -163,9 +172,7 @@ def fixed(
         units: In which they are read.
         sign: ``"+"`` to write the sign of what is positive too.
     """
-    scaled = shown_in(half, unit, units)
     known = half > 0.0 and isfinite(half)
-    digits = decimals(scaled, units[unit]) if known else _DIGITS[units[unit]]
-    if value == half and known and scaled < 0.5 * 10.0**-digits:
-        return _below(digits)
+    read = units[unit]
+    digits = decimals(shown_in(half, unit, units), read) if known else _DIGITS[read]
     return f"{shown_in(value, unit, units):{sign}.{digits}f}"

@@ -2,8 +2,8 @@
 
 ``finding("chi2-too-large", chi2=2.1, ...)`` makes a ``Finding`` and checks that it has the values
 which its sentence needs; ``sentence(found)`` says it. The codes are, with their values, titles
-and remedies, in ``pincal.words``: ``results``, ``parameters``, ``freedoms``, ``faults`` and
-``hypotheses``.
+and remedies, in ``pincal.words``: ``results``, ``rows``, ``parameters``, ``freedoms``, ``faults``
+and ``hypotheses``.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ from pincal.words.freedoms import FREEDOMS
 from pincal.words.hypotheses import HYPOTHESES, explanation
 from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
+from pincal.words.rows import ROWS
 from pincal.words.wording import Wording
 
 #: What is said of each code.
 WORDINGS: Mapping[str, Wording] = {
     **RESULTS,
+    **ROWS,
     **PARAMETERS,
     **FREEDOMS,
     **FAULTS,

@@ -1,8 +1,8 @@
 """Tables: columns and rows said once, shown in a terminal, on a page, as Markdown, as data.
 
-A cell is a number, a string, None, a ``Measured`` number with its uncertainty, or a ``Cell`` whose
-text is its own. Numbers are SI and stay so in ``records``; a column's unit says in what they are
-read. Headers say that unit: ``rms [mm]``.
+A cell is a number, a string, None, a ``Quantity`` or the like with its own unit, or a ``Cell``
+whose text is its own. Numbers are SI and stay so in ``records``; a column's unit says in what they
+are read. Headers say that unit: ``rms [mm]``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
-from pincal.words.numbers import SMALL, Measured, ends, fixed, rounded, shown_in
+from pincal.words.numbers import SMALL, ends, fixed, rounded, shown_in, uncertainty
 
 if TYPE_CHECKING:
     import pandas
@@ -50,6 +50,19 @@ class Quantity(NamedTuple):
         return fixed(self.value, self.half, self.unit, units, self.sign)
 
 
+class Uncertainty(NamedTuple):
+    """A standard error or half an interval, in SI units that are not those of its whole column."""
+
+    value: float
+    """Raw, SI; 0 or more."""
+    unit: str
+    """``"m"``, ``"rad"`` or ``"1"``."""
+
+    def text(self, units: Mapping[str, str]) -> str:
+        """Return it to two digits, or as a bound, in the unit in which it is read."""
+        return uncertainty(self.value, self.unit, units)
+
+
 class Ends(NamedTuple):
     """How far an interval goes down and up, in SI units that are not those of its whole column."""
 
@@ -74,7 +87,7 @@ class UnitOf(NamedTuple):
         return units[self.value]
 
 
-Value: TypeAlias = "float | str | Measured | Quantity | Ends | UnitOf | Cell | None"
+Value: TypeAlias = "float | str | Quantity | Uncertainty | Ends | UnitOf | Cell | None"
 
 
 @dataclass(frozen=True)
@@ -102,10 +115,8 @@ class Column:
             return ""
         if isinstance(value, Cell):
             return value.text
-        if isinstance(value, Quantity | Ends | UnitOf):
+        if isinstance(value, Quantity | Uncertainty | Ends | UnitOf):
             return value.text(self.units)
-        if isinstance(value, Measured):
-            return value.text(self.units) if not self.unit else value.text(self.units).split(" ")[0]
         if isinstance(value, str):
             return value
         if isinstance(value, int):
@@ -178,22 +189,16 @@ class Table:
         ]
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the rows as a pandas DataFrame, raw values in SI; uncertainties in own columns.
+        """Return the rows as a pandas DataFrame, raw values in SI.
 
         Raises:
             ImportError: pandas is not installed.
         """
         import pandas  # nothing else needs it
 
-        found = []
-        for row in self.rows:
-            record: dict[str, Any] = {}
-            for column, value in zip(self.columns, row, strict=True):
-                record[column.name] = _raw(value)
-                if isinstance(value, Measured):
-                    record[f"{column.name} ±"] = value.half
-            found.append(record)
-        return pandas.DataFrame(found, columns=None if found else [c.name for c in self.columns])
+        names = [column.name for column in self.columns]
+        rows = [[_raw(value) for value in row] for row in self.rows]
+        return pandas.DataFrame(rows, columns=names)
 
     def markdown(self) -> str:
         """Return the table as Markdown."""
@@ -246,15 +251,13 @@ class Table:
 
 def _raw(value: Value) -> float | str | None:
     """Return a value without its looks."""
-    if isinstance(value, (Measured, Quantity, Ends, UnitOf, Cell)):
+    if isinstance(value, (Quantity, Uncertainty, Ends, UnitOf, Cell)):
         return value.value
     return value
 
 
 def _plain(value: Value) -> Any:
     """Return a value for JSON."""
-    if isinstance(value, Measured):
-        return {"value": _plain(value.value), "plus_minus": _plain(value.half)}
     raw = _raw(value)
     return None if isinstance(raw, float) and not isfinite(raw) else raw
 

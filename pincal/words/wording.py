@@ -59,6 +59,12 @@ def _with(words: Words, found: Finding) -> str:
     return words.format(**said)
 
 
+def group_in_words(group: tuple[str, ...]) -> str:
+    """Return which parameters move together, by ids; one that is alone has no effect."""
+    *first, last = group
+    return f"{', '.join(first)} and {last} move together" if first else f"{last} has no effect"
+
+
 def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = LISTED) -> str:
     """Return which parameters move together, a list cut where it is long.
 
@@ -66,12 +72,7 @@ def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = LISTED) -> 
         groups: Ids of parameters; one that is alone has no effect.
         most: How many groups are listed.
     """
-    parts = [
-        f"{', '.join(group[:-1])} and {group[-1]} move together"
-        if len(group) > 1
-        else f"{group[0]} has no effect"
-        for group in groups
-    ]
+    parts = list(map(group_in_words, groups))
     if len(parts) > most + 1:
         parts[most:] = [f"and {len(parts) - most} more (result.json)"]
     return "; ".join(parts)

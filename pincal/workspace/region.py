@@ -23,7 +23,7 @@ from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import IDENTITY, Element, Isometry
-from pincal.words.numbers import Measured
+from pincal.words.numbers import measured
 from pincal.workspace.chunks import run
 from pincal.workspace.criteria import Margins, as_margins, refuse_readings
 from pincal.workspace.neighbours import at_edge, edges, part_around
@@ -192,7 +192,7 @@ class Workspace:
     @property
     def size(self) -> str:
         """Its measure to the digits that are known, with the unit."""
-        return f"{Measured(self.measure, self.uncertainty).text()} {self.unit}"
+        return f"{measured(self.measure, self.uncertainty)} {self.unit}"
 
     def __repr__(self) -> str:
         """Return the workspace in a line."""

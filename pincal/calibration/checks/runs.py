@@ -18,7 +18,7 @@ from pincal.errors import MeasurementError
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.words.numbers import chance
+from pincal.words.numbers import amount, chance
 from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
@@ -31,6 +31,8 @@ class RunComparison:
     runs: tuple[str, ...]
     names: tuple[str, ...]
     """``leg.parameter``, length n."""
+    units: tuple[str, ...]
+    """SI unit of each, ``"m"``, ``"rad"`` or ``"1"``."""
     values: Array
     """Identified in each run, shape (n_runs, n)."""
     spread: Array
@@ -48,14 +50,21 @@ class RunComparison:
             f"RunComparison({len(self.runs)} runs, ratio {self.ratio:.2f}, {chance(self.p_value)})"
         )
 
+    @property
+    def worst(self) -> tuple[int, ...]:
+        """The three parameters that spread most for their standard errors, the first most."""
+        known = np.where(self.predicted > 0.0, self.predicted, np.inf)
+        return tuple(np.argsort(-self.spread / known, kind="stable")[:3].tolist())
+
     def __str__(self) -> str:
-        worst = int(np.argmax(self.spread / np.where(self.predicted > 0, self.predicted, np.inf)))
+        first = self.worst[0]
+        unit = self.units[first]
+        spread, predicted = amount(self.spread[first], unit), amount(self.predicted[first], unit)
         lines = [
             f"{len(self.runs)} runs: {', '.join(self.runs)}",
             f"parameters spread {self.ratio:.2f} times as much as their standard errors say "
             f"({chance(self.p_value)})",
-            f"{self.names[worst]} most: spread {self.spread[worst]:.3g}, predicted "
-            f"{self.predicted[worst]:.3g}",
+            f"{self.names[first]} most: spread {spread}, predicted {predicted}",
         ]
         return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
 
@@ -69,8 +78,7 @@ class RunComparison:
         """What to know first."""
         if self.agree:
             return ()
-        off = np.argsort(-self.spread / np.where(self.predicted > 0.0, self.predicted, np.inf))[:3]
-        worst = [self.names[i] for i in off]
+        worst = [self.names[i] for i in self.worst]
         return (finding("runs-differ", parameters=worst, ratio=self.ratio, p_value=self.p_value),)
 
 
@@ -125,6 +133,7 @@ def runs_compared(calibration: Calibration) -> RunComparison:
     return RunComparison(
         runs=names,
         names=tuple(f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names),
+        units=tuple(leg.units[name] for leg in mechanism.legs for name in leg.parameter_names),
         values=found,
         spread=found.std(axis=0, ddof=1),
         predicted=np.sqrt(np.einsum("rii->ri", C).mean(axis=0)),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
@@ -14,9 +13,9 @@ import typer
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.checked import checked
-from pincal.calibration.checks.folds import FOLDS
+from pincal.calibration.checks.folds import FOLDS, By
 from pincal.calibration.checks.wrong_rows import wrong_rows
-from pincal.calibration.options import Options
+from pincal.calibration.options import Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json
 from pincal.cli.app import (
@@ -34,6 +33,8 @@ from pincal.cli.app import (
 )
 from pincal.cli.options import SetupOptions, TableOptions, with_unit
 from pincal.errors import MeasurementError, MisfitError
+from pincal.estimation.conditions.leg_condition import Residual
+from pincal.estimation.residuals.losses import LossName
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurements import read_measurements
@@ -49,52 +50,8 @@ from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import counted
 from pincal.words.table import Table
 
-
-class Method(StrEnum):
-    """Which parameters were identified at once, as version 0.1 said it."""
-
-    per_leg = "per-leg"
-    together = "together"
-    latent = "latent"
-
-
-class Residual(StrEnum):
-    """What is minimised."""
-
-    closure = "closure"
-    joint = "joint"
-
-
-class Poses(StrEnum):
-    """Which poses serve a leg."""
-
-    own = "own"
-    all = "all"
-
-
-class Robust(StrEnum):
-    """What becomes of rows that do not fit the others."""
-
-    none = "none"
-    huber = "huber"
-    cauchy = "cauchy"
-    tukey = "tukey"
-    reject = "reject"
-
-
-class Intervals(StrEnum):
-    """Where 95 % intervals end."""
-
-    wald = "wald"
-    profile = "profile"
-
-
-class HeldOut(StrEnum):
-    """Which rows are held out together."""
-
-    region = "region"
-    turn = "turn"
-    run = "run"
+#: Which parameters were identified at once, as version 0.1 said it.
+OldMethod = Literal["per-leg", "together", "latent"]
 
 
 @dataclass(frozen=True)
@@ -105,10 +62,10 @@ class MethodOptions:
         bool,
         typer.Option("--per-leg", help="Each leg alone, poses as measured: the papers' way."),
     ] = False
-    method: Annotated[Method | None, typer.Option(hidden=True)] = None
+    method: Annotated[OldMethod | None, typer.Option(hidden=True)] = None
     residual: Annotated[
         Residual, typer.Option(help="Whitened loop closure, or readings as in the papers.")
-    ] = Residual.closure
+    ] = "closure"
     poses: Annotated[
         Poses | None,
         typer.Option(help="With --per-leg: for each leg the poses of its set (own), or all."),
@@ -117,14 +74,14 @@ class MethodOptions:
     @property
     def alone(self) -> bool:
         """Whether each leg is identified alone."""
-        return self.per_leg or self.method is Method.per_leg
+        return self.per_leg or self.method == "per-leg"
 
     def remark_replaced(self) -> None:
         """Say what replaces options of version 0.1."""
-        if self.method is Method.per_leg:
+        if self.method == "per-leg":
             remark("--method per-leg is now --per-leg")
         elif self.method is not None:
-            remark(f"--method {self.method.value} is now the default: leave it out")
+            remark(f"--method {self.method} is now the default: leave it out")
         if self.poses is not None and not self.alone:
             remark("--poses is for --per-leg; all legs at once use every pose")
 
@@ -174,8 +131,8 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
     """How to calibrate."""
 
     robust: Annotated[
-        Robust, typer.Option(help="Rows that do not fit count less, or are rejected.")
-    ] = Robust.none
+        LossName, typer.Option(help="Rows that do not fit count less, or are rejected.")
+    ] = "none"
     fix: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="Hold a parameter: l of every leg, leg_1.l of one."),
@@ -202,7 +159,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
     intervals: Annotated[
         Intervals,
         typer.Option(help="By standard errors, or by the profile of the cost: where curved."),
-    ] = Intervals.wald
+    ] = "wald"
     verbose: Annotated[
         bool, typer.Option("--verbose", help="Print all tables, and all that was found.")
     ] = False
@@ -214,8 +171,8 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
     ] = False
     folds: Annotated[int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")] = FOLDS
     by: Annotated[
-        HeldOut, typer.Option(help="What is held out together: regions, rows in turn, or runs.")
-    ] = HeldOut.region
+        By, typer.Option(help="What is held out together: regions, rows in turn, or runs.")
+    ] = "region"
 
     def calibration(self, mechanism: Mechanism, path: Path) -> Calibration:
         """Return the calibration to be done, by measurements in a file.
@@ -228,17 +185,17 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
         data = read_measurements(path, mechanism, setup, partial=not self.alone)
         options = Options(
             method="per-leg" if self.alone else "all-legs",
-            residual=self.residual.value,
-            poses="all" if self.poses is Poses.all else "own",
+            residual=self.residual,
+            poses=self.poses or "own",
             noise=self.of(mechanism, data, setup),
             setup=setup,
-            loss=self.robust.value,
+            loss=self.robust,
             fixed=tuple(self.fix or ()),
             tied=tuple(self.tie or ()),
             priors=_priors(self.prior or ()),
             rough=self.rough,
             hold_undetermined=self.hold_undetermined,
-            intervals=self.intervals.value,
+            intervals=self.intervals,
         )
         return Calibration(mechanism, data, options)
 
@@ -277,7 +234,7 @@ def calibrate(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
             )
             raise
-        result, said = checked(found, how.folds, how.by.value)
+        result, said = checked(found, how.folds, how.by)
         progress("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
         page = report(result, command=typed(), files=files, notes=said)

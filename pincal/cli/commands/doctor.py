@@ -19,7 +19,8 @@ from pincal.files.output import refuse_existing
 from pincal.files.tables.columns import unknown_columns
 from pincal.files.tables.measurement_writing import Columns, columns_of
 from pincal.files.tables.measurements import read_measurements
-from pincal.files.tables.table import Table, read_table, write_table
+from pincal.files.tables.table import Table, write_table
+from pincal.files.tables.table_reading import read_table
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.show.remedies import advice, remedy_table, tried

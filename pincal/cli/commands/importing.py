@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
@@ -41,7 +40,9 @@ from pincal.model.mechanism import Mechanism
 PROBING = "probing.csv"
 TREES = ("urdf", "mjcf")
 _LARGE = 20.0  # [m]
-SUFFIXES = {
+#: Whose file it is.
+Neighbour = Literal["urdf", "mjcf", "klipper", "reprap", "figaroh"]
+SUFFIXES: dict[str, Neighbour] = {
     ".cfg": "klipper",
     ".conf": "klipper",
     ".g": "reprap",
@@ -50,16 +51,6 @@ SUFFIXES = {
     ".xml": "mjcf",
     ".mjcf": "mjcf",
 }
-
-
-class Neighbour(StrEnum):
-    """Whose file it is."""
-
-    urdf = "urdf"
-    mjcf = "mjcf"
-    klipper = "klipper"
-    reprap = "reprap"
-    figaroh = "figaroh"
 
 
 @dataclass(frozen=True)
@@ -136,7 +127,7 @@ def import_(
     as probing.csv: readings are the ways of the carriages down from their endstops. Calibrate with
     'pincal calibrate OUT OUT/probing.csv'.
     """
-    whose = how.form or Neighbour(SUFFIXES.get(file.suffix.lower(), "figaroh"))
+    whose = how.form or SUFFIXES.get(file.suffix.lower(), "figaroh")
     for_trees = {"--loops": how.loops, "--platform": how.platform, "--tip": how.tip}
     for_trees["--base"] = how.base
     if whose in TREES:
@@ -146,7 +137,7 @@ def import_(
         return
     if said := [name for name, value in for_trees.items() if value is not None]:
         raise MechanismError(f"{said[0]} goes with URDF or MJCF, not with {file}")
-    if whose is Neighbour.figaroh:
+    if whose == "figaroh":
         _import_table(file, output, how, force=force)
         return
     if how.mech is not None:
@@ -159,7 +150,7 @@ def _import_printer(
 ) -> None:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
     refuse_existing(output, force=force, folder=YAML)
-    if whose is Neighbour.klipper:
+    if whose == "klipper":
         config = read_klipper(file)
         printer, remarks = config.printer, config.remarks
         heights, readings = config.heights, config.readings

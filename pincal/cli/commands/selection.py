@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -27,7 +26,7 @@ from pincal.design.forecast import forecast
 from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_reference, with_verification
 from pincal.design.select import Protocol, select_poses
-from pincal.design.select_configurations import select_configurations
+from pincal.design.select_configurations import Goal, select_configurations
 from pincal.errors import MeasurementError, MechanismError, ObservabilityError, SymmetryError
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurement_writing import write_poses
@@ -44,13 +43,6 @@ from pincal.words.table import Table
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 _CONFIGURATIONS = 3000  # candidates, where all parameters are looked at together
-
-
-class Goals(StrEnum):
-    """What poses are best for."""
-
-    parameters = "parameters"
-    platform = "platform"
 
 
 @dataclass(frozen=True)
@@ -79,8 +71,8 @@ class Candidates:
         ),
     ] = None
     goal: Annotated[
-        Goals, typer.Option(help="Best for the parameters, or for the calibrated platform.")
-    ] = Goals.parameters
+        Goal, typer.Option(help="Best for the parameters, or for the calibrated platform.")
+    ] = "parameters"
     starts: Annotated[int, typer.Option(min=1, help="Starts of the search; the best is kept.")] = 20
     verify: Annotated[
         int,
@@ -166,7 +158,7 @@ def select(
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
     refuse_existing(output, force=force)
-    part = how.measure is not None or not how.read().plain or how.goal is Goals.platform
+    part = how.measure is not None or not how.read().plain or how.goal == "platform"
     if mechanism.by_readings or part or how.collision is not None:
         if how.independent or how.symmetric or how.orbits or how.common:
             raise typer.BadParameter(
@@ -264,7 +256,7 @@ def _together(
         noise=noise,
         measured=how.measured(mechanism, setup),
         setup=setup,
-        goal=how.goal.value,
+        goal=how.goal,
         seed=how.seed,
         starts=how.starts,
         progress=progress,

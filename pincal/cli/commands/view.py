@@ -29,7 +29,7 @@ from pincal.errors import FileError, MeasurementError
 from pincal.files.mechanism_folders import is_folder, load_mechanism
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurements import read_measurements, read_poses
-from pincal.files.tables.table import read_table
+from pincal.files.tables.table_reading import read_table
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism

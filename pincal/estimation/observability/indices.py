@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from pincal.model.checks import ROUNDING
+from pincal.words.wording import group_in_words
 
 Array = NDArray[np.float64]
 RANK_TOLERANCE = 1e-9
@@ -103,23 +104,13 @@ class Identifiability:
         """Whether every parameter is determined."""
         return self.rank == self.n_params
 
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """What is not determined, a sentence for each lost rank."""
-        return tuple(
-            f"{group[0]} has no effect"
-            if len(group) == 1
-            else f"{', '.join(group[:-1])} and {group[-1]} move together"
-            for group in self.groups
-        )
-
     def describe(self) -> str:
         """Return what is not determined: ``leg_2.l and leg_2.L move together``."""
-        return "; ".join(self.sentences)
+        return "; ".join(map(group_in_words, self.groups))
 
     def __str__(self) -> str:
         start = f"rank {self.rank} of {self.n_params}, condition {self.condition:.3g}"
-        return "\n".join((start, *self.sentences))
+        return "\n".join((start, *map(group_in_words, self.groups)))
 
 
 def identifiability(C: Array, names: Sequence[str]) -> Identifiability:

@@ -9,7 +9,8 @@ from typing import Any
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.tables.covariances import covariance_headers
-from pincal.files.tables.table import Table, read_table
+from pincal.files.tables.table import Table
+from pincal.files.tables.table_reading import read_table
 from pincal.files.tables.units import COUNTS, UNITS
 from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism

@@ -1,18 +1,15 @@
-"""CSV tables whose headers carry units: ``x [mm]``, ``phi [deg]``, ``leg_1 [rad]``.
+"""Tables whose headers carry units: columns of text, their numbers in SI, and writing them.
 
-Values are SI and radians inside. What pincal writes it reads back bit for bit.
+Headers are ``x [mm]``, ``phi [deg]``, ``leg_1 [rad]``. What is written is read back bit for bit.
 """
 
 from __future__ import annotations
 
 import csv
-import io
-import logging
 import math
-import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.files.input import LARGEST_FILE, plain_number, read_bytes, read_text, why_no_number
+from pincal.files.input import plain_number, why_no_number
 from pincal.files.output import writing
 from pincal.files.tables.units import COUNTS, SI, UNITS, Units, scale_said
-from pincal.model.checks import LARGEST, must_be
+from pincal.model.checks import LARGEST
 
 Array = NDArray[np.float64]
-
-_HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
-_MOST_COLUMNS = 1000
-#: Files that are no text, and the extra of packages that reads them.
-_SHEETS = {".xlsx": "excel", ".xls": "excel", ".ods": "excel", ".parquet": "parquet"}
-_SEPARATORS = {";": "semicolons", "\t": "tabs"}
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
-_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -124,137 +112,10 @@ class Table:
         return values
 
 
-def read_table(source: str | Path | Any) -> Table:
-    """Return the columns of a CSV file, or of a pandas DataFrame, as text; a table is as it is.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: no header, no rows, repeated columns, or rows of uneven length.
-    """
-    if isinstance(source, Table):
-        return source
-    if is_dataframe(source):
-        return _of_dataframe(source)
-    path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
-    extra = _SHEETS.get(path.suffix.lower())
-    if extra is not None:
-        frame = _sheet(path, extra)
-        if extra == "parquet":
-            return replace(_of_dataframe(frame), path=path)
-        columns = [list(map(_text, frame[name].tolist())) for name in frame]
-        filled = [column for column in columns if any(cell.strip() for cell in column)]
-        cells = map(list, zip(*filled, strict=True))
-        return _of_rows(path, enumerate(cells, 1), "row", "")
-    text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True, otherwise="cp1252")
-    separator = _separator(text)
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
-    try:
-        said = None if separator == "," else f"cells separated by {_SEPARATORS[separator]}"
-        return _of_rows(path, ((reader.line_num, row) for row in reader), "line", said)
-    except csv.Error as error:
-        raise MeasurementError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
-
-
-def _of_rows(
-    path: Path, lines: Iterable[tuple[int, list[str]]], counted: str, said: str | None
-) -> Table:
-    """Return a table of numbered rows of cells: blank ones, headers, and what is below.
-
-    Args:
-        path: The file.
-        lines: Number and cells of each.
-        counted: What the numbers count, ``"line"`` or ``"row"``.
-        said: What to say of how cells are separated; None if by commas, which no decimal then has.
-    """
-    filled = ((n, row) for n, row in lines if any(cell.strip() for cell in row))
-    top, header = next(filled, (0, []))
-    if not header:
-        raise MeasurementError(f"{path}: empty; expected a header line and rows")
-    units, numbers, rows = _header(path, header, top, counted), [], []
-    for number, row in filled:
-        if len(row) != len(header):
-            raise MeasurementError(f"{path}{_uneven(row, number, header, top)}")
-        rows.append(row)
-        numbers.append(number)
-    if not rows:
-        raise MeasurementError(f"{path}: a header but no rows")
-    notes = [said] if said else []
-    notes += ["decimal commas"] if said is not None and _with_points(rows) else []
-    if notes:
-        _log.info("%s: %s", path, ", ".join(notes))
-    columns = zip(*rows, strict=True)
-    text = dict(zip(units, map(list, columns), strict=True))
-    return Table(path, units, text, numbers, counted)
-
-
-def _sheet(path: Path, extra: str) -> Any:
-    """Return the first sheet of a spreadsheet, headers among its rows, or a Parquet file.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: it is none of its kind, or the package that reads it is not installed.
-    """
-    read_bytes(path, LARGEST_FILE["table"], MeasurementError)
-    try:
-        import pandas
-
-        if extra == "parquet":
-            return pandas.read_parquet(path)
-        return pandas.read_excel(path, engine="calamine", header=None, na_filter=False)
-    except ImportError as error:
-        raise MeasurementError(
-            f"{path}: such files are read with the extra {extra!r}: python -m pip install "
-            f"'pincal[{extra}]'; or save the table as CSV"
-        ) from error
-    except Exception as error:  # each package has its own
-        kind = path.suffix.lower()
-        raise MeasurementError(f"{path}: no {kind} file: {str(error)[:200]}") from error
-
-
-def _separator(text: str) -> str:
-    """Return what separates cells: commas, unless the header has none but semicolons or tabs."""
-    header = next((line for line in text.splitlines() if line.strip()), "")
-    if "," in header:
-        return ","
-    return next((one for one in _SEPARATORS if one in header), ",")
-
-
-def _with_points(rows: list[list[str]]) -> bool:
-    """Write decimal points for decimal commas if no cell has points; return whether it was so."""
-    cells = [cell for row in rows for cell in row]
-    commas = any(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in cells)
-    if not commas or any(_DECIMAL_POINT.fullmatch(cell.strip()) for cell in cells):
-        return False
-    for row in rows:
-        row[:] = [
-            cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
-            for cell in row
-        ]
-    return True
-
-
 def is_dataframe(value: object) -> bool:
     """Return whether something is a pandas DataFrame; pandas is not imported for it."""
     pandas = sys.modules.get("pandas")
     return pandas is not None and isinstance(value, pandas.DataFrame)
-
-
-def _of_dataframe(frame: Any) -> Table:
-    path = Path("DataFrame")
-    units = _header(path, [str(name) for name in frame.columns], 1, "line")
-    if frame.empty:
-        raise MeasurementError(f"{path}: no rows")
-    columns = (list(map(_text, frame.iloc[:, i].tolist())) for i in range(len(units)))
-    rows = list(range(1, len(frame) + 1))
-    return Table(path, units, dict(zip(units, columns, strict=True)), rows, "row")
-
-
-def _text(value: object) -> str:
-    """Return a cell of a DataFrame as it would be in a file."""
-    if isinstance(value, float):
-        return _cell(value)
-    missing = value is None or type(value).__name__ in ("NAType", "NaTType")
-    return "" if missing else str(value)
 
 
 def dataframe(columns: Mapping[str, Iterable[float] | Iterable[str]]) -> Any:
@@ -270,46 +131,6 @@ def dataframe(columns: Mapping[str, Iterable[float] | Iterable[str]]) -> Any:
             "a DataFrame needs the package pandas: python -m pip install 'pincal[pandas]'"
         ) from error
     return pandas.DataFrame({name: list(values) for name, values in columns.items()})
-
-
-def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
-    """Return what is wrong with a row that is not as long as the header."""
-    if any(_HEADER.search(cell) for cell in row) or (len(header) == 1 and len(row) > 2):
-        return (
-            f", line {top} is taken for the header ({', '.join(header)[:60]!r}), but line {line} "
-            f"has {len(row)} cells; remove the lines above the header, or comments and titles"
-        )
-    if len(row) > len(header) and not any(cell.strip() for cell in row[len(header) :]):
-        return (
-            f", line {line}: {len(row)} cells under {len(header)} headers, the last ones empty; "
-            "remove the commas at the end of the row"
-        )
-    return (
-        f", line {line}: {len(row)} cells under {len(header)} headers; separate cells by commas, "
-        "decimals by points"
-    )
-
-
-def _header(path: Path, header: Sequence[str], line: int, counted: str) -> dict[str, str | None]:
-    if len(header) > _MOST_COLUMNS:
-        raise MeasurementError(f"{path}: {len(header)} columns; more than {_MOST_COLUMNS}")
-    units: dict[str, str | None] = {}
-    if nameless := [index + 1 for index, cell in enumerate(header) if not cell.strip()]:
-        raise MeasurementError(
-            f"{path}: column {nameless[0]} has no header in {counted} {line}, which is taken for "
-            f"the headers; name the column or remove it, and remove {counted}s above the headers"
-        )
-    for cell in header:
-        name, bracket, unit = (part.strip() for part in cell.strip().partition("["))
-        inner = unit.removesuffix("]")
-        if not name or set("[]") & {*name, *inner} or bool(bracket) != (inner != unit):
-            raise MeasurementError(
-                f"{path}: header {cell[:100]!r} is not a name with a unit, such as 'x [mm]'"
-            )
-        if name in units:
-            raise MeasurementError(f"{path}: column {name[:100]!r} appears twice")
-        units[name] = inner.strip() if bracket else None
-    return units
 
 
 def write_table(
@@ -337,11 +158,12 @@ def write_table(
         writer = csv.writer(file, lineterminator="\n")
         columns = units.written(columns)
         writer.writerow(columns)
-        cells = (map(_cell, values) for values in columns.values())
+        cells = (map(cell_of, values) for values in columns.values())
         writer.writerows(zip(*cells, strict=True))
 
 
-def _cell(value: float | str) -> str:
+def cell_of(value: float | str) -> str:
+    """Return a value as it is written; none is an empty cell."""
     if isinstance(value, str):
         return value
     return "" if math.isnan(value) else repr(float(value))
