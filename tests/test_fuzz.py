@@ -23,8 +23,8 @@ from test_formats import CONFIG
 import pincal
 from pincal.calibration import result_files
 from pincal.errors import PincalError
-from pincal.files import measurements
 from pincal.files.mechanism_folders import bundled
+from pincal.files.tables import measurements
 from pincal.files.tables.measurement_writing import write_readings
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.delta import DeltaPrinter, Expressed

@@ -201,7 +201,7 @@ def test_stewart_platform_with_positions_of_one_reflector(tmp_path: Path) -> Non
     assert own.types("calibrate", "6UPS", csv, *unknown, "-o", result).code == 0
     (tmp_path / "goals.csv").write_text(
         "x [mm],y [mm],z [mm],yaw [deg],pitch [deg],roll [deg]\n"
-        "10,20,1500,2,0,1\n-50,30,1450,0,2,0\n40,-60,1520,-2,1,0\n"
+        "10,20,1850,2,0,1\n-50,30,1800,0,2,0\n40,-60,1870,-2,1,0\n"
     )
     command = tmp_path / "command.csv"
     assert own.types("inverse", result, tmp_path / "goals.csv", "-o", command).code == 0
