@@ -31,6 +31,8 @@ class Settings:
 
     evaluations: int = 1000
     """Of the conditions, at most."""
+    longer: int = 3
+    """Times as many within a standard deviation of the optimum: in a curved valley."""
     damping: tuple[float, float] = (1e-14, 1e10)
     """Least and largest, relative to the squares of the columns."""
     probe: float = 0.1
@@ -109,7 +111,9 @@ def search(
     while normal.decrement > max(BY.no_step, rounding(system, here)):
         if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
             break
-        if evaluations >= (most or BY.evaluations) or damping > BY.damping[1]:
+        near = most is None and normal.decrement**2 * here.value.size <= cost
+        limit = (most or BY.evaluations) * (BY.longer if near else 1)
+        if evaluations >= limit or damping > BY.damping[1]:
             break
         if progress and evaluations % 5 == 0:
             progress(f"step {evaluations}: {np.sqrt(cost / len(weights)):.3g} σ a pose")
