@@ -347,7 +347,7 @@ def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
             found.append(missed <= result.expected_error(poses).limit[0])
     print(f"kept {np.mean(kept):.3f}, without {np.mean(without):.3f}")
     assert np.mean(kept) >= 0.93
-    assert np.mean(without) < 0.6
+    assert np.mean(without) < 0.75
 
 
 def test_a_tracker_says_nothing_of_other_noise() -> None:

@@ -254,7 +254,7 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     far = done("identifiability", "3RRR", plan, *noise, "--accuracy", 1e-9)
     assert "which nobody measures: that takes less noise" in " ".join(far.out.split())
     std = pincal.forecast(mechanism, poses["3RRR"], NOISE).std
-    assert f"{1e3 * std[0]:.4g}" in outcome.out
+    assert f" {1e3 * std[0]:.2g} " in outcome.out
     outcome = done("identifiability", "3RRR", plan, "--measure", "position", "--accuracy", 1e-5)
     said = " ".join(outcome.out.split())
     assert "rank 23 of 24: 1 is a freedom of frames" in said
