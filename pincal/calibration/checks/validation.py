@@ -134,6 +134,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     every = bool((groups >= 0).all())  # rows to verify with are in no fit
     total = sum(one.fit.chi2 for one in whole.fits) if every else None
     count = int(groups.max()) + 1
+    sure = np.inf if calibration.noise.known else confidence(whole).least or np.inf
     parts: list[_Predicted] = []
     misfits: list[Array] = []
     chances = []
@@ -143,7 +144,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         found = _converged(seen, f"fold {fold + 1} of {count}")
         unseen = calibration.rows(groups == fold)
         own = [_Predicted.of(one, linear) for one, linear in _predictions(found, unseen)]
-        chances.append(_chance(found, own, total))
+        chances.append(_chance(found, own, total, sure))
         parts += own
         misfits.append(_misfit(unseen, found))
     equations = sum(one.equations for one in parts)
@@ -190,7 +191,9 @@ def _converged(calibration: Calibration, what: str) -> Fits:
     return found
 
 
-def _chance(found: Fits, parts: Sequence[_Predicted], total: float | None) -> float:
+def _chance(
+    found: Fits, parts: Sequence[_Predicted], total: float | None, sure: float = np.inf
+) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
     χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
@@ -201,6 +204,8 @@ def _chance(found: Fits, parts: Sequence[_Predicted], total: float | None) -> fl
         found: The fits of the rows seen.
         parts: What they predict of the others.
         total: χ² of all rows at this noise; by the first order if not given.
+        sure: Fewest degrees of freedom with which estimated noise is known: the variance of one
+            group may be known less well than the scale of all.
     """
     equations = sum(one.equations for one in parts)
     fits = [one.fit for one in found.fits]
@@ -210,10 +215,12 @@ def _chance(found: Fits, parts: Sequence[_Predicted], total: float | None) -> fl
     inside = sum(one.statistic for one in parts) if total is None else max(total - seen, 0.0)
     ratio, own = inside / equations, seen / max(dof, 1)
     if found.calibration.noise.known:
-        sure = confidence(found).of_chi2
-        if exceeded(own, share * dof, sure) >= UNEXPLAINED:  # else the noise is not as given
-            return exceeded(ratio, share * equations, sure)
-    return exceeded(ratio / own, share * equations, share * dof) if own > 0.0 else 1.0
+        known = confidence(found).of_chi2
+        if exceeded(own, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
+            return exceeded(ratio, share * equations, known)
+    if not own > 0.0:
+        return 1.0
+    return exceeded(ratio / own, share * equations, min(share * dof, sure))
 
 
 @dataclass(frozen=True)
