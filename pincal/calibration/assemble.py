@@ -47,7 +47,8 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     covariance, outer = by**2 * covariance, None if outer is None else by**2 * outer
     G = systematic(found)
     n = len(covariance)
-    covariance = covariance + G[:n] @ G[:n].T
+    off = G[:n] @ G[:n].T
+    covariance = covariance + off
     outer = None if outer is None else outer + G[n:] @ G[n:].T
     sizes = [len(leg.parameters) for leg in mechanism.legs]
     variances = np.split(np.diagonal(covariance), np.cumsum(sizes)[:-1])
@@ -66,7 +67,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         legs=legs,
         external=_external(found, outer, sure),
         covariance=covariance,
-        systematic=G[:n] @ G[:n].T if G.size else None,
+        systematic=off if G.size else None,
         noise=_noise(calibration, chi2),
         noise_source=calibration.noise.source,
         degrees_of_freedom=dof,

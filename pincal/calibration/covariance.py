@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.fits import Fits
+from pincal.estimation.linear import Orthonormal
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 
 def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
     """Return the covariance of all legs' parameters in the mechanism's order, shape (n, n)."""
-    n = sum(len(leg.parameters) for leg in mechanism.legs)
+    n = len(mechanism.parameters)
     covariance = np.zeros((n, n))
     parts = []
     for robust in fits:
@@ -67,10 +68,7 @@ def chi2_freedoms(fits: Sequence[Robust]) -> float:
         used = np.flatnonzero(one.good)
         J = one.last.jacobian[used] @ one.unknowns.map
         _, prior = one.unknowns.prior_rows(one.unknowns.start)
-        flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
-        size = np.linalg.norm(flat, axis=0)
-        R = np.asarray(np.linalg.qr(flat / size, mode="r"))
-        Q = np.linalg.solve(R.T, (J / size).transpose(0, 2, 1)).transpose(0, 2, 1)
+        Q = Orthonormal.of(J, prior)(J)
         last = one.problem.reading_columns[-1].stop
         W = one.last.white.by_noise[used, :, last : last + one.problem.platform.dof]
         parts.append((robust.rows[used], Q, W))
@@ -119,7 +117,7 @@ def systematic(found: Fits) -> Array:
     nothing is uncertain so.
     """
     calibration, mechanism = found.calibration, found.calibration.mechanism
-    seen, n = calibration.observation, sum(len(leg.parameters) for leg in mechanism.legs)
+    seen, n = calibration.observation, len(mechanism.parameters)
     if calibration.options.setup.systematic == Systematic():
         return np.zeros((n + len(seen.external), 0))
     if found.latent:
@@ -152,7 +150,7 @@ def systematic(found: Fits) -> Array:
 def covariances(found: Fits) -> tuple[Array, Array | None]:
     """Return the covariance of all legs' parameters, and of the external unknowns' steps."""
     mechanism = found.calibration.mechanism
-    n = sum(len(leg.parameters) for leg in mechanism.legs)
+    n = len(mechanism.parameters)
     if found.latent:
         full = found.fits[0].fit.covariance
         return full[:n, :n], full[n:, n:]

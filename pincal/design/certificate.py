@@ -17,13 +17,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.criteria import Parts, variance
-from pincal.design.exchange import Effort
 from pincal.errors import ObservabilityError
 from pincal.kinematics.inverse import CHUNK
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
-_EFFORT = Effort(exchanges=100, pool=400, rounds=100, tolerance=1e-4)
+
+
+@dataclass(frozen=True)
+class Generation:
+    """How candidates with weight are found, and how near to the best weights."""
+
+    first: int = 400
+    """Candidates that the first weights are on."""
+    multiplied: int = 30
+    """Multiplicative steps of these."""
+    small: float = 0.05
+    """Of the largest weight: those below are dropped before Newton's steps begin."""
+    newton: int = 100
+    """Steps between two looks at all candidates, at most."""
+    rounds: int = 100
+    """Looks at all, at most."""
+    tolerance: float = 1e-4
+    """Of the bound on det^(1/n), where it ends."""
+
+
+_BY = Generation()
 
 
 @dataclass(frozen=True)
@@ -68,19 +87,19 @@ def continuous_design(parts: Parts) -> ContinuousDesign:
     n = sum(one.shape[2] for one in rows)
     count = len(rows[0])
     seen = _variances(rows, tuple(np.eye(one.shape[2]) for one in rows))  # uniform: M = 1
-    pool = np.argsort(-seen, kind="stable")[: max(_EFFORT.pool, 4 * n)]
+    pool = np.argsort(-seen, kind="stable")[: max(_BY.first, 4 * n)]
     weights = np.zeros(count)
     weights[pool] = _multiplicative(tuple(one[pool] for one in rows))
-    for _ in range(_EFFORT.rounds):
+    for _ in range(_BY.rounds):
         support = np.flatnonzero(weights)
         weights[support] = _newton(tuple(one[support] for one in rows), weights[support])
         seen = _variances(rows, _inverse(rows, weights))
-        if seen.max() <= n * (1.0 + _EFFORT.tolerance):
+        if seen.max() <= n * (1.0 + _BY.tolerance):
             break
         worst = np.argpartition(-seen, min(2 * n, count - 1))[: 2 * n]
         worst = worst[seen[worst] > n]
-        weights *= 1.0 - _EFFORT.tolerance
-        weights[worst] += _EFFORT.tolerance / len(worst)
+        weights *= 1.0 - _BY.tolerance
+        weights[worst] += _BY.tolerance / len(worst)
     log_det = sum(float(np.linalg.slogdet(M)[1]) for M in _information(rows, weights)) + shift
     bound = log_det + n * float(np.log(max(1.0, seen.max() / n)))
     return ContinuousDesign(weights, seen, log_det, bound)
@@ -131,10 +150,10 @@ def _variances(rows: Parts, inverse: Parts) -> Array:
 def _multiplicative(rows: Parts) -> Array:
     """Return weights after steps wⱼ ← wⱼ dⱼ / n, small ones dropped: where Newton's steps begin."""
     weights = np.full(len(rows[0]), 1.0 / len(rows[0]))
-    for _ in range(30):
+    for _ in range(_BY.multiplied):
         weights = weights * _variances(rows, _inverse(rows, weights))
         weights /= weights.sum()
-    large = weights >= 0.05 * weights.max()
+    large = weights >= _BY.small * weights.max()
     ranks = [np.linalg.matrix_rank(one[large].reshape(-1, one.shape[2])) for one in rows]
     if all(rank == one.shape[2] for rank, one in zip(ranks, rows, strict=True)):
         weights[~large] = 0.0
@@ -148,11 +167,11 @@ def _newton(rows: Parts, weights: Array) -> Array:
     """
     weights = weights.copy()
     n = sum(one.shape[2] for one in rows)
-    for _ in range(_EFFORT.exchanges):
+    for _ in range(_BY.newton):
         used = np.flatnonzero(weights)
         own = tuple(one[used] for one in rows)
         hessian, gradient = _derivatives(own, weights[used])
-        if np.abs(gradient - n).max() <= 0.1 * _EFFORT.tolerance * n:
+        if np.abs(gradient - n).max() <= 0.1 * _BY.tolerance * n:
             break
         step = _step(hessian, gradient)
         falling = step < 0.0

@@ -164,22 +164,20 @@ def forecast(
     noise, setup, platform = as_noise(noise), as_setup(setup), mechanism.platform
     if not isinstance(method, str) or method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
-    followed = ~poses.verifying if isinstance(poses, Plan) else None
-    if isinstance(poses, Plan):
-        poses = poses.rows(~poses.verifying)  # no fit follows the others
-    legs = legs_at(mechanism, poses)
-    rows = np.ones_like(legs.reached) if followed is None else followed
-    when = np.linspace(-0.5, 0.5, len(rows))[rows][legs.reached]
+    every = as_plan(mechanism, poses)
+    plan = every.rows(~every.verifying)  # no fit follows the others
+    legs = legs_at(mechanism, plan)
+    when = np.linspace(-0.5, 0.5, len(every))[~every.verifying][legs.reached]
     if not len(legs.poses):
-        check_reached(mechanism, poses)
+        check_reached(mechanism, plan)
     if method == "per-leg":
         check_whole(mechanism, measured, setup)
-        found = each_leg(mechanism, as_plan(mechanism, poses), legs.reached, noise)
+        found = each_leg(mechanism, plan, legs.reached, noise)
     else:
         found = all_legs(legs, information_rows(mechanism, legs, noise, measured, setup))
     size = largest_size(mechanism.legs, platform)
-    plan = Plan(legs.poses, readings=legs.readings)
-    near = legs_at(mechanism, nearby(mechanism, plan, GENERIC, size))
+    reached = Plan(legs.poses, readings=legs.readings)
+    near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, size))
     there = platform.matrices(near.poses)
     gauge, lost = split_frames(platform, there, near.gain, found.lost, size)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it

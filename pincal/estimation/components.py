@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.linear import Orthonormal
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
 from pincal.model.measurements import Noise
@@ -189,10 +190,8 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
     U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
     r, J = linear.value[rows], linear.jacobian[rows] @ one.unknowns.map
     _, prior = one.unknowns.prior_rows(one.unknowns.start)
-    flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
-    size = np.linalg.norm(flat, axis=0)
-    R = np.asarray(np.linalg.qr(flat / size, mode="r"))
-    Q = np.linalg.solve(R.T, (J / size).transpose(0, 2, 1)).transpose(0, 2, 1)  # (N, m, n)
+    by = Orthonormal.of(J, prior)
+    Q = by(J)
     left = r - Q @ np.einsum("nmi,nm->i", Q, r)
     V = [part @ part.transpose(0, 2, 1) for part in U]
     VQ = [part @ Q for part in V]
@@ -209,5 +208,5 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
         ]
     )
     q = np.array([float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U])
-    back = np.linalg.solve(R.T, (one.unknowns.map / size).T)
+    back = by(one.unknowns.map).T
     return Normal(F, q, float((left**2).sum()), np.array(P), back)

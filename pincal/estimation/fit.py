@@ -40,6 +40,8 @@ class Fit:
     """Of the noise, as a robust loss estimates it; 1 without."""
     covariance: Array
     """Of all unknowns, shape (n, n); scaled by χ² if the noise was assumed."""
+    spread: Spread
+    """How it follows what rows are off by."""
     ranks: list[tuple[int, float]]
     """Rank and condition of each leg."""
     chi2: float
@@ -73,12 +75,6 @@ class Fit:
     def good(self) -> NDArray[np.bool_]:
         """Which rows take part and are no outliers, shape (N,)."""
         return _good(self.system, self.last, self.weights, self.scale)
-
-    @cached_property
-    def spread(self) -> Spread:
-        """How it follows what rows are off by."""
-        variance = self.chi2 / max(self.degrees_of_freedom, 1)
-        return Spread.of(self.system, self.last, self.weights, self.scale, variance)
 
     @cached_property
     def influence(self) -> Array:
@@ -159,6 +155,7 @@ def fit(
         weights=weights,
         scale=found.scale,
         covariance=covariance,
+        spread=spread,
         ranks=ranks,
         chi2=chi2,
         degrees_of_freedom=dof,

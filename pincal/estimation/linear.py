@@ -146,6 +146,28 @@ class Linear:
         return -(self.white.by_noise.transpose(0, 2, 1) @ self.jacobian)
 
 
+@dataclass(frozen=True)
+class Orthonormal:
+    """What makes columns of rows orthonormal: J = Q R, columns of J of unit length before."""
+
+    lengths: Array
+    """Of the columns of J, shape (n,)."""
+    R: Array
+    """Shape (n, n)."""
+
+    @classmethod
+    def of(cls, J: Array, beside: Array) -> Orthonormal:
+        """Return that of rows of poses, (N, m, n), and of others such as priors', (k, n)."""
+        flat = np.concatenate((J.reshape(-1, J.shape[2]), beside))
+        lengths = np.linalg.norm(flat, axis=0)
+        return cls(lengths, np.asarray(np.linalg.qr(flat / lengths, mode="r")))
+
+    def __call__(self, rows: Array) -> Array:
+        """Return Q of rows, of the same shape (…, n)."""
+        scaled = (rows / self.lengths).swapaxes(-1, -2)
+        return np.asarray(np.linalg.solve(self.R.T, scaled)).swapaxes(-1, -2)
+
+
 def joined(R: Array, rows: Array) -> Array:
     """Return R of the QR of rows below the R of others, empty where there are none yet."""
     both = np.concatenate((R, rows)) if R.size else rows

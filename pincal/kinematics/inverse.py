@@ -22,6 +22,7 @@ from pincal.kinematics.closed_forms import closed_form, wrapped
 from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.checks import ROUNDING
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
@@ -231,17 +232,21 @@ def inverse(mechanism: GivenMechanism, poses: Poses) -> InverseSolution:
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
 
 
+def beyond_limits(leg: Leg, joints: Array) -> Mask:
+    """Return which moving joints are outside their limits, of positions of shape (N, n_joints)."""
+    slack = ROUNDING * max(1.0, leg.size)
+    low = [joint.lower - slack if joint.limited else -np.inf for joint in leg.moving]
+    high = [joint.upper + slack if joint.limited else np.inf for joint in leg.moving]
+    with np.errstate(invalid="ignore"):  # where the leg does not close
+        return np.asarray((joints < low) | (joints > high))
+
+
 def outside_limits(mechanism: Mechanism, solution: InverseSolution) -> list[tuple[str, ...]]:
     """Return the joints of each pose that are outside their limits, as ``leg_1 slide``."""
     found: list[list[str]] = [[] for _ in solution.reached]
     for leg in mechanism.legs:
-        slack = ROUNDING * max(1.0, leg.size)
-        for joint, values in zip(leg.moving, solution.joints[leg.name].T, strict=True):
-            if joint.limited:
-                with np.errstate(invalid="ignore"):
-                    out = (values < joint.lower - slack) | (values > joint.upper + slack)
-                for row in np.flatnonzero(out):
-                    found[row].append(f"{leg.name} {joint.name}")
+        for row, place in np.argwhere(beyond_limits(leg, solution.joints[leg.name])):
+            found[row].append(f"{leg.name} {leg.moving[place].name}")
     return [tuple(one) for one in found]
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.inverse import CHUNK, close, matrix_chunks
+from pincal.kinematics.inverse import CHUNK, beyond_limits, close, matrix_chunks
 from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import (
     drive_margins,
@@ -110,11 +110,7 @@ class Criteria:
         closed = [close(leg, matrices) for leg in self._legs]
         with np.errstate(invalid="ignore"):
             for leg, one in zip(self._legs, closed, strict=True):
-                slack = ROUNDING * max(1.0, leg.size)
-                inside &= one.reached
-                for joint, value in zip(leg.leg.moving, one.joints.T, strict=True):
-                    if joint.limited:
-                        inside &= (value >= joint.lower - slack) & (value <= joint.upper + slack)
+                inside &= one.reached & ~beyond_limits(leg.leg, one.joints).any(axis=1)
             closures = [one.closure for one in closed]
             least = max(self.least.type1 - ROUNDING, _GRIP)
             inside &= (drive_margins(closures) >= least).all(axis=1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtrc, fdtrc
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.linear import Orthonormal
 from pincal.estimation.residuals.robust import Robust
 
 Array = NDArray[np.float64]
@@ -59,10 +60,8 @@ def _drawn(
     weights = (one.weights > 0.0)[:, None, None]
     J = np.where(weights, one.last.jacobian @ one.unknowns.map, 0.0)
     _, prior = one.unknowns.prior_rows(one.unknowns.start)
-    flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
-    size = np.linalg.norm(flat, axis=0)
-    R = np.asarray(np.linalg.qr(flat / size, mode="r"))
-    Q = np.linalg.solve(R.T, (J / size).transpose(0, 2, 1))  # (N, n, m)
+    by = Orthonormal.of(J, prior)
+    Q = by(J).transpose(0, 2, 1)
     roots, kept = [], []
     for fold in range(count):
         part = Q[folds == fold]
@@ -73,11 +72,7 @@ def _drawn(
     drawn = [random.standard_normal((_DRAWS, len(left))) for _, left in roots]
     taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
     if len(prior):
-        taken = (
-            taken
-            + random.standard_normal((_DRAWS, len(prior)))
-            @ np.linalg.solve(R.T, (prior / size).T).T
-        )
+        taken = taken + random.standard_normal((_DRAWS, len(prior))) @ by(prior)
     inside, own = np.empty((_DRAWS, count)), np.empty((_DRAWS, count))
     for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):
         e = u - taken @ root.T

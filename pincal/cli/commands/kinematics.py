@@ -132,20 +132,24 @@ def _warn_of_limits(
     pairs = zip(places, outside_limits(mechanism, solution), strict=True)
     found = [f"{place}: {', '.join(joints)}" for place, joints in pairs if joints]
     if found:
-        more = f"; and {len(found) - LISTED} more" if len(found) > LISTED else ""
         warn(
             f"{path}: {len(found)} of {len(places)} poses are outside the limits of joints; their "
-            f"readings are written all the same. {'; '.join(found[:LISTED])}{more}"
+            f"readings are written all the same. {_some(found)}"
         )
+
+
+def _some(lines: list[str]) -> str:
+    """Return the first lines, and how many more there are."""
+    more = f"; and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
+    return "; ".join(lines[:LISTED]) + more
 
 
 def _leave_if_lost(path: Path, places: list[str], reasons: list[str], what: str) -> None:
     """Leave with exit code 1, and say why, if some rows have no solution."""
     lost = [f"{place}: {why}" for place, why in zip(places, reasons, strict=True) if why]
     if lost:
-        more = f"; and {len(lost) - LISTED} more" if len(lost) > LISTED else ""
         warn(
             f"{path}: {len(lost)} of {len(places)} {what}s without a solution; their rows are "
-            f"empty, with the reason. {'; '.join(lost[:LISTED])}{more}"
+            f"empty, with the reason. {_some(lost)}"
         )
         raise typer.Exit(1)

@@ -85,6 +85,7 @@ def row_noise(
     covariance = sigma[:, :, None] ** 2 * np.eye(len(names))
     if setup.tracker is not None:
         for columns, points in _targets(place, data, setup, platform):
+            _check_level(setup.tracker, points)
             block = _of_tracker(setup.tracker, points, data)[:, : len(columns), : len(columns)]
             some = np.isfinite(block).all(axis=(1, 2))
             rows = np.flatnonzero(some)
@@ -92,18 +93,11 @@ def row_noise(
     for pair, values in data.covariances.items():
         first, second = pair.split(",")
         if first in place and second in place:
-            sigmas = (_sigma_of(data, platform, name) for name in (first, second))
-            known = np.isfinite(values) & np.logical_and(*map(np.isfinite, sigmas))
+            beside = (own.get(name, np.full(len(data), np.nan)) for name in (first, second))
+            known = np.isfinite([values, *beside]).all(axis=0)
             for i, j in ((place[first], place[second]), (place[second], place[first])):
                 covariance[known, i, j] = values[known]
     return _rooted(covariance, data)
-
-
-def _sigma_of(data: Measurements, platform: Platform, name: str) -> Array:
-    """Return the standard deviations that rows give of a quantity, shape (N,); NaN where none."""
-    if name in platform.freedoms and data.sigma_poses is not None:
-        return data.sigma_poses[:, platform.freedoms.index(name)]
-    return data.sigma_extra.get(name, np.full(len(data), np.nan))
 
 
 def _targets(
@@ -130,8 +124,6 @@ def _targets(
                 "some not; a tracker measures all of them (or give 'sigma_x' and the like instead "
                 "of the tracker)"
             )
-        if setup.tracker is not None:
-            _check_level(setup.tracker, points)
         found.append((np.array([place[name] for name in names]), points))
     return found
 

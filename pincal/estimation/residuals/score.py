@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.linear import Orthonormal
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 
 Array = NDArray[np.float64]
@@ -57,10 +58,7 @@ class _Residuals:
         used = np.flatnonzero(one.good)
         r, J = one.last.value[used], one.last.jacobian[used] @ one.unknowns.map
         _, prior = one.unknowns.prior_rows(one.unknowns.start)
-        flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
-        size = np.linalg.norm(flat, axis=0)
-        R = np.asarray(np.linalg.qr(flat / size, mode="r"))
-        Q = np.linalg.solve(R.T, (J / size).transpose(0, 2, 1)).transpose(0, 2, 1)
+        Q = Orthonormal.of(J, prior)(J)
         left = r - Q @ np.einsum("nmi,nm->i", Q, r)
         return cls(used, left, Q, float((left**2).sum()), one.degrees_of_freedom)
 
