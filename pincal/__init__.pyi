@@ -35,8 +35,9 @@ from .model.parameter import Parameter
 from .model.placement import Placement
 from .model.platform import Platform
 from .model.platform_kind import PlatformKind
-from .model.sensor import Sensor, Term
+from .model.sensor import Sensor
 from .model.setup import Distance, Setup, Target
+from .model.terms import Harmonic, Knot, Power, Share, Term
 from .model.uncertainty import Systematic, Tracker
 from .show.pictures.picture import picture
 from .show.view.view import view
@@ -58,9 +59,11 @@ __all__ = [
     "Element",
     "FileError",
     "Grid",
+    "Harmonic",
     "Inscribed",
     "Instrument",
     "Joint",
+    "Knot",
     "Leg",
     "Loss",
     "Margins",
@@ -78,9 +81,11 @@ __all__ = [
     "Plan",
     "Platform",
     "PlatformKind",
+    "Power",
     "Selection",
     "Sensor",
     "Setup",
+    "Share",
     "SymmetryError",
     "Systematic",
     "Target",

@@ -20,6 +20,7 @@ from pincal.estimation.noise import NoiseModel, noise_model
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import Unknowns, unknowns
+from pincal.kinematics.influences import influences_of
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
@@ -156,7 +157,15 @@ class Calibration:
         ]
         readings = np.where(measured, readings, usual)  # not used where not measured
         kind = "closure" if self.options.latent else self.options.residual
+        if self.influences is not None:
+            more = mechanism.influences_at(leg, self.influences[rows])
+            readings = np.hstack((readings, more))
         return LegCondition(mechanism.legs[leg], mechanism.platform, readings, kind, rows)
+
+    @cached_property
+    def influences(self) -> Array | None:
+        """What terms of sensors depend on, row by row, shape (N, n_influences); None if nothing."""
+        return influences_of(self.mechanism, self.measurements)
 
     @cached_property
     def latent_problem(self) -> Problem:

@@ -11,7 +11,8 @@ import yaml
 
 from pincal.errors import FileError, MechanismError, PincalError
 from pincal.files.output import writing
-from pincal.files.schema import FORMAT, LegSpec, MechanismSpec, read_spec
+from pincal.files.schema import FORMAT, LegSpec, MechanismSpec, SensorSpec, read_spec
+from pincal.files.terms import described, term_of
 from pincal.files.urdf import read_chain, read_points
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.model.checks import must_be
@@ -205,12 +206,17 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
     return Leg(
         name=spec.name,
         joints=tuple(described(joint) for joint in chain),
-        sensors=tuple(Sensor(**sensor.model_dump()) for sensor in spec.sensors),
+        sensors=tuple(_sensor(sensor, spec.name) for sensor in spec.sensors),
         parameters=tuple(spec.parameters.items()),
         point=described(point),
         tip=spec.tip,
         closes=spec.closes,
     )
+
+
+def _sensor(spec: SensorSpec, leg: str) -> Sensor:
+    terms = tuple(term_of(name, term, leg) for name, term in spec.terms.items())
+    return Sensor(**spec.model_dump(exclude={"terms"}), terms=terms)
 
 
 def _coordinate(item: dict[str, Any], leg: str, joint: str) -> Coordinate:
@@ -282,13 +288,8 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
     """Return a leg as plain data.
 
     Raises:
-        MechanismError: a term of a sensor, which is code.
+        MechanismError: a term of a sensor that is code.
     """
-    if own := [term.parameter for sensor in leg.sensors for term in sensor.terms]:
-        raise MechanismError(
-            f"{leg.name}: the sensor's term of {own[0]!r} is code, which a mechanism's folder does "
-            "not hold; save the mechanism without terms, and its parameters (mechanism.parameters)"
-        )
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",
@@ -297,7 +298,7 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
         **({} if leg.closes == "point" else {"closes": leg.closes}),
         "home": _Flow((joint.name, float(joint.home)) for joint in leg.moving),
         "sensors": [
-            _Flow(
+            (dict if sensor.terms else _Flow)(
                 joint=sensor.joint,
                 form=sensor.form,
                 gain=sensor.gain,
@@ -305,6 +306,7 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
                 direction=sensor.direction,
                 zero=sensor.zero if isinstance(sensor.zero, str) else float(sensor.zero),
                 **({} if (by := sensor.counts_per_unit) is None else {"counts_per_unit": by}),
+                **({"terms": _dump_terms(sensor, leg.name)} if sensor.terms else {}),
             )
             for sensor in leg.sensors
         ],
@@ -315,6 +317,10 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
             if joint.placement.coordinates
         },
     }
+
+
+def _dump_terms(sensor: Sensor, leg: str) -> dict[str, Any]:
+    return {term.parameter: _Flow(described(term, leg)) for term in sensor.terms}
 
 
 def _values(coordinate: Coordinate) -> Any:

@@ -20,6 +20,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
+from pincal.kinematics.influences import Influences, influence_columns
 from pincal.kinematics.inverse import CHUNK, close, sensor_law
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
@@ -61,7 +62,10 @@ class ForwardSolution:
 
 
 def forward(
-    mechanism: GivenMechanism, readings: Array, guess: Poses | None = None
+    mechanism: GivenMechanism,
+    readings: Array,
+    guess: Poses | None = None,
+    influences: Influences | None = None,
 ) -> ForwardSolution:
     """Return the poses of sensor readings, found from a guess in the assembly mode of home.
 
@@ -73,10 +77,12 @@ def forward(
         mechanism: The mechanism, at its nominal parameters.
         readings: Sensor readings, shape (N, n_readings), [rad] or [m], legs in order.
         guess: N poses near the solutions; the home pose if not given.
+        influences: What terms of sensors depend on, by column: see ``inverse``.
 
     Raises:
         MechanismError: readings or guess of a wrong shape, or not finite; a homed sensor and a
             home pose out of its leg's reach.
+        MeasurementError: an influence on which nothing depends, or of a wrong shape.
     """
     mechanism = as_mechanism(mechanism)
     readings = numbers_of(readings, "readings", MechanismError)
@@ -96,13 +102,16 @@ def forward(
     if len(transforms) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
     legs = nominal_legs(mechanism)
+    columns = influence_columns(mechanism, influences, len(readings))
+    known = [mechanism.known(leg, readings, columns) for leg in range(len(legs))]
     poses = np.full((len(readings), platform.dof), np.nan)
     gap = np.full((len(readings), len(legs)), np.nan)
     reasons: list[str] = []
     iterations = 0
     for begin in range(0, len(readings), CHUNK):
         rows = slice(begin, begin + CHUNK)
-        matrices, why, apart, steps = _solve(mechanism, legs, readings[rows], transforms[rows])
+        own = [one[rows] for one in known]
+        matrices, why, apart, steps = _solve(mechanism, legs, own, transforms[rows])
         found = np.array([not reason for reason in why], dtype=bool)
         poses[rows][found] = platform.from_matrices(matrices[found])
         gap[rows][found] = apart[found]
@@ -113,14 +122,17 @@ def forward(
 
 
 def _solve(
-    mechanism: Mechanism, legs: Sequence[LegClosure], readings: Array, guess: RigidTransform
+    mechanism: Mechanism, legs: Sequence[LegClosure], known: Sequence[Array], guess: RigidTransform
 ) -> tuple[Array, list[str], Array, int]:
-    """Return matrices, reasons, gaps and the number of steps for one chunk."""
-    matrices = placed_by_arm(mechanism, legs, readings)
+    """Return matrices, reasons, gaps and the number of steps for one chunk.
+
+    Known are, leg by leg, readings and influences.
+    """
+    matrices = placed_by_arm(legs, known)
     matrices = guess.as_matrix().copy() if matrices is None else matrices
     joints = [_joints_near(leg, matrices) for leg in legs]
-    for leg, columns, q in zip(legs, mechanism.reading_columns, joints, strict=True):
-        q[:, leg.leg.active] = sensor_law(leg).position(readings[:, columns])
+    for leg, own, q in zip(legs, known, joints, strict=True):
+        q[:, leg.leg.active] = sensor_law(leg).position(own)
     size = max(leg.size for leg in legs)
     open_ = np.ones(len(matrices), dtype=bool)
     steps = 0
@@ -148,16 +160,15 @@ def _solve(
     return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
 
 
-def placed_by_arm(
-    mechanism: Mechanism, legs: Sequence[LegClosure], readings: Array
-) -> Array | None:
+def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array | None:
     """Return the poses that follow from a leg whose every joint is read, shape (N, 4, 4).
 
-    None if there is no such leg, or it ends in a point.
+    None if there is no such leg, or it ends in a point. Known are, leg by leg, readings and
+    influences.
     """
-    for leg, columns in zip(legs, mechanism.reading_columns, strict=True):
+    for leg, own in zip(legs, known, strict=True):
         if leg.leg.is_arm:
-            return arm_poses(leg, readings[:, columns])
+            return arm_poses(leg, own)
     return None
 
 

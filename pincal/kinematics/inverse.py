@@ -20,6 +20,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import closed_form, wrapped
 from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
+from pincal.kinematics.influences import Influences, influence_columns
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
@@ -133,7 +134,8 @@ def sensor_law(leg: LegClosure) -> SensorLaw:
         zeros, slopes = _at_home(leg)
     else:
         zeros, slopes = np.zeros(len(sensors)), np.zeros((len(sensors), len(leg.parameters)))
-    return sensor_laws(sensors, leg.by_name, zeros, slopes)
+    columns = (*leg.leg.reading_names, *leg.leg.influences)
+    return sensor_laws(sensors, columns, leg.by_name, zeros, slopes)
 
 
 def _at_home(leg: LegClosure) -> tuple[Array, Array]:
@@ -205,19 +207,25 @@ class InverseSolution:
         return "\n".join([repr(self), *lines, *([f"  and {more} more"] if more > 0 else [])])
 
 
-def inverse(mechanism: GivenMechanism, poses: Poses) -> InverseSolution:
+def inverse(
+    mechanism: GivenMechanism, poses: Poses, influences: Influences | None = None
+) -> InverseSolution:
     """Return joints and readings of poses; NaN where a leg cannot reach in its working mode.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
         poses: N platform poses: coordinates, shape (N, dof), [m] and [rad], or transforms.
+        influences: What terms of sensors depend on, by column (``Mechanism.influences``): a number
+            for all poses, or one for each, shape (N,); at their reference if not given.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
             out of its leg's reach.
+        MeasurementError: an influence on which nothing depends, or of a wrong shape.
     """
     mechanism = as_mechanism(mechanism)
     placed = mechanism.platform.placed(poses)
+    columns = influence_columns(mechanism, influences, len(placed))
     laws = [sensor_law(leg) for leg in nominal_legs(mechanism)]
     count = len(placed)
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
@@ -226,8 +234,9 @@ def inverse(mechanism: GivenMechanism, poses: Poses) -> InverseSolution:
     for rows, _, closed in close_chunks(mechanism, placed):
         for index, (leg, law, one) in enumerate(zip(mechanism.legs, laws, closed, strict=True)):
             joints[leg.name][rows] = one.joints
-            columns = mechanism.reading_columns[index]
-            readings[rows, columns] = law.reading(one.joints[:, leg.active])
+            own = None if columns is None else mechanism.influences_at(index, columns[rows])
+            at = law.reading(one.joints[:, leg.active], own)
+            readings[rows, mechanism.reading_columns[index]] = at
             reached[rows, index] = one.reached
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
 

@@ -202,7 +202,7 @@ class Leg:
                 units[sensor.gain] = "1"
             if isinstance(sensor.offset, str):
                 units[sensor.offset] = unit
-            units |= {term.parameter: term.unit for term in sensor.terms}
+            units |= {term.parameter: term.unit or unit for term in sensor.terms}
         return units
 
     @property
@@ -217,6 +217,13 @@ class Leg:
         if len(self.sensors) == 1:
             return (self.name,)
         return tuple(sensor.joint for sensor in self.sensors)
+
+    @cached_property
+    def influences(self) -> tuple[str, ...]:
+        """Columns of the influence quantities on which the sensors' terms depend."""
+        named = zip(self.sensors, self.reading_names, strict=True)
+        found = (term.column(name) for sensor, name in named for term in sensor.terms)
+        return tuple(dict.fromkeys(name for name in found if name))
 
     @cached_property
     def home(self) -> Array:

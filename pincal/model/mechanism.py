@@ -55,6 +55,11 @@ class Mechanism:
                 f"mechanism {self.name!r}: a reading named {taken[0]!r} cannot be distinguished "
                 f"from that column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
             )
+        if taken := [name for name in self.influences if name in RESERVED or name in readings]:
+            raise MechanismError(
+                f"mechanism {self.name!r}: a term depends on {taken[0]!r}, which is another column "
+                "of tables; name the influence otherwise"
+            )
         if len(set(readings)) != len(readings):
             raise MechanismError(
                 f"mechanism {self.name!r}: names of readings repeat: {', '.join(readings)}; a "
@@ -108,6 +113,29 @@ class Mechanism:
     def reading_units(self) -> tuple[str, ...]:
         """Units of the readings, rad or m."""
         return tuple(unit for leg in self.legs for unit in leg.reading_units)
+
+    @cached_property
+    def influences(self) -> tuple[str, ...]:
+        """Columns of the influence quantities on which terms of sensors depend, of all legs."""
+        return tuple(dict.fromkeys(name for leg in self.legs for name in leg.influences))
+
+    def known(self, leg: int, readings: Array, influences: Array | None = None) -> Array:
+        """Return what is known of rows for a leg's sensors: its readings, then its influences.
+
+        Args:
+            leg: Index.
+            readings: Of all legs, shape (N, n_readings), [rad] or [m].
+            influences: Of all legs, shape (N, n_influences); at their reference if not given.
+
+        Returns:
+            Shape (N, n_active [+ n_influences of the leg]).
+        """
+        own = readings[:, self.reading_columns[leg]]
+        return own if influences is None else np.hstack((own, self.influences_at(leg, influences)))
+
+    def influences_at(self, leg: int, influences: Array) -> Array:
+        """Return the influences of one leg among those of all, shape (N, n_influences of it)."""
+        return influences[:, [self.influences.index(name) for name in self.legs[leg].influences]]
 
     @cached_property
     def counts(self) -> dict[str, float]:

@@ -85,7 +85,8 @@ def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
     units |= more
     units |= {f"sigma_{name}": unit for name, unit in units.items()}
     pairs = covariance_headers(dict.fromkeys((*platform.freedoms, *more), ""))
-    return {"set": "", "run": "", "pose": "", **dict.fromkeys(pairs, ""), **units}
+    named = ("set", "run", "pose", *pairs, *mechanism.influences)
+    return {**dict.fromkeys(named, ""), **units}
 
 
 def _nearly(column: str, name: str, unit: str) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError, MechanismError
+from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables.columns import Source, table_for
 from pincal.files.tables.covariances import read_covariances
@@ -16,6 +16,7 @@ from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
+from pincal.model.terms import OF_JOINTS
 
 Array = NDArray[np.float64]
 
@@ -28,8 +29,14 @@ def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
         readings = _readings(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
-    places = _names(table, "pose")
-    return Plan(poses, _sets(table, mechanism), readings, places=places, lines=table.file_lines)
+    return Plan(
+        poses,
+        _sets(table, mechanism),
+        readings,
+        places=_names(table, "pose"),
+        influences=_influences(table, mechanism),
+        lines=table.file_lines,
+    )
 
 
 def read_readings(path: Source, mechanism: GivenMechanism) -> Array:
@@ -43,12 +50,21 @@ def read_readings(path: Source, mechanism: GivenMechanism) -> Array:
     return _readings(table_for(path, mechanism), mechanism)
 
 
+def read_influences(path: Source, mechanism: Mechanism) -> dict[str, Array]:
+    """Return the columns on which terms of sensors depend, those that a file has.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: a cell that is no number; the message says where.
+    """
+    return _influences(table_for(path, mechanism), mechanism)
+
+
 def read_measurements(
     path: Source, mechanism: GivenMechanism, setup: Setup | None = None, *, partial: bool = False
 ) -> Measurements:
     """Return the measurements of a CSV file or DataFrame: see ``Measurements.from_csv``."""
     mechanism = as_mechanism(mechanism)
-    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
     polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
@@ -60,6 +76,12 @@ def read_measurements(
             "is in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
             "(--setup), or leave the column out"
         )
+    for name in mechanism.influences:
+        if name not in table and not name.startswith(OF_JOINTS):
+            raise MeasurementError(
+                f"{table.path}: no column {name!r}, on which terms of sensors depend; add it, or "
+                "leave these terms out of the mechanism"
+            )
     for name, whose in setup.required.items():
         if name not in table:
             raise MeasurementError(
@@ -95,6 +117,7 @@ def read_measurements(
             for column, name in named.items()
         },
         covariances=read_covariances(table, seen),
+        influences=_influences(table, mechanism),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
@@ -200,6 +223,11 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
 def _readings(table: Table, mechanism: Mechanism) -> Array:
     units = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
     return np.column_stack([table.numbers(name, unit) for name, unit in units])
+
+
+def _influences(table: Table, mechanism: Mechanism) -> dict[str, Array]:
+    """Return the columns on which terms of sensors depend, numbers as they stand."""
+    return {name: table.plain(name, blank=True) for name in mechanism.influences if name in table}
 
 
 def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
