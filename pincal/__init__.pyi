@@ -6,6 +6,7 @@ from .calibration.checks.validation import validate
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
+from .calibration.terms.explain import explain
 from .design.forecast import forecast
 from .design.select import Selection, select_poses
 from .design.select_configurations import select_configurations
@@ -100,6 +101,7 @@ __all__ = [
     "cyclic",
     "dihedral",
     "disturb",
+    "explain",
     "forecast",
     "forward",
     "free_of_collision",

@@ -20,7 +20,8 @@ from pincal.estimation.noise import NoiseModel, noise_model
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import Unknowns, unknowns
-from pincal.kinematics.influences import influences_of
+from pincal.kinematics.configurations import planned_influences
+from pincal.kinematics.influences import influence_columns
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
@@ -46,11 +47,21 @@ class Calibration:
 
     def __post_init__(self) -> None:
         _check_shapes(self.mechanism, self.measurements)
+        if set(self.mechanism.influences) - set(self.measurements.influences):
+            self._follow_influences()
         if self.options.residual == "joint" and self.mechanism.by_readings:
             raise MeasurementError(
                 f"readings of {self.mechanism.name!r} do not follow from its poses, so there is no "
                 "joint residual; take the closure residual (--residual closure)"
             )
+
+    def _follow_influences(self) -> None:
+        """Add columns of influences that follow from all rows in order, which parts do not know."""
+        columns = planned_influences(self.mechanism, self.measurements)
+        names = self.mechanism.influences
+        own = {} if columns is None else dict(zip(names, columns.T, strict=True))
+        data = replace(self.measurements, influences={**self.measurements.influences, **own})
+        object.__setattr__(self, "measurements", data)
 
     @property
     def shift(self) -> Array:
@@ -165,7 +176,9 @@ class Calibration:
     @cached_property
     def influences(self) -> Array | None:
         """What terms of sensors depend on, row by row, shape (N, n_influences); None if nothing."""
-        return influences_of(self.mechanism, self.measurements)
+        data = self.measurements
+        own = {name: data.influences[name] for name in self.mechanism.influences}
+        return influence_columns(self.mechanism, own, len(data))
 
     @cached_property
     def latent_problem(self) -> Problem:

@@ -46,6 +46,10 @@ class Options:
     """Parameters that have one value for all legs; the result tests whether that holds."""
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations with which nominal values are known, by name as above."""
+    terms: tuple[str, ...] = ()
+    """What sensors lack, added to the mechanism: ``"gravity"`` or ``"harmonics:1,2"`` of every
+    reading, ``"leg_1=backlash"`` of one, or a column such as ``"temperature"``; ``"auto"`` takes
+    those that pay on rows held out (see ``explain``)."""
     rough: bool = False
     """Whether the nominal mechanism is known so roughly that measurements need not look like its
     own; units, signs and the order of legs are then not checked."""
@@ -84,7 +88,7 @@ class Options:
                 "profile intervals of legs alone need poses measured in the base frame; identify "
                 "all legs at once (leave out --per-leg), or leave out --intervals profile"
             )
-        for name in ("fixed", "tied"):
+        for name in ("fixed", "tied", "terms"):
             given = getattr(self, name)
             if isinstance(given, str):
                 given = (given,)

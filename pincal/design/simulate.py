@@ -8,7 +8,7 @@ planned poses, every leg kept taut, and read there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward
-from pincal.kinematics.influences import influences_of
 from pincal.kinematics.inverse import inverse
 from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
@@ -132,7 +131,8 @@ def _driven(
     wanted, readings, reasons = command(mechanism, planned)
     driven = np.flatnonzero([not reason for reason in reasons])
     reasons = [reason and f"nominal mechanism: {reason}" for reason in reasons]
-    influences = influences_of(truth, planned.rows(driven), readings[driven])
+    commanded = replace(planned.rows(driven), readings=readings[driven])
+    influences = planned_influences(truth, commanded)
     solution = forward(truth, readings[driven], wanted[driven], influences)
     there = None if influences is None else np.full((len(reasons), influences.shape[1]), np.nan)
     if there is not None:
@@ -197,7 +197,8 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
     wanted, readings, reasons = command(model, plan)
     errors = np.full(wanted.shape, np.nan)
     driven = np.flatnonzero([not reason for reason in reasons])
-    influences = influences_of(truth, plan.rows(driven), readings[driven])
+    commanded = replace(plan.rows(driven), readings=readings[driven])
+    influences = planned_influences(truth, commanded)
     solution = forward(truth, readings[driven], wanted[driven], influences)
     reached = driven[solution.converged]
     errors[reached] = platform.twists_between(wanted[reached], solution.poses[solution.converged])

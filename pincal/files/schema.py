@@ -70,6 +70,15 @@ class PlatformSpec(Strict):
     home: dict[str, Number]
 
 
+class LoadSpec(Strict):
+    """What weighs on the mechanism."""
+
+    mass: Number = 0.0
+    centre: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    gravity: tuple[Number, Number, Number] = (0.0, 0.0, -9.81)
+    drawn: dict[str, Number] = Field(default_factory=dict)
+
+
 class MechanismSpec(Strict):
     """The whole file."""
 
@@ -78,6 +87,7 @@ class MechanismSpec(Strict):
     description: str = ""
     platform: PlatformSpec
     labels: dict[str, str] = Field(default_factory=dict)
+    load: LoadSpec | None = None
     legs: list[LegSpec] = Field(min_length=1)
 
 

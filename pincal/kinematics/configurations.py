@@ -15,16 +15,17 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.batches import least_squares
+from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demand
-from pincal.kinematics.forward import forward
+from pincal.kinematics.forward import forward, with_loads
 from pincal.kinematics.influences import influences_of
-from pincal.kinematics.inverse import InverseSolution, inverse, sensor_law
+from pincal.kinematics.inverse import InverseSolution, inverse
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.terms import APPROACH
+from pincal.model.terms import OF_JOINTS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -75,9 +76,11 @@ def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
     if not mechanism.influences:
         return None
     readings = plan.readings
-    if readings is None and any(name.startswith(APPROACH) for name in mechanism.influences):
+    if readings is None and any(name.startswith(OF_JOINTS) for name in mechanism.influences):
         readings = inverse(mechanism, plan.poses, influences_of(mechanism, plan)).readings
-    return influences_of(mechanism, plan, readings)
+    guess = plan.poses if np.isfinite(plan.poses).all() else None
+    found = influences_of(mechanism, plan, readings)
+    return found if readings is None else with_loads(mechanism, found, readings, guess)
 
 
 def home_of(mechanism: Mechanism) -> Plan:

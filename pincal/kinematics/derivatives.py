@@ -16,8 +16,8 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.closing import close, matrix_chunks, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.inverse import close, matrix_chunks, sensor_law
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses

@@ -19,18 +19,21 @@ from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
+from pincal.kinematics.closing import CHUNK, close, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
 from pincal.kinematics.influences import Influences, influence_columns
-from pincal.kinematics.inverse import CHUNK, close, sensor_law
+from pincal.kinematics.loads import gravity_loads
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.checks import numbers_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
+from pincal.model.terms import LOAD
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_WAY = 8  # steps on the way from home
 _NEWTON = Newton(steps=40, small=1e-9, largest=0.2, closed=1e-8)
 
 
@@ -102,7 +105,9 @@ def forward(
     if len(transforms) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
     legs = nominal_legs(mechanism)
-    columns = influence_columns(mechanism, influences, len(readings))
+    columns = with_loads(
+        mechanism, influence_columns(mechanism, influences, len(readings)), readings, guess
+    )
     known = [mechanism.known(leg, readings, columns) for leg in range(len(legs))]
     poses = np.full((len(readings), platform.dof), np.nan)
     gap = np.full((len(readings), len(legs)), np.nan)
@@ -119,6 +124,72 @@ def forward(
         iterations = max(iterations, steps)
     converged = np.array([not reason for reason in reasons], dtype=bool)
     return ForwardSolution(poses, converged, gap, iterations, tuple(reasons))
+
+
+def with_loads(
+    mechanism: Mechanism, influences: Array | None, readings: Array, guess: Poses | None = None
+) -> Array | None:
+    """Return columns of influences with the loads of joints, where they were not given.
+
+    They are those of the machine as drawn, at the poses to which these readings would take it: a
+    term depends on nothing but what a row says.
+
+    Args:
+        mechanism: The mechanism.
+        influences: Shape (N, n_influences), None if no term depends on any.
+        readings: Shape (N, n_readings), [rad] or [m].
+        guess: N poses near those of the readings; found from home if not given.
+
+    Raises:
+        MechanismError: readings that take the machine as drawn nowhere.
+    """
+    if influences is None or not needs_loads(mechanism, influences):
+        return influences
+    drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
+    poses = _reached(drawing, readings[known], None if guess is None else guess[known])
+    loads = np.full(readings.shape, np.nan)
+    loads[known] = gravity_loads(drawing, readings[known], drawing.platform.matrices(poses))
+    found = influences.copy()
+    for name in mechanism.loaded:
+        reading = mechanism.reading_names.index(name.removeprefix(f"{LOAD}_"))
+        found[:, mechanism.influences.index(name)] = loads[:, reading]
+    return found
+
+
+def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
+    """Return whether terms depend on loads of joints, and no row gives any."""
+    places = [mechanism.influences.index(name) for name in mechanism.loaded]
+    return bool(places) and not np.isfinite(influences[:, places]).any()
+
+
+def _reached(drawing: Mechanism, readings: Array, guess: Poses | None) -> Array:
+    """Return the poses of readings, from a guess or on the way from home, shape (N, dof).
+
+    Raises:
+        MechanismError: readings that take the machine nowhere.
+    """
+    platform = drawing.platform
+    near = np.tile(platform.home, (len(readings), 1))
+    if guess is not None:
+        near = platform.coordinates_of(guess)
+        solution = forward(drawing, readings, near)
+        if solution.converged.all():
+            return solution.poses
+    legs = nominal_legs(drawing)
+    at_home = [sensor_law(leg).reading(leg.leg.home[None, leg.leg.active]) for leg in legs]
+    home = np.concatenate(at_home, axis=1)
+    near = np.tile(platform.home, (len(readings), 1))
+    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
+        solution = forward(drawing, home + share * (readings - home), near)
+        near = np.where(solution.converged[:, None], solution.poses, near)
+    if not solution.converged.all():
+        row = int(np.argmin(solution.converged))
+        raise MechanismError(
+            f"the load of joints cannot be found: the readings {readings[row].tolist()} take "
+            f"{drawing.name!r}, as drawn, to no pose ({solution.reasons[row]}); give the loads as "
+            f"columns ({', '.join(f'{LOAD}_{name}' for name in drawing.reading_names)})"
+        )
+    return solution.poses
 
 
 def _solve(

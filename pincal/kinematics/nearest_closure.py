@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import product
+from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton
-from pincal.kinematics.inverse import sensor_law
 from pincal.kinematics.starts import start_joints
 
 Array = NDArray[np.float64]

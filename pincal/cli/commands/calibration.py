@@ -18,6 +18,7 @@ from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.options import Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json
+from pincal.calibration.terms.candidates import columns_said
 from pincal.cli.app import (
     Force,
     Mech,
@@ -145,6 +146,14 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
         list[str] | None,
         typer.Option(metavar="NAME=SIGMA", help="A nominal value known to SIGMA [m, rad or 1]."),
     ] = None
+    terms: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[LEG=]KIND",
+            help="What sensors lack: harmonics:1,2, polynomial, backlash, gravity, a column such "
+            "as temperature; auto: those that pay (see pincal explain).",
+        ),
+    ] = None
     rough: Annotated[
         bool,
         typer.Option("--rough", help="The nominal mechanism is known roughly: fewer checks."),
@@ -182,7 +191,10 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
         """
         setup = self.read()
         self.remark_replaced()
-        data = read_measurements(path, mechanism, setup, partial=not self.alone)
+        terms = tuple(self.terms or ())
+        data = read_measurements(
+            path, mechanism, setup, partial=not self.alone, influences=columns_said(terms)
+        )
         options = Options(
             method="per-leg" if self.alone else "all-legs",
             residual=self.residual,
@@ -193,6 +205,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             fixed=tuple(self.fix or ()),
             tied=tuple(self.tie or ()),
             priors=_priors(self.prior or ()),
+            terms=terms,
             rough=self.rough,
             hold_undetermined=self.hold_undetermined,
             intervals=self.intervals,

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
+from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.tables.columns import Source, table_for
+from pincal.files.tables.columns import Source, table_for, unknown_columns
 from pincal.files.tables.covariances import read_covariances
 from pincal.files.tables.table import Table
 from pincal.model.checks import must_be
@@ -61,9 +65,18 @@ def read_influences(path: Source, mechanism: Mechanism) -> dict[str, Array]:
 
 
 def read_measurements(
-    path: Source, mechanism: GivenMechanism, setup: Setup | None = None, *, partial: bool = False
+    path: Source,
+    mechanism: GivenMechanism,
+    setup: Setup | None = None,
+    *,
+    partial: bool = False,
+    influences: Collection[str] | None = (),
 ) -> Measurements:
-    """Return the measurements of a CSV file or DataFrame: see ``Measurements.from_csv``."""
+    """Return the measurements of a CSV file or DataFrame: see ``Measurements.from_csv``.
+
+    Influences are further columns to read, on which no term depends yet; None for all columns of
+    numbers that differ.
+    """
     mechanism = as_mechanism(mechanism)
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
@@ -117,7 +130,8 @@ def read_measurements(
             for column, name in named.items()
         },
         covariances=read_covariances(table, seen),
-        influences=_influences(table, mechanism),
+        influences=_influences(table, mechanism)
+        | _numbers(table, unknown_columns(table, mechanism, more | polar), influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
@@ -228,6 +242,30 @@ def _readings(table: Table, mechanism: Mechanism) -> Array:
 def _influences(table: Table, mechanism: Mechanism) -> dict[str, Array]:
     """Return the columns on which terms of sensors depend, numbers as they stand."""
     return {name: table.plain(name, blank=True) for name in mechanism.influences if name in table}
+
+
+def _numbers(
+    table: Table, columns: Mapping[str, object], wanted: Collection[str] | None
+) -> dict[str, Array]:
+    """Return further columns of a table, those that are wanted, or all of numbers that differ.
+
+    Raises:
+        MeasurementError: a column that is wanted is missing, or a cell is no number.
+    """
+    if wanted is not None:
+        if missing := [name for name in wanted if name not in table]:
+            raise MeasurementError(
+                f"{table.path}: no column {missing[0]!r}, on which terms are to depend. The file "
+                f"has {', '.join(table.units)}"
+            )
+        return {name: table.plain(name, blank=True) for name in wanted}
+    found = {}
+    for name in columns:
+        values = np.array([plain_number(cell) for cell in table.text[name]])
+        named = re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) and not name.startswith("planned_")
+        if named and name != "row" and np.isfinite(values).all() and np.ptp(values) > 0.0:
+            found[name] = values
+    return found
 
 
 def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
