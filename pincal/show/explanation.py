@@ -8,8 +8,8 @@ from pincal.calibration.terms.candidates import ORDER
 from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.screen import Candidate
-from pincal.words.numbers import chance
-from pincal.words.table import Cell, Quantity, Table, Value, columns
+from pincal.words.numbers import SMALL, chance
+from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
 from pincal.words.terms import (
     AMPLITUDES,
     CAUSES,
@@ -45,11 +45,10 @@ def _row(one: Candidate) -> tuple[Value, ...]:
         Quantity(float(value), one.unit, float(std))
         for value, std in zip(one.amplitudes[clear], one.std[clear], strict=True)
     ]
-    texts = [f"{name.partition('.')[2]}" for name in np.array(one.names)[clear]]
-    column = columns("amplitudes")[0]
+    names = [name.partition(".")[2] for name in np.array(one.names)[clear]]
     said = ", ".join(
-        f"{text} {size.text(column.units)} {column.units[one.unit]}"
-        for text, size in zip(texts, sizes, strict=True)
+        f"{name} {size.text(SMALL)} {SMALL[one.unit]}"
+        for name, size in zip(names, sizes, strict=True)
     )
     return (one.reading, str(one.kind), said, 100.0 * one.share, one.F, chance(one.corrected))
 
@@ -58,7 +57,8 @@ def models_table(found: Explanation) -> Table:
     """Return the models compared on rows held out, the one that was chosen marked."""
     shown = [name for name in ("position", "orientation") if _known(found, name)]
     units = {"position": "m", "orientation": "rad"}
-    heads = ["", "model", "parameters", "held out [σ]:.3f", "±:.3f", *shown, "BIC:.1f"]
+    misses = [Column(name, units[name], ".3g") for name in shown]
+    heads = columns("", "model", "parameters", "held out [σ]:.3f", "±:.3f")
     rows = [
         (
             "→" if index == found.choice.chosen else "",
@@ -66,12 +66,13 @@ def models_table(found: Explanation) -> Table:
             one.parameters,
             one.held_out,
             one.spread if one.spread else None,
-            *(Quantity(getattr(one, name), units[name]) for name in shown),
+            *(getattr(one, name) for name in shown),
             one.bic,
         )
         for index, one in enumerate(found.choice.models)
     ]
-    return Table("Models on rows held out", columns(*heads), rows, HELD_OUT)
+    every = (*heads, *misses, *columns("BIC:.1f"))
+    return Table("Models on rows held out", every, rows, HELD_OUT)
 
 
 def _known(found: Explanation, name: str) -> bool:
@@ -86,7 +87,7 @@ def explanation_lines(found: Explanation) -> list[str]:
         SEEN.format(
             reading=one.reading,
             kind=one.kind,
-            cause=CAUSES.get(one.kind.name, COLUMN.format(name=one.kind.name)),
+            cause=CAUSES.get(one.kind.name, COLUMN),
             share=one.share,
             chance=chance(one.corrected),
         )

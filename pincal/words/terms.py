@@ -10,7 +10,7 @@ CAUSES = {
     "gravity": "something gives way under weight: a gear, a bearing, a link",
     "order": "a drift in the order of rows: warming, or a frame or reflector that moves",
 }
-COLUMN = "it follows the column {name}: warming, a load, a setting"
+COLUMN = "warming, a load or a setting that is in this column"
 NOTHING = (
     "nothing that was tried is seen in the residuals: the least probable of {count} has a chance "
     "of {least}, their number taken in"

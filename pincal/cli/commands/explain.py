@@ -66,5 +66,9 @@ def _line(terms: tuple[str, ...]) -> str:
         return ""
     words = shlex.split(typed())
     words[words.index("explain")] = "calibrate"
+    while "--terms" in words:  # those that were tried
+        place = words.index("--terms")
+        del words[place : place + 2]
+    words = [word for word in words if not word.startswith("--terms=")]
     added = [word for one in terms for word in ("--terms", one)]
     return shlex.join([*words, *added, "-o", "RESULT"])

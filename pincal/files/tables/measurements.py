@@ -81,7 +81,7 @@ def read_measurements(
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
     polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
-    table = table_for(path, mechanism, more | polar)
+    table = table_for(path, mechanism, more | polar, influences)
     said = [name for name in ("range", "elevation") if name not in more]
     if not polar and (own := [name for name in said if f"sigma_{name}" in table]):
         raise MeasurementError(
