@@ -130,7 +130,7 @@ def sensor_law(leg: LegClosure) -> SensorLaw:
     else:
         zeros, slopes = np.zeros(len(sensors)), np.zeros((len(sensors), len(leg.parameters)))
     columns = (*leg.leg.reading_names, *leg.leg.influences)
-    return sensor_laws(sensors, columns, leg.by_name, zeros, slopes)
+    return sensor_laws(sensors, leg.by_name, zeros, slopes, columns)
 
 
 def _at_home(leg: LegClosure) -> tuple[Array, Array]:

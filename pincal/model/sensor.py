@@ -175,19 +175,20 @@ class Sensor:
 
 def sensor_laws(
     sensors: Sequence[Sensor],
-    columns: Sequence[str],
     parameters: Mapping[str, float],
     home: Array,
     home_by_parameter: Array,
+    columns: Sequence[str] = (),
 ) -> SensorLaw:
     """Return the law of a leg's sensors at parameter values.
 
     Args:
         sensors: The sensors.
-        columns: Names of the leg's readings, one for each sensor, and of its influences.
         parameters: Values of the leg's parameters by name, in order.
         home: The active joints' positions at the platform's home pose, shape (n_active,).
         home_by_parameter: Their derivatives, shape (n_active, n_params).
+        columns: Names of the leg's readings, one for each sensor, and of its influences; not
+            needed where no term depends on any.
     """
     slope, start, slopes, starts = map(
         np.array, zip(*(sensor.law(parameters) for sensor in sensors), strict=True)

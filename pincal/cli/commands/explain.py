@@ -26,7 +26,7 @@ def explain(
     ],
     how: CalibrateOptions,
 ) -> None:
-    """Say what residuals follow that geometry does not explain, and what pays.
+    """Say what geometry does not explain, and which terms pay.
 
     Every reading is tried with harmonics of its angle, polynomials, backlash, gravity (where the
     mechanism says what weighs on it), and every other column of numbers. Models are compared on

@@ -173,7 +173,12 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
         _three(tops - np.sqrt(arms**2 - radius**2)),
     )
     x, y = (float(v) for v in origin)
-    remarks = []
+    remarks = [
+        f"{leg.name}: terms of its sensor have no place in a firmware"
+        for leg in mechanism.legs
+        for sensor in leg.sensors
+        if sensor.terms
+    ]
     if hypot(x, y) > _SMALL:
         remarks.append(
             f"the printer's origin is at x = {1e3 * x:.4f}, y = {1e3 * y:.4f} mm of the "
