@@ -1,7 +1,8 @@
 """Which terms pay: models compared on rows that they have not seen, the simplest of the best kept.
 
 Models are nested: the machine as drawn, its geometry identified, and one kind of term more each
-time, the one that the screen of the residuals names first. Rows of one pose are held out together.
+time, the one that the screen of the residuals names first. Each fold goes this way by the rows that
+it sees, so that the choice itself is held out (M. Stone 1974); rows of one pose are together.
 The simplest model within one standard error of the best is taken (L. Breiman et al., Classification
 and Regression Trees, 1984): a term that does not pay is not kept, however probable it is.
 """
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 LEVEL = 0.01
 """Probability by chance, of all tests of a screen, below which a term is tried."""
 _MOST = 8  # terms one after the other
+_NAMES = ("as drawn", "geometry")
 _PINNED = 1e-12  # [m], [rad] or [1]: how well a parameter that is as drawn is known
 
 
@@ -72,18 +74,6 @@ class Choice:
         return self.models[self.chosen]
 
 
-@dataclass(frozen=True)
-class _Tried:
-    name: str
-    added: tuple[tuple[str, Kind], ...]
-    squares: Array
-    """Squared white residuals of each row, held out, shape (N,)."""
-    misses: tuple[float, float]
-    """Root mean square misfit of position and orientation, held out; NaN where not measured."""
-    parameters: int
-    chi2: float
-
-
 def choose(calibration: Calibration, kinds: Sequence[Kind], folds: int = FOLDS) -> Choice:
     """Return which terms of sensors pay, of some kinds.
 
@@ -97,57 +87,82 @@ def choose(calibration: Calibration, kinds: Sequence[Kind], folds: int = FOLDS) 
     """
     found = fitted(calibration)
     first = found.calibration.at_this_noise()
+    screened = screen(found, kinds)
+    path = [_Step((), first, found), *_path(first, screened, kinds)]
+    drawn = first.with_options(
+        priors=dict.fromkeys((one.id for one in calibration.mechanism.parameters), _PINNED)
+    )
+    tried = [_Step((), drawn, fitted(drawn)), *path]
     groups = folds_of(calibration.measurements, folds, "turn")
-    ids = [one.id for one in calibration.mechanism.parameters]
-    drawn = first.with_options(priors=dict.fromkeys(ids, _PINNED))
-    tried = [
-        _tried("as drawn", (), drawn, fitted(drawn), groups),
-        _tried("geometry", (), first, found, groups),
-    ]
-    screened = candidates = screen(found, kinds)
+    count = len(calibration.measurements)
+    squares = np.full((len(tried), count), np.nan)
+    twists = np.full((len(tried), *calibration.measurements.poses.shape), np.nan)
+    for fold in range(int(groups.max()) + 1):
+        first.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
+        rows, out = groups != fold, np.flatnonzero(groups == fold)
+        geometry = first.rows(rows).at_this_noise()
+        at = fitted(geometry)
+        own = [_Step((), geometry, at), *_path(geometry, screen(at, kinds), kinds, len(path) - 1)]
+        pinned = drawn.rows(rows).at_this_noise()
+        steps = [_Step((), pinned, fitted(pinned)), *own]
+        for place in range(len(tried)):
+            one = steps[min(place, len(steps) - 1)]  # a path that ended stays where it is
+            unseen = replace(first.rows(out), mechanism=one.calibration.mechanism)
+            squares[place, out] = _squares(one.found, unseen)
+            twists[place, out] = misfit(unseen, one.found)
+    models, chosen = _compared(tried, squares, twists, calibration.measurements.places)
+    return Choice(models, chosen, tuple(screened), tried[max(chosen, 1)].calibration)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A model and its fit."""
+
+    added: tuple[tuple[str, Kind], ...]
+    calibration: Calibration
+    found: Fits
+
+    @property
+    def parameters(self) -> int:
+        """Free parameters: not those that are as drawn."""
+        unknowns = [robust.fit.unknowns for robust in self.found.fits]
+        return sum(one.map.shape[1] - int(np.isfinite(one.priors).sum()) for one in unknowns)
+
+    @property
+    def chi2(self) -> float:
+        return float(sum(robust.fit.chi2 for robust in self.found.fits))
+
+
+def _path(
+    calibration: Calibration,
+    screened: Sequence[Candidate],
+    kinds: Sequence[Kind],
+    most: int = _MOST,
+) -> list[_Step]:
+    """Return models that grow by the likeliest term each time, until none is likely.
+
+    Args:
+        calibration: Of the geometry, its noise as it is.
+        screened: The screen of its residuals.
+        kinds: What sensors may lack.
+        most: How many at most.
+    """
+    steps: list[_Step] = []
     added: tuple[tuple[str, Kind], ...] = ()
-    calibrations = [first, first]
-    for _ in range(_MOST):
+    while len(steps) < most:
         likely = [one for one in screened if one.corrected < LEVEL and one.kind.name != ORDER]
         if not likely:
             break
-        best = likely[0]
-        added = (*added, (best.reading, best.kind))
+        added = (*added, (likely[0].reading, likely[0].kind))
         mechanism, _ = with_terms(calibration.mechanism, calibration.measurements, added)
-        more = replace(first, mechanism=mechanism, start=None)
+        more = replace(calibration, mechanism=mechanism, start=None)
         try:
             found = fitted(more)
-            one = _tried(f"{best.reading}: {best.kind}", added, more, found, groups)
-        except PincalError:  # what the rows left in a fold do not determine
+        except PincalError:  # what the rows do not determine
             break
-        tried.append(one)
-        calibrations.append(more)
+        steps.append(_Step(added, more, found))
         screened = screen(found, kinds)
-    models, chosen = _compared(tried, calibration.measurements.places)
-    return Choice(models, chosen, tuple(candidates), calibrations[chosen])
-
-
-def _tried(
-    name: str,
-    added: tuple[tuple[str, Kind], ...],
-    calibration: Calibration,
-    found: Fits,
-    groups: NDArray[np.intp],
-) -> _Tried:
-    """Return how a model does at rows held out."""
-    count = len(calibration.measurements)
-    squares, twists = np.full(count, np.nan), np.full(calibration.measurements.poses.shape, np.nan)
-    for fold in range(int(groups.max()) + 1):
-        out = np.flatnonzero(groups == fold)
-        seen = fitted(calibration.rows(groups != fold).at_this_noise())
-        unseen = calibration.rows(out)
-        squares[out] = _squares(seen, unseen)
-        twists[out] = misfit(unseen, seen)
-    unknowns = [robust.fit.unknowns for robust in found.fits]
-    free = sum(one.map.shape[1] - int(np.isfinite(one.priors).sum()) for one in unknowns)
-    chi2 = float(sum(robust.fit.chi2 for robust in found.fits))
-    size = sizes(calibration.mechanism.platform.units, twists)
-    return _Tried(name, added, squares, root_mean_squares(size), free, chi2)
+    return steps
 
 
 def _squares(seen: Fits, unseen: Calibration) -> Array:
@@ -160,32 +175,39 @@ def _squares(seen: Fits, unseen: Calibration) -> Array:
 
 
 def _compared(
-    tried: Sequence[_Tried], places: tuple[str, ...] | None
+    tried: Sequence[_Step], squares: Array, twists: Array, places: tuple[str, ...] | None
 ) -> tuple[tuple[Model, ...], int]:
-    """Return models, and the index of the simplest within one standard error of the best."""
-    squares = np.array([one.squares for one in tried])
+    """Return models, and the index of the simplest within one standard error of the best.
+
+    Args:
+        tried: Models by their size, the machine as drawn first, then its geometry.
+        squares: Squared white residuals of rows, held out, shape (n_models, N).
+        twists: Misfits of the platform there, shape (n_models, N, dof).
+        places: Pose of each row, if rows repeat poses.
+    """
     known = np.isfinite(squares).all(axis=0)
-    names = np.array(places if places is not None else [""] * squares.shape[1])
-    alone = names == ""
-    names = np.where(alone, np.arange(len(names)).astype(str), names)
+    names = np.arange(squares.shape[1]).astype(str)
+    names = np.array([place or name for place, name in zip(places or names, names, strict=True)])
     _, cluster = np.unique(names[known], return_inverse=True)
     sums = np.stack([np.bincount(cluster, weights=one[known]) for one in squares])
     means = sums.sum(axis=1) / known.sum()
     best = int(np.argmin(means))
-    more = sums - sums[best]
-    spread = more.std(axis=1, ddof=1) * np.sqrt(sums.shape[1]) / known.sum()
+    spread = (sums - sums[best]).std(axis=1, ddof=1) * np.sqrt(sums.shape[1]) / known.sum()
     chosen = int(np.flatnonzero(means - means[best] <= spread)[0])
-    models = tuple(
-        Model(
-            name=one.name,
-            added=one.added,
-            parameters=one.parameters,
-            held_out=float(np.sqrt(mean)),
-            spread=float(wide / (2.0 * np.sqrt(mean))) if mean else 0.0,
-            position=one.misses[0],
-            orientation=one.misses[1],
-            bic=float(one.chi2 + one.parameters * np.log(known.sum())),
+    units = tried[0].calibration.mechanism.platform.units
+    models = []
+    for index, (one, mean, wide) in enumerate(zip(tried, means, spread, strict=True)):
+        position, orientation = root_mean_squares(sizes(units, twists[index]))
+        models.append(
+            Model(
+                name=_NAMES[index] if index < 2 else "{}: {}".format(*one.added[-1]),
+                added=one.added,
+                parameters=one.parameters,
+                held_out=float(np.sqrt(mean)),
+                spread=float(wide / (2.0 * np.sqrt(mean))) if mean else 0.0,
+                position=position,
+                orientation=orientation,
+                bic=float(one.chi2 + one.parameters * np.log(known.sum())),
+            )
         )
-        for one, mean, wide in zip(tried, means, spread, strict=True)
-    )
-    return models, chosen
+    return tuple(models), chosen
