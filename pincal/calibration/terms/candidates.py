@@ -92,16 +92,15 @@ def with_terms(
         MeasurementError: an unknown reading, or a column that was not measured.
     """
     wanted: dict[str, list[Kind]] = {}
-    gravity = False
-    for reading, kind in kinds:
+    pairs = list(kinds)
+    for reading, kind in pairs:
         if reading not in mechanism.reading_names:
             raise MeasurementError(
                 f"terms of {reading!r}: {mechanism.name!r} reads "
                 f"{', '.join(mechanism.reading_names)}"
             )
         wanted.setdefault(reading, []).append(kind)
-        gravity |= kind.name == GRAVITY
-    data = _with_loads(mechanism, measurements) if gravity else measurements
+    data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
     legs, ids, column = [], {}, 0
     for leg in mechanism.legs:
         sensors, parameters = [], list(leg.parameters)
@@ -163,32 +162,43 @@ def _terms(
     return [Term(named(kind.name), Share(half, centre), of=kind.name)]
 
 
-def _with_loads(mechanism: Mechanism, measurements: Measurements) -> Measurements:
-    """Return measurements with the loads of all joints.
+def with_influences(
+    mechanism: Mechanism, measurements: Measurements, kinds: Iterable[Kind]
+) -> Measurements:
+    """Return measurements with the columns that terms of some kinds would depend on.
+
+    Sides of approach and loads follow from all rows in their order, which parts do not know.
 
     Raises:
         MeasurementError: what weighs on the mechanism is not known.
     """
-    if mechanism.load is None:
+    own = sorted({_OF_ONES_OWN[kind.name] for kind in kinds if kind.name in _OF_ONES_OWN})
+    if LOAD in own and mechanism.load is None:
         raise MeasurementError(
             f"terms 'gravity': what weighs on {mechanism.name!r} is not known; say it in "
             "mechanism.yaml: 'load: {mass: …, centre: […], gravity: […]}'"
         )
-    loads = tuple(
+    if not own:
+        return measurements
+    drawing = mechanism.drawing
+    legs = tuple(
         replace(
             leg,
             sensors=tuple(
-                replace(sensor, terms=(Term(f"load_{index}", Share(), of=LOAD),))
-                for index, sensor in enumerate(leg.sensors)
+                replace(one, terms=tuple(Term(f"{of}_{i}", Share(), of=of) for of in own))
+                for i, one in enumerate(leg.sensors)
             ),
-            parameters=(*leg.parameters, *((f"load_{i}", 0.0) for i in range(len(leg.sensors)))),
+            parameters=(
+                *leg.parameters,
+                *((f"{of}_{i}", 0.0) for of in own for i in range(len(leg.sensors))),
+            ),
         )
-        for leg in mechanism.drawing.legs
+        for leg in drawing.legs
     )
-    loaded = replace(mechanism.drawing, legs=loads)
-    columns = planned_influences(loaded, replace(measurements, influences={}))
-    own = {} if columns is None else dict(zip(loaded.influences, columns.T, strict=True))
-    return replace(measurements, influences={**own, **measurements.influences})
+    asked = replace(drawing, legs=legs)
+    columns = planned_influences(asked, replace(measurements, influences={}))
+    found = {} if columns is None else dict(zip(asked.influences, columns.T, strict=True))
+    return replace(measurements, influences={**found, **measurements.influences})
 
 
 def _range(values: Array) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import FOLDS, folds_of
 from pincal.calibration.checks.unseen import misfit, predictions
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.terms.candidates import ORDER, Kind, with_terms
+from pincal.calibration.terms.candidates import ORDER, Kind, with_influences, with_terms
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import PincalError
@@ -85,6 +85,8 @@ def choose(calibration: Calibration, kinds: Sequence[Kind], folds: int = FOLDS) 
     Raises:
         PincalError: the geometry itself cannot be identified.
     """
+    data = with_influences(calibration.mechanism, calibration.measurements, kinds)
+    calibration = replace(calibration, measurements=data)
     found = fitted(calibration)
     first = found.calibration.at_this_noise()
     screened = screen(found, kinds)

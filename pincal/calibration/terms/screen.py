@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
-from pincal.calibration.terms.candidates import ORDER, Kind, with_terms
+from pincal.calibration.terms.candidates import ORDER, Kind, with_influences, with_terms
 from pincal.estimation.linear import State
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.residuals.score import Residuals
@@ -59,7 +59,7 @@ def screen(found: Fits, kinds: Sequence[Kind]) -> list[Candidate]:
     """
     calibration = found.calibration
     pairs = [(name, kind) for kind in kinds for name in calibration.mechanism.reading_names]
-    data = calibration.measurements
+    data = with_influences(calibration.mechanism, calibration.measurements, kinds)
     order = {ORDER: np.linspace(-1.0, 1.0, len(data))}
     data = replace(data, influences={**order, **data.influences})
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
