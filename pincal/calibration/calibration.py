@@ -113,13 +113,24 @@ class Calibration:
             self.observation.external.names,
             fixed=self.options.fixed,
             tied=self.options.tied if tied else (),
-            priors=self.options.priors,
+            priors=self.priors,
         )
         if self.start is None:
             return found
         start = found.start.copy()
         start[: len(self.start)] = self.start
         return replace(found, start=start)
+
+    @property
+    def priors(self) -> dict[str, float]:
+        """Standard deviations of nominal values: of tolerances by unit, and of single parameters.
+
+        In the order in which they count: a prior is said of a name, or of an id.
+        """
+        by_unit = self.options.tolerance
+        every = self.mechanism.parameters
+        own = {one.id: by_unit[one.unit] for one in every if one.unit in by_unit}
+        return {**own, **self.options.priors}
 
     @cached_property
     def observation(self) -> Observation:

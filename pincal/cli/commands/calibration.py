@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,13 +33,15 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.options import SetupOptions, TableOptions, with_unit
+from pincal.cli.options import SetupOptions, TableOptions, in_si, with_unit
 from pincal.errors import MeasurementError, MisfitError
 from pincal.estimation.conditions.leg_condition import Residual
 from pincal.estimation.residuals.losses import LossName
+from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurements import read_measurements
+from pincal.files.tables.units import UNITS
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
@@ -154,6 +157,13 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             "as temperature; auto: those that pay (see pincal explain).",
         ),
     ] = None
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="0.5mm,5mrad",
+            help="How far machines differ from the drawing: a prior for all parameters, by unit.",
+        ),
+    ] = None
     rough: Annotated[
         bool,
         typer.Option("--rough", help="The nominal mechanism is known roughly: fewer checks."),
@@ -205,6 +215,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             fixed=tuple(self.fix or ()),
             tied=tuple(self.tie or ()),
             priors=_priors(self.prior or ()),
+            tolerance=_tolerance(self.tolerance or ""),
             terms=terms,
             rough=self.rough,
             hold_undetermined=self.hold_undetermined,
@@ -289,6 +300,26 @@ def _say(
         stdout.print(line, markup=False)
     if not tables:
         stdout.print("parameters and residuals: report.html in the result's folder, or --verbose")
+
+
+def _tolerance(said: str) -> dict[str, float]:
+    """Return standard deviations of parameters by unit.
+
+    Raises:
+        MeasurementError: a unit said twice, or no number with one.
+    """
+    found: dict[str, float] = {}
+    for text in filter(None, (one.strip() for one in said.split(","))):
+        number = re.match(r"[-+\d.eE]*", text)
+        unit = text[number.end() :].strip() if number else ""
+        dimension = UNITS.get(unit or "1", ("", 0.0))[0]
+        if dimension not in ("m", "rad", "1") or dimension in found:
+            raise MeasurementError(
+                f"--tolerance {said}: {text!r} is not understood; expected one number for lengths, "
+                "one for angles, and one without a unit for gains, such as 0.5mm,5mrad,0.001"
+            )
+        found[dimension] = in_si(text, dimension) if unit else plain_number(text)
+    return found
 
 
 def _priors(said: Sequence[str]) -> dict[str, float]:
