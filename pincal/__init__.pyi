@@ -6,6 +6,7 @@ from .calibration.checks.validation import validate
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
+from .calibration.terms.explain import explain
 from .design.forecast import forecast
 from .design.select import Selection, select_poses
 from .design.select_configurations import select_configurations
@@ -35,8 +36,9 @@ from .model.parameter import Parameter
 from .model.placement import Placement
 from .model.platform import Platform
 from .model.platform_kind import PlatformKind
-from .model.sensor import Sensor, Term
+from .model.sensor import Sensor
 from .model.setup import Distance, Setup, Target
+from .model.terms import Harmonic, Knot, Power, Share, Term
 from .model.uncertainty import Systematic, Tracker
 from .show.pictures.picture import picture
 from .show.view.view import view
@@ -58,9 +60,11 @@ __all__ = [
     "Element",
     "FileError",
     "Grid",
+    "Harmonic",
     "Inscribed",
     "Instrument",
     "Joint",
+    "Knot",
     "Leg",
     "Loss",
     "Margins",
@@ -78,9 +82,11 @@ __all__ = [
     "Plan",
     "Platform",
     "PlatformKind",
+    "Power",
     "Selection",
     "Sensor",
     "Setup",
+    "Share",
     "SymmetryError",
     "Systematic",
     "Target",
@@ -95,6 +101,7 @@ __all__ = [
     "cyclic",
     "dihedral",
     "disturb",
+    "explain",
     "forecast",
     "forward",
     "free_of_collision",

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_forms import angles, closure, near, reading
+from command_line import done, run
 from differences import differentiated
 from scipy.optimize import least_squares
 
@@ -19,6 +20,7 @@ import pincal
 from pincal.calibration.result_files import read_result
 from pincal.model.measurements import EVERY_LEG
 from pincal.workspace.criteria import in_workspace
+from pincal.workspace.sampling import sample_workspace
 from studies import three_rrr_errors
 from studies.trials import Way, machines
 
@@ -485,3 +487,33 @@ def test_a_start_near_a_singularity_says_nothing_of_the_poses(
     way = Way("common", plan, "all", "all-legs", "joint")
     for truth, seed in machines(mechanism, three_rrr_errors.SIGMA, 0, 20)[10:]:
         assert way.run(mechanism, truth, noise, seed).converged
+
+
+def test_a_tolerance_predicts_better_than_few_poses(tmp_path: Path) -> None:
+    """With few noisy poses, parameters near the drawing go less astray than free ones."""
+    plain = pincal.load_mechanism("3RRR")
+    noise = pincal.Noise(1e-3, 1e-3, 0.0)
+    poses = sample_workspace(plain, 200, seed=3)
+    errors = []
+    for seed in range(2):
+        truth = pincal.disturb(plain, 5e-4, seed=seed)
+        data = pincal.simulate(plain, truth, poses[:12], noise, seed=seed).measurements
+        tolerance = {"m": 5e-4, "rad": 5e-4, "1": 5e-4}
+        both = [
+            pincal.calibrate(plain, data, noise=noise, tolerance=one) for one in ({}, tolerance)
+        ]
+        errors.append([pincal.accuracy(one.identified, truth, poses).position for one in both])
+    free, held = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert held < 0.5 * free
+    data.to_csv(tmp_path / "d.csv", plain)
+    given = ("--noise-position", "1mm", "--noise-orientation", "1mrad", "--folds", 0)
+    wide = ("--tolerance", "0.5mm,0.5mrad,5e-4")
+    done("calibrate", "3RRR", tmp_path / "d.csv", *given, *wide, "-o", tmp_path / "r")
+    again = pincal.load_result(tmp_path / "r")
+    assert again["leg_1.l"].identified == pytest.approx(both[1]["leg_1.l"].identified, abs=1e-9)
+    assert again["leg_1.l"].given == "prior"
+    outcome = run(
+        "calibrate", "3RRR", tmp_path / "d.csv", "--tolerance", "5kg", "-o", tmp_path / "x"
+    )
+    assert outcome.code == 2
+    assert "--tolerance 5kg" in outcome.trouble

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.kinematics.batches import left_null, product, solve
+from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import demand
 from pincal.kinematics.forest import Elementary, forest
-from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.nearest_closure import nearest_closure
 
 Array = NDArray[np.float64]

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 import pincal
 from pincal.calibration.hypotheses import plausibility
 from pincal.calibration.hypotheses.plausibility import check_copies, check_noise, check_plausible
+from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.inverse import close
 from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]

@@ -21,9 +21,9 @@ import pincal
 from pincal.calibration.result_files import read_result
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
+from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.inverse import sensor_law
 from pincal.old_names import OLD
 from pincal.symmetry.elements import mirror, rotations
 

@@ -193,7 +193,7 @@ def _leg_results(
 def _given(calibration: Calibration, one: Parameter) -> str:
     """Return what was given of a parameter beforehand."""
     options = calibration.options
-    said = {"fixed": options.fixed, "tied": options.tied, "prior": options.priors}
+    said = {"fixed": options.fixed, "tied": options.tied, "prior": calibration.priors}
     kinds = [kind for kind, names in said.items() if {one.name, one.id} & set(names)]
     return "fixed" if "fixed" in kinds else ", ".join(kinds)
 

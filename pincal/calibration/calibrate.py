@@ -24,6 +24,9 @@ from pincal.calibration.hypotheses.plausibility import (
 from pincal.calibration.hypotheses.zeros import zeros_found, zeros_measured
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.terms.candidates import AUTO, columns_said, kinds_of, with_terms
+from pincal.calibration.terms.candidates import said as said_terms
+from pincal.calibration.terms.choice import choose
 from pincal.errors import MisfitError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism
@@ -69,12 +72,13 @@ def prepared(
     """Return a calibration to be done; arguments and errors are those of ``calibrate``."""
     chosen = Options.of(options, **more)
     machine = as_mechanism(mechanism)
-    data = as_measurements(measurements, machine, chosen.setup)
+    columns = columns_said(chosen.terms)
+    data = as_measurements(measurements, machine, chosen.setup, influences=columns)
     return Calibration(machine, replace(data), chosen)  # a copy: the user's may be changed
 
 
 def started(calibration: Calibration) -> Calibration:
-    """Return a calibration whose measurements were looked at: where its search starts.
+    """Return a calibration whose measurements were looked at: its terms, where its search starts.
 
     Raises:
         MeasurementError: noise, copies of rows, or faults that bar a calibration.
@@ -83,9 +87,25 @@ def started(calibration: Calibration) -> Calibration:
     if options.noise is not None:
         check_noise(calibration.mechanism, options.noise)
     check_copies(calibration.measurements, every_pose=options.every_pose)
+    calibration = _with_terms(calibration)
     if not options.setup.plain:
         return calibration
     return replace(calibration, start=_start(calibration))
+
+
+def _with_terms(calibration: Calibration) -> Calibration:
+    """Return a calibration whose mechanism has the terms that its options ask for."""
+    terms, data = calibration.options.terms, calibration.measurements
+    if not terms:
+        return calibration
+    plain = replace(calibration, options=replace(calibration.options, terms=()))
+    mechanism = plain.mechanism
+    if AUTO in terms:
+        choice = choose(started(plain), kinds_of(mechanism, data))
+        mechanism, _ = with_terms(mechanism, data, choice.model.added)
+    named = said_terms([one for one in terms if one != AUTO], mechanism)
+    mechanism, _ = with_terms(mechanism, data, named)
+    return replace(plain, mechanism=mechanism)
 
 
 def identify(calibration: Calibration) -> CalibrationResult:

@@ -20,6 +20,8 @@ from pincal.estimation.noise import NoiseModel, noise_model
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import Unknowns, unknowns
+from pincal.kinematics.configurations import planned_influences
+from pincal.kinematics.influences import influence_columns
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
@@ -45,11 +47,21 @@ class Calibration:
 
     def __post_init__(self) -> None:
         _check_shapes(self.mechanism, self.measurements)
+        if set(self.mechanism.influences) - set(self.measurements.influences):
+            self._follow_influences()
         if self.options.residual == "joint" and self.mechanism.by_readings:
             raise MeasurementError(
                 f"readings of {self.mechanism.name!r} do not follow from its poses, so there is no "
                 "joint residual; take the closure residual (--residual closure)"
             )
+
+    def _follow_influences(self) -> None:
+        """Add columns of influences that follow from all rows in order, which parts do not know."""
+        columns = planned_influences(self.mechanism, self.measurements)
+        names = self.mechanism.influences
+        own = {} if columns is None else dict(zip(names, columns.T, strict=True))
+        data = replace(self.measurements, influences={**self.measurements.influences, **own})
+        object.__setattr__(self, "measurements", data)
 
     @property
     def shift(self) -> Array:
@@ -101,13 +113,24 @@ class Calibration:
             self.observation.external.names,
             fixed=self.options.fixed,
             tied=self.options.tied if tied else (),
-            priors=self.options.priors,
+            priors=self.priors,
         )
         if self.start is None:
             return found
         start = found.start.copy()
         start[: len(self.start)] = self.start
         return replace(found, start=start)
+
+    @property
+    def priors(self) -> dict[str, float]:
+        """Standard deviations of nominal values: of tolerances by unit, and of single parameters.
+
+        In the order in which they count: a prior is said of a name, or of an id.
+        """
+        by_unit = self.options.tolerance
+        every = self.mechanism.parameters
+        own = {one.id: by_unit[one.unit] for one in every if one.unit in by_unit}
+        return {**own, **self.options.priors}
 
     @cached_property
     def observation(self) -> Observation:
@@ -156,7 +179,17 @@ class Calibration:
         ]
         readings = np.where(measured, readings, usual)  # not used where not measured
         kind = "closure" if self.options.latent else self.options.residual
+        if self.influences is not None:
+            more = mechanism.influences_at(leg, self.influences[rows])
+            readings = np.hstack((readings, more))
         return LegCondition(mechanism.legs[leg], mechanism.platform, readings, kind, rows)
+
+    @cached_property
+    def influences(self) -> Array | None:
+        """What terms of sensors depend on, row by row, shape (N, n_influences); None if nothing."""
+        data = self.measurements
+        own = {name: data.influences[name] for name in self.mechanism.influences}
+        return influence_columns(self.mechanism, own, len(data))
 
     @cached_property
     def latent_problem(self) -> Problem:

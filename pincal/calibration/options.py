@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from pincal.design.estimable import Method
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.leg_condition import Residual
@@ -46,6 +48,14 @@ class Options:
     """Parameters that have one value for all legs; the result tests whether that holds."""
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations with which nominal values are known, by name as above."""
+    tolerance: Mapping[str, float] = field(default_factory=dict)
+    """How far machines of this drawing differ from it, by unit: ``{"m": 5e-4, "rad": 5e-3}``, a
+    standard deviation for each parameter of that unit (``"1"``: gains) that has no prior of its
+    own. With few poses it predicts better than parameters that are free."""
+    terms: tuple[str, ...] = ()
+    """What sensors lack, added to the mechanism: ``"gravity"`` or ``"harmonics:1,2"`` of every
+    reading, ``"leg_1=backlash"`` of one, or a column such as ``"temperature"``; ``"auto"`` takes
+    those that pay on rows held out (see ``explain``)."""
     rough: bool = False
     """Whether the nominal mechanism is known so roughly that measurements need not look like its
     own; units, signs and the order of legs are then not checked."""
@@ -74,6 +84,12 @@ class Options:
                 raise MeasurementError(
                     f"{name} is {type(given).__name__}; expected pincal.{what}(…)"
                 )
+        for unit, sigma in self.tolerance.items():
+            if unit not in ("m", "rad", "1") or not 0.0 < sigma < np.inf:
+                raise MeasurementError(
+                    f"tolerance {{{unit!r}: {sigma!r}}}: expected standard deviations above 0 of "
+                    "'m', 'rad' or '1', such as {'m': 5e-4, 'rad': 5e-3}"
+                )
         if self.setup.instruments and not self.latent:
             raise MeasurementError(
                 "instruments need all legs at once and the closure residual; leave out "
@@ -84,7 +100,7 @@ class Options:
                 "profile intervals of legs alone need poses measured in the base frame; identify "
                 "all legs at once (leave out --per-leg), or leave out --intervals profile"
             )
-        for name in ("fixed", "tied"):
+        for name in ("fixed", "tied", "terms"):
             given = getattr(self, name)
             if isinstance(given, str):
                 given = (given,)

@@ -25,6 +25,7 @@ MODULES = {
     "identifiability": "identifiability",
     "calibration": "calibrate",
     "doctor": "doctor",
+    "explain": "explain",
     "importing": "import",
     "exporting": "export",
     "demo": "demo",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pincal.design.criteria import Parts, variance
 from pincal.errors import ObservabilityError
-from pincal.kinematics.inverse import CHUNK
+from pincal.kinematics.closing import CHUNK
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]

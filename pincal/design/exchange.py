@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.criteria import Criterion, Determinant, Parts
-from pincal.kinematics.inverse import CHUNK
+from pincal.kinematics.closing import CHUNK
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]

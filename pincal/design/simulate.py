@@ -8,7 +8,7 @@ planned poses, every leg kept taut, and read there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from pincal.errors import MeasurementError
 from pincal.files.given import as_noise, as_plan
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.configurations import command
+from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import inverse
 from pincal.model.checks import generator_of, number_of
@@ -107,7 +107,8 @@ def simulate(
     plan, noise = as_plan(plan, mechanism), as_noise(noise)
     rng = generator_of(seed, MeasurementError)
     count, platform = len(plan.poses), mechanism.platform
-    poses, readings, reasons = (_taken if mechanism.redundant else _driven)(mechanism, truth, plan)
+    drive = _taken if mechanism.redundant else _driven
+    poses, readings, influences, reasons = drive(mechanism, truth, plan)
     rows = np.flatnonzero([not reason for reason in reasons])
     # One draw for each planned pose, so that a lost pose does not shift the others' noise.
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
@@ -117,6 +118,7 @@ def simulate(
         readings=readings[rows] + reading_noise[rows],
         sets=None if plan.sets is None else tuple(plan.sets[row] for row in rows),
         places=None if plan.places is None else tuple(plan.places[row] for row in rows),
+        influences={name: values[rows] for name, values in influences.items()},
     )
     lost = tuple((row, reason) for row, reason in enumerate(reasons) if reason)
     return Simulation(measurements, rows, lost)
@@ -124,25 +126,39 @@ def simulate(
 
 def _driven(
     mechanism: Mechanism, truth: Mechanism, planned: Plan
-) -> tuple[Array, Array, list[str]]:
-    """Return true poses and readings of nominal commands, and why a pose is not reached."""
+) -> tuple[Array, Array, dict[str, Array], list[str]]:
+    """Return true poses, readings of nominal commands, influences, and why some have no pose."""
     wanted, readings, reasons = command(mechanism, planned)
     driven = np.flatnonzero([not reason for reason in reasons])
     reasons = [reason and f"nominal mechanism: {reason}" for reason in reasons]
-    solution = forward(truth, readings[driven], wanted[driven])
+    commanded = replace(planned.rows(driven), readings=readings[driven])
+    influences = planned_influences(truth, commanded)
+    solution = forward(truth, readings[driven], wanted[driven], influences)
+    there = None if influences is None else np.full((len(reasons), influences.shape[1]), np.nan)
+    if there is not None:
+        there[driven] = influences
     for row, reason in zip(driven, solution.reasons, strict=True):
         reasons[row] = f"true mechanism: {reason}" if reason else ""
     poses = np.full(planned.poses.shape, np.nan)
     poses[driven] = solution.poses
-    return poses, readings, reasons
+    return poses, readings, _columns(truth, planned, there), reasons
 
 
-def _taken(_: Mechanism, truth: Mechanism, planned: Plan) -> tuple[Array, Array, list[str]]:
-    """Return planned poses and true readings there, and why a pose is not reached."""
-    there = inverse(truth, planned.poses)
+def _taken(
+    _: Mechanism, truth: Mechanism, planned: Plan
+) -> tuple[Array, Array, dict[str, Array], list[str]]:
+    """Return planned poses, true readings there, influences, and why a pose is not reached."""
+    influences = planned_influences(truth, planned)
+    there = inverse(truth, planned.poses, influences)
     found = [there.reason(row) for row in range(len(planned.poses))]
     reasons = [f"true mechanism: {reason}" if reason else "" for reason in found]
-    return planned.poses, there.readings, reasons
+    return planned.poses, there.readings, _columns(truth, planned, influences), reasons
+
+
+def _columns(truth: Mechanism, planned: Plan, influences: Array | None) -> dict[str, Array]:
+    """Return the influences of rows by column: those of the plan, and those that worked."""
+    own = {} if influences is None else dict(zip(truth.influences, influences.T, strict=True))
+    return {**planned.influences, **own}
 
 
 @dataclass(frozen=True, repr=False)
@@ -181,7 +197,9 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
     wanted, readings, reasons = command(model, plan)
     errors = np.full(wanted.shape, np.nan)
     driven = np.flatnonzero([not reason for reason in reasons])
-    solution = forward(truth, readings[driven], wanted[driven])
+    commanded = replace(plan.rows(driven), readings=readings[driven])
+    influences = planned_influences(truth, commanded)
+    solution = forward(truth, readings[driven], wanted[driven], influences)
     reached = driven[solution.converged]
     errors[reached] = platform.twists_between(wanted[reached], solution.poses[solution.converged])
     return errors

@@ -53,7 +53,7 @@ def _at(problem: Problem, linear: Linear, noise: Array) -> Linear:
     """Return the conditions at readings that are corrected by so many standard deviations."""
     shift = problem.sigma_readings * noise
     conditions = tuple(
-        replace(condition, readings=condition.readings + shift[:, own])
+        condition.corrected(shift[:, own])
         for condition, own in zip(problem.conditions, problem.reading_columns, strict=True)
     )
     stack = replace(problem, conditions=conditions).stack(linear.state)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pincal.estimation.conditions.external import External
 from pincal.estimation.rows import WhiteRows
+from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.inverse import CHUNK
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -106,6 +106,17 @@ class Problem:
         """Readings of all legs, shape (N, n_readings), [rad] or [m]."""
         return np.concatenate([one.readings for one in self.conditions], axis=1)
 
+    @property
+    def influences(self) -> dict[str, Array]:
+        """Influence quantities of all legs by column, each of shape (N,)."""
+        return {
+            name: values
+            for one in self.conditions
+            for name, values in zip(
+                one.leg.influences, one.known[:, len(one.leg.sensors) :].T, strict=False
+            )
+        }
+
     @cached_property
     def quantities(self) -> tuple[str, ...]:
         """What each column of the noise belongs to, as people call it."""
@@ -332,7 +343,7 @@ class Problem:
                 gap = demand.value + demand.parameter @ step[columns]
                 gap += (demand.pose @ twists[:, :, None])[:, :, 0]
                 leg = LegClosure(one.leg, self.platform, parameters[columns])
-                return arm_poses(leg, one.readings, gap)
+                return arm_poses(leg, one.known, gap)
         return None
 
     def pose_draws(self, linear: Linear) -> Array:

@@ -76,7 +76,7 @@ def align_start(
         state = placed(problem, data, parameters, external)
         return state if whole else poses_at_rest(problem, state)
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
-    there = placed_by_arm(mechanism, legs, problem.readings)
+    there = placed_by_arm(legs, [one.known for one in problem.conditions])
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     joints = (None,) * len(problem.legs)
     state = State(parameters, home if there is None else there, joints, external)
@@ -130,7 +130,7 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
     closures = [
-        nearest_closure(leg, state.matrices, one.readings, joints)[0]
+        nearest_closure(leg, state.matrices, one.known, joints)[0]
         for leg, one, joints in zip(legs, problem.conditions, state.joints, strict=True)
     ]
     redundant = mechanism.redundant  # of which the type-2 margin has no sign
@@ -176,7 +176,7 @@ def _driven(mechanism: Mechanism, problem: Problem, share: float) -> Problem:
     """Return the problem of readings alone that are on the way from home to those measured."""
     home = inverse(mechanism, np.array([mechanism.platform.home])).readings[0]
     conditions = (
-        replace(one, readings=home[own] + share * (one.readings - home[own]))
+        one.corrected((1.0 - share) * (home[own] - one.readings))
         for one, own in zip(problem.conditions, problem.reading_columns, strict=True)
     )
     observation = problem.observation.only(())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,12 @@ def as_plan(given: Any, mechanism: Mechanism, *, partial: bool = False) -> Plan:
 
 
 def as_measurements(
-    given: Any, mechanism: Mechanism, setup: Setup | None = None, *, partial: bool = False
+    given: Any,
+    mechanism: Mechanism,
+    setup: Setup | None = None,
+    *,
+    partial: bool = False,
+    influences: Collection[str] | None = (),
 ) -> Measurements:
     """Return measurements that are given as such, by a CSV file, or as a DataFrame.
 
@@ -52,6 +58,8 @@ def as_measurements(
         mechanism: The mechanism.
         setup: What else was measured than the platform's pose.
         partial: Whether columns or cells of the pose may be missing.
+        influences: Further columns to read, those that no term depends on yet; None for all
+            columns of numbers.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -62,7 +70,7 @@ def as_measurements(
         kinds = (Measurements, str, Path)
         if not is_dataframe(given):
             must_be(given, kinds, "measurements, their CSV file or DataFrame", MeasurementError)
-        return read_measurements(given, mechanism, setup, partial=partial)
+        return read_measurements(given, mechanism, setup, partial=partial, influences=influences)
     for name, count in (
         ("poses", mechanism.platform.dof),
         ("readings", len(mechanism.reading_names)),

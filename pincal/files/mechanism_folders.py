@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,12 +12,14 @@ import yaml
 
 from pincal.errors import FileError, MechanismError, PincalError
 from pincal.files.output import writing
-from pincal.files.schema import FORMAT, LegSpec, MechanismSpec, read_spec
+from pincal.files.schema import FORMAT, LegSpec, LoadSpec, MechanismSpec, SensorSpec, read_spec
+from pincal.files.terms import described, term_of
 from pincal.files.urdf import read_chain, read_points
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.model.checks import must_be
 from pincal.model.home import check_home
 from pincal.model.leg import Joint, Leg
+from pincal.model.load import Load
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
@@ -164,11 +167,17 @@ def _mechanism(spec: MechanismSpec, folder: Path) -> Mechanism:
         )
     points = read_points(_inside(folder, spec.platform.urdf))
     legs = tuple(_leg(leg, folder, points) for leg in spec.legs)
-    mechanism = Mechanism(spec.name, platform, legs, spec.description, tuple(spec.labels.items()))
+    load = None if spec.load is None else _load(spec.load)
+    labels = tuple(spec.labels.items())
+    mechanism = Mechanism(spec.name, platform, legs, spec.description, labels, load)
     identified = (folder.parent / "result.json").is_file()  # at the nominal home
     for leg in () if identified else legs:
         check_home(leg, platform)
     return mechanism
+
+
+def _load(spec: LoadSpec) -> Load:
+    return Load(spec.mass, spec.centre, spec.gravity, tuple(spec.drawn.items()))
 
 
 def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
@@ -200,17 +209,22 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
         )
         placement = Placement(coordinates, joint.placement.xyz, joint.placement.rpy)
         home = spec.home.get(joint.name, 0.0)
-        return Joint(joint.name, joint.kind, placement, joint.axis, joint.lower, joint.upper, home)
+        return replace(joint, placement=placement, home=home)
 
     return Leg(
         name=spec.name,
         joints=tuple(described(joint) for joint in chain),
-        sensors=tuple(Sensor(**sensor.model_dump()) for sensor in spec.sensors),
+        sensors=tuple(_sensor(sensor, spec.name) for sensor in spec.sensors),
         parameters=tuple(spec.parameters.items()),
         point=described(point),
         tip=spec.tip,
         closes=spec.closes,
     )
+
+
+def _sensor(spec: SensorSpec, leg: str) -> Sensor:
+    terms = tuple(term_of(name, term, leg) for name, term in spec.terms.items())
+    return Sensor(**spec.model_dump(exclude={"terms"}), terms=terms)
 
 
 def _coordinate(item: dict[str, Any], leg: str, joint: str) -> Coordinate:
@@ -273,22 +287,27 @@ def _dump(mechanism: Mechanism) -> str:
         },
         "legs": [_dump_leg(leg) for leg in mechanism.legs],
         **({"labels": dict(mechanism.labels)} if mechanism.labels else {}),
+        **({} if mechanism.load is None else {"load": _dump_load(mechanism.load)}),
     }
     header = "# A mechanism of pincal. Lengths in m, angles in rad. See docs/mechanism_files.md\n"
     return header + yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=100)
+
+
+def _dump_load(load: Load) -> dict[str, Any]:
+    return {
+        "mass": float(load.mass),
+        "centre": [float(v) for v in load.centre],
+        "gravity": [float(v) for v in load.gravity],
+        **({"drawn": {name: float(value) for name, value in load.drawn}} if load.drawn else {}),
+    }
 
 
 def _dump_leg(leg: Leg) -> dict[str, Any]:
     """Return a leg as plain data.
 
     Raises:
-        MechanismError: a term of a sensor, which is code.
+        MechanismError: a term of a sensor that is code.
     """
-    if own := [term.parameter for sensor in leg.sensors for term in sensor.terms]:
-        raise MechanismError(
-            f"{leg.name}: the sensor's term of {own[0]!r} is code, which a mechanism's folder does "
-            "not hold; save the mechanism without terms, and its parameters (mechanism.parameters)"
-        )
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",
@@ -297,7 +316,7 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
         **({} if leg.closes == "point" else {"closes": leg.closes}),
         "home": _Flow((joint.name, float(joint.home)) for joint in leg.moving),
         "sensors": [
-            _Flow(
+            (dict if sensor.terms else _Flow)(
                 joint=sensor.joint,
                 form=sensor.form,
                 gain=sensor.gain,
@@ -305,6 +324,7 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
                 direction=sensor.direction,
                 zero=sensor.zero if isinstance(sensor.zero, str) else float(sensor.zero),
                 **({} if (by := sensor.counts_per_unit) is None else {"counts_per_unit": by}),
+                **({"terms": _dump_terms(sensor, leg.name)} if sensor.terms else {}),
             )
             for sensor in leg.sensors
         ],
@@ -315,6 +335,10 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
             if joint.placement.coordinates
         },
     }
+
+
+def _dump_terms(sensor: Sensor, leg: str) -> dict[str, Any]:
+    return {term.parameter: _Flow(described(term, leg)) for term in sensor.terms}
 
 
 def _values(coordinate: Coordinate) -> Any:

@@ -2,41 +2,19 @@
 
 from __future__ import annotations
 
-from math import isnan
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    ValidationError,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-)
+from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from pincal.errors import MechanismError
-from pincal.files.input import plain_number
+from pincal.files.strict import Name, Number, Strict
+from pincal.files.terms import TermSpec
 from pincal.files.yaml_reading import read_yaml
-from pincal.model.checks import LARGEST
 
 FORMAT = 1
-Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=64)]
 
 
-def _number(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError("a number, not true or false, is expected")
-    if isinstance(value, str):  # 1e-3, which is text to YAML
-        value = plain_number(value)
-        if isnan(value):
-            raise ValueError("a number is expected")
-    return value
-
-
-Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST), BeforeValidator(_number)]
 Value = Name | Number
 
 
@@ -50,12 +28,6 @@ def _number_or_home(value: object, number: ValidatorFunctionWrapHandler) -> obje
 Zero = Annotated[Literal["home"] | Number, WrapValidator(_number_or_home)]
 
 
-class Strict(BaseModel):
-    """Refuses keys that it does not know."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
 class SensorSpec(Strict):
     """Sensor of a leg."""
 
@@ -66,6 +38,7 @@ class SensorSpec(Strict):
     direction: Literal[1, -1] = 1
     zero: Zero = 0.0
     counts_per_unit: Annotated[Number, Field(gt=0)] | None = None
+    terms: dict[Name, TermSpec] = Field(default_factory=dict)
 
 
 class LegSpec(Strict):
@@ -97,6 +70,15 @@ class PlatformSpec(Strict):
     home: dict[str, Number]
 
 
+class LoadSpec(Strict):
+    """What weighs on the mechanism."""
+
+    mass: Number = 0.0
+    centre: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    gravity: tuple[Number, Number, Number] = (0.0, 0.0, -9.81)
+    drawn: dict[str, Number] = Field(default_factory=dict)
+
+
 class MechanismSpec(Strict):
     """The whole file."""
 
@@ -105,6 +87,7 @@ class MechanismSpec(Strict):
     description: str = ""
     platform: PlatformSpec
     labels: dict[str, str] = Field(default_factory=dict)
+    load: LoadSpec | None = None
     legs: list[LegSpec] = Field(min_length=1)
 
 

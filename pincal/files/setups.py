@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from pincal.errors import MeasurementError
-from pincal.files.schema import Name, Number, Strict
+from pincal.files.strict import Name, Number, Strict
 from pincal.files.yaml_reading import read_yaml
 from pincal.model.checks import must_be
 from pincal.model.setup import ORIGIN, Distance, Setup, Target

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,8 +66,8 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
                 f"{path}: the chain from the root ends at {link!r}, not at {tip!r}"
             )
         element = by_parent[link]
-        chain.append(read_joint(element, path))
         link = link_of(element, "child", path)
+        chain.append(_weighed(read_joint(element, path), robot, link, path))
     if not any(joint.kind != "fixed" for joint in chain):
         raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
     return tuple(chain)
@@ -105,7 +106,30 @@ def read_path(path: Path, tip: str, base: str | None = None) -> tuple[Joint, ...
         link = link_of(above[link], "parent", path)
     if (base is not None and link != base) or (link in above and base is None):
         raise MechanismError(f"{path}: no chain of joints leads from {base or 'a root'} to {tip!r}")
-    return tuple(read_joint(element, path) for element in reversed(found))
+    return tuple(
+        _weighed(read_joint(element, path), robot, link_of(element, "child", path), path)
+        for element in reversed(found)
+    )
+
+
+def _weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint:
+    """Return a joint with the mass of the link behind it, if its URDF says one.
+
+    Raises:
+        MechanismError: a negative mass, or a number that is none.
+    """
+    inertial = next(
+        (one.find("inertial") for one in robot.findall("link") if one.get("name") == link), None
+    )
+    element = None if inertial is None else inertial.find("mass")
+    if inertial is None or element is None:
+        return joint
+    where = f"{path}, line {element.sourceline}"
+    mass = _number(element.get("value", "0"), where)
+    if mass < 0.0:
+        raise MechanismError(f"{where}: link {link!r} has the mass {mass:g}; expected 0 or more")
+    centre = _triple(inertial.find("origin"), "xyz", where, (0.0, 0.0, 0.0))
+    return replace(joint, mass=mass, centre=centre if mass else (0.0, 0.0, 0.0))
 
 
 def read_points(path: Path) -> dict[str, Joint]:

@@ -26,6 +26,8 @@ def leg_urdf(leg: Leg) -> str:
         if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
             _rod(link, joint.placement.xyz, size)
         link = _link_element(robot, links[index + 1])
+        if joint.mass:
+            _inertial(link, joint)
         if joint.kind == "revolute":
             colour = _ORANGE if joint.name in read else _BLUE
             roll = _axis_rpy(joint.axis)
@@ -75,6 +77,15 @@ def _size(leg: Leg) -> float:
 
 def _link_element(robot: etree._Element, name: str) -> etree._Element:
     return etree.SubElement(robot, "link", name=name)
+
+
+def _inertial(link: etree._Element, joint: Joint) -> None:
+    """Add a link's mass and its centre; inertia does not count where nothing accelerates."""
+    inertial = etree.SubElement(link, "inertial")
+    etree.SubElement(inertial, "origin", xyz=_triple_text(joint.centre), rpy="0 0 0")
+    etree.SubElement(inertial, "mass", value=_f(joint.mass))
+    moments = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
+    etree.SubElement(inertial, "inertia", moments)
 
 
 def _joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) -> None:

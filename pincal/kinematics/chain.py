@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pincal.kinematics.forest import Elementary, Forest, Motion, forest
 from pincal.model.leg import Joint, Leg
+from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]
 
@@ -72,6 +73,14 @@ class Chain:
 def leg_chain(leg: Leg, spatial: bool) -> Chain:
     """Return the chain from the base to the leg's tip."""
     return _chain(leg, leg.joints, spatial)
+
+
+@lru_cache(maxsize=64)
+def body_chain(leg: Leg, index: int) -> Chain:
+    """Return the chain from the base to the centre of mass of the link behind a joint."""
+    joints = leg.joints[: index + 1]
+    centre = Joint("centre", "fixed", Placement(xyz=joints[-1].centre))
+    return _chain(leg, (*joints, centre), spatial=True)
 
 
 @lru_cache(maxsize=256)

@@ -8,21 +8,24 @@ a surface of poses only: such a plan carries readings, and forward kinematics gi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.batches import least_squares
+from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.derivatives import leg_demand
-from pincal.kinematics.forward import forward
-from pincal.kinematics.inverse import InverseSolution, inverse, sensor_law
+from pincal.kinematics.derivatives import Demand, leg_demand
+from pincal.kinematics.forward import forward, with_loads
+from pincal.kinematics.influences import influences_of
+from pincal.kinematics.inverse import InverseSolution, inverse
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.terms import OF_JOINTS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -57,7 +60,27 @@ def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
     """Return a plan, with readings only where they do not follow from poses; or of poses."""
     if not isinstance(planned, Plan):
         return Plan(numbers_of(planned, "poses", MechanismError))
-    return Plan(planned.poses, planned.sets, planned.readings if mechanism.by_readings else None)
+    return Plan(
+        planned.poses,
+        planned.sets,
+        planned.readings if mechanism.by_readings else None,
+        influences=planned.influences,
+    )
+
+
+def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
+    """Return the columns of influences of planned configurations, commanded in their order.
+
+    Shape (N, n_influences); None if no term depends on any.
+    """
+    if not mechanism.influences:
+        return None
+    readings = plan.readings
+    if readings is None and any(name.startswith(OF_JOINTS) for name in mechanism.influences):
+        readings = inverse(mechanism, plan.poses, influences_of(mechanism, plan)).readings
+    guess = plan.poses if np.isfinite(plan.poses).all() else None
+    found = influences_of(mechanism, plan, readings)
+    return found if readings is None else with_loads(mechanism, found, readings, guess)
 
 
 def home_of(mechanism: Mechanism) -> Plan:
@@ -83,11 +106,13 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is None:
-        return inverse(mechanism, plan.poses)
+        return inverse(mechanism, plan.poses, planned_influences(mechanism, plan))
     matrices = mechanism.platform.matrices(plan.poses)
     joints, reached = {}, []
-    for leg, own in zip(nominal_legs(mechanism), mechanism.reading_columns, strict=True):
-        closed, found = nearest_closure(leg, matrices, plan.readings[:, own])
+    influences = influences_of(mechanism, plan)
+    for index, leg in enumerate(nominal_legs(mechanism)):
+        known = mechanism.known(index, plan.readings, influences)
+        closed, found = nearest_closure(leg, matrices, known)
         near = np.abs(closed.gap).max(axis=1) <= _CLOSES * leg.size
         joints[leg.leg.name] = np.where(near[:, None], found, np.nan)
         reached.append(near)
@@ -109,13 +134,10 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
         found = np.asarray(there.reached.all(axis=1))
         poses, readings = poses[found], there.readings[found]
     elif readings is not None:
-        solution = forward(mechanism, readings, poses)
+        solution = forward(mechanism, readings, poses, planned_influences(mechanism, plan))
         found = solution.converged
         poses, readings = solution.poses[found], readings[found]
-    demands = [
-        leg_demand(mechanism, leg.name, poses, None, None if readings is None else readings[:, own])
-        for leg, own in zip(mechanism.legs, mechanism.reading_columns, strict=True)
-    ]
+    demands = leg_demands(mechanism, replace(plan.rows(found), poses=poses, readings=readings))
     pose = np.concatenate([row.pose for row in demands], axis=1)
     parameter = block_diagonal([row.parameter for row in demands])
     reading = block_diagonal([row.reading for row in demands])
@@ -130,6 +152,23 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
         pose[ok],
         reading[ok],
     )
+
+
+def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
+    """Return what each leg demands at configurations, poses in reach: see ``leg_demand``."""
+    influences = planned_influences(mechanism, plan)
+    return [
+        leg_demand(
+            mechanism,
+            leg.name,
+            plan.poses,
+            readings=None if plan.readings is None else plan.readings[:, own],
+            influences=None if influences is None else mechanism.influences_at(index, influences),
+        )
+        for index, (leg, own) in enumerate(
+            zip(mechanism.legs, mechanism.reading_columns, strict=True)
+        )
+    ]
 
 
 def block_diagonal(parts: Sequence[Array]) -> Array:
@@ -152,9 +191,10 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is not None:
-        solution = forward(mechanism, plan.readings, plan.poses)
+        influences = planned_influences(mechanism, plan)
+        solution = forward(mechanism, plan.readings, plan.poses, influences)
         return solution.poses, plan.readings, list(solution.reasons)
-    solved = inverse(mechanism, plan.poses)
+    solved = inverse(mechanism, plan.poses, planned_influences(mechanism, plan))
     reasons = [solved.reason(row) for row in range(len(plan.poses))]
     return plan.poses, solved.readings, reasons
 
@@ -196,14 +236,27 @@ def nearby(
     rng = np.random.default_rng(seed)
     rounds = -(-count // max(len(plan.poses), 1))
     poses = np.tile(plan.poses, (rounds, 1))
+    influences = {
+        name: _generic(np.tile(values, rounds), rng) for name, values in plan.influences.items()
+    }
     if plan.readings is not None:
         units = mechanism.reading_units
         readings = np.tile(plan.readings, (rounds, 1))
         readings = readings + _scale(units, size) * rng.standard_normal(readings.shape)
-        return Plan(poses, readings=readings)
+        return Plan(poses, readings=readings, influences=influences)
     matrices = platform.matrices(poses)
     twists = _scale(platform.units, size) * rng.standard_normal(poses.shape)
-    return Plan(platform.from_matrices(platform.displaced(matrices, twists)))
+    moved = platform.from_matrices(platform.displaced(matrices, twists))
+    return Plan(moved, influences=influences)
+
+
+def _generic(values: Array, rng: np.random.Generator) -> Array:
+    """Return values moved about by as much as they differ; known everywhere if they are at all."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return values
+    filled = np.where(np.isfinite(values), values, known[0])
+    return filled + (np.ptp(known) or 1.0) * rng.standard_normal(len(values))
 
 
 def _scale(units: tuple[str, ...], size: float) -> Array:

@@ -16,8 +16,8 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.closing import close, matrix_chunks, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.inverse import close, matrix_chunks, sensor_law
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -58,34 +58,48 @@ class Demand:
         )
 
 
-def demand(leg: LegClosure, closure: Closure, readings: Array) -> Demand:
-    """Return what a leg demands, from its closure and the readings, shape (N, n_active)."""
+def demand(leg: LegClosure, closure: Closure, known: Array) -> Demand:
+    """Return what a leg demands, from its closure and what is known of readings and influences.
+
+    Args:
+        leg: The leg at its parameter values.
+        closure: Its closure at N configurations.
+        known: Readings, then influences, shape (N, n_active [+ n_influences]).
+    """
     return Demand(
         closure.constraint,
-        _by_parameter(leg, closure, readings),
+        _by_parameter(leg, closure, known),
         closure.project(closure.pose),
-        closure.drive * sensor_law(leg).slopes(readings)[..., None, :],
+        closure.drive * sensor_law(leg).slopes(known)[..., None, :],
     )
 
 
-def _by_parameter(leg: LegClosure, closure: Closure, readings: Array) -> Array:
+def _by_parameter(leg: LegClosure, closure: Closure, known: Array) -> Array:
     """Return ∂e/∂φ, shape (N, k, n_params): of the geometry, and of the sensors."""
     rows = closure.project(closure.parameter)
-    return rows + product(closure.drive, sensor_law(leg).by_parameter(readings))
+    return rows + product(closure.drive, sensor_law(leg).by_parameter(known))
 
 
 def _closed_chunks(
-    leg: LegClosure, placed: RigidTransform | Array, readings: Array | None = None
+    leg: LegClosure,
+    placed: RigidTransform | Array,
+    readings: Array | None = None,
+    influences: Array | None = None,
 ) -> Iterator[tuple[slice, Closure, Array, NDArray[np.bool_]]]:
-    """Yield rows, closure, readings and which rows are reached, in chunks of bounded memory."""
+    """Yield rows, closure, what is known and which rows are reached, in chunks of bounded memory.
+
+    Known are readings, and influences if there are any.
+    """
     for rows, matrices in matrix_chunks(placed):
+        more = np.zeros((len(matrices), 0)) if influences is None else influences[rows]
         if readings is not None:
-            closure, _ = nearest_closure(leg, matrices, readings[rows])
-            yield rows, closure, readings[rows], np.ones(len(matrices), dtype=bool)
+            known = np.hstack((readings[rows], more))
+            closure, _ = nearest_closure(leg, matrices, known)
+            yield rows, closure, known, np.ones(len(matrices), dtype=bool)
             continue
         closed = close(leg, matrices)
-        psi = sensor_law(leg).reading(closed.joints[:, leg.leg.active])
-        yield rows, closed.closure, psi, closed.reached
+        psi = sensor_law(leg).reading(closed.joints[:, leg.leg.active], more)
+        yield rows, closed.closure, np.hstack((psi, more)), closed.reached
 
 
 def leg_demand(
@@ -94,6 +108,7 @@ def leg_demand(
     poses: Poses,
     parameters: Array | None = None,
     readings: Array | None = None,
+    influences: Array | None = None,
 ) -> Demand:
     """Return what a leg demands at poses that it reaches: value zero, NaN where out of reach.
 
@@ -104,6 +119,8 @@ def leg_demand(
         parameters: Parameter values of the leg, shape (n_params,); nominal if not given.
         readings: Of the leg at these poses, shape (N, n_active); those of inverse kinematics if
             not given.
+        influences: Of the leg at these poses, shape (N, n_influences); at their reference if not
+            given.
 
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
@@ -114,8 +131,8 @@ def leg_demand(
     count, k = len(placed), len(platform.closing(one.closes)) - len(one.passive)
     sizes = (len(one.parameters), platform.dof, len(one.sensors))
     whole = Demand(np.empty((count, k)), *(np.empty((count, k, size)) for size in sizes))
-    for rows, closed, psi, reached in _closed_chunks(closure, placed, readings):
-        part = demand(closure, closed, psi)
+    for rows, closed, known, reached in _closed_chunks(closure, placed, readings, influences):
+        part = demand(closure, closed, known)
         for target, values in zip(vars(whole).values(), vars(part).values(), strict=True):
             target[rows] = values
             target[rows][~reached] = np.nan

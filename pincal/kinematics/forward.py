@@ -19,17 +19,21 @@ from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
+from pincal.kinematics.closing import CHUNK, close, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
-from pincal.kinematics.inverse import CHUNK, close, sensor_law
+from pincal.kinematics.influences import Influences, influence_columns
+from pincal.kinematics.loads import gravity_loads
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.checks import numbers_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
+from pincal.model.terms import LOAD
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_WAY = 8  # steps on the way from home
 _NEWTON = Newton(steps=40, small=1e-9, largest=0.2, closed=1e-8)
 
 
@@ -61,7 +65,10 @@ class ForwardSolution:
 
 
 def forward(
-    mechanism: GivenMechanism, readings: Array, guess: Poses | None = None
+    mechanism: GivenMechanism,
+    readings: Array,
+    guess: Poses | None = None,
+    influences: Influences | None = None,
 ) -> ForwardSolution:
     """Return the poses of sensor readings, found from a guess in the assembly mode of home.
 
@@ -73,10 +80,12 @@ def forward(
         mechanism: The mechanism, at its nominal parameters.
         readings: Sensor readings, shape (N, n_readings), [rad] or [m], legs in order.
         guess: N poses near the solutions; the home pose if not given.
+        influences: What terms of sensors depend on, by column: see ``inverse``.
 
     Raises:
         MechanismError: readings or guess of a wrong shape, or not finite; a homed sensor and a
             home pose out of its leg's reach.
+        MeasurementError: an influence on which nothing depends, or of a wrong shape.
     """
     mechanism = as_mechanism(mechanism)
     readings = numbers_of(readings, "readings", MechanismError)
@@ -96,13 +105,18 @@ def forward(
     if len(transforms) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
     legs = nominal_legs(mechanism)
+    columns = with_loads(
+        mechanism, influence_columns(mechanism, influences, len(readings)), readings, guess
+    )
+    known = [mechanism.known(leg, readings, columns) for leg in range(len(legs))]
     poses = np.full((len(readings), platform.dof), np.nan)
     gap = np.full((len(readings), len(legs)), np.nan)
     reasons: list[str] = []
     iterations = 0
     for begin in range(0, len(readings), CHUNK):
         rows = slice(begin, begin + CHUNK)
-        matrices, why, apart, steps = _solve(mechanism, legs, readings[rows], transforms[rows])
+        own = [one[rows] for one in known]
+        matrices, why, apart, steps = _solve(mechanism, legs, own, transforms[rows])
         found = np.array([not reason for reason in why], dtype=bool)
         poses[rows][found] = platform.from_matrices(matrices[found])
         gap[rows][found] = apart[found]
@@ -112,15 +126,84 @@ def forward(
     return ForwardSolution(poses, converged, gap, iterations, tuple(reasons))
 
 
+def with_loads(
+    mechanism: Mechanism, influences: Array | None, readings: Array, guess: Poses | None = None
+) -> Array | None:
+    """Return columns of influences with the loads of joints, where they were not given.
+
+    They are those of the machine as drawn, at the poses to which these readings would take it: a
+    term depends on nothing but what a row says.
+
+    Args:
+        mechanism: The mechanism.
+        influences: Shape (N, n_influences), None if no term depends on any.
+        readings: Shape (N, n_readings), [rad] or [m].
+        guess: N poses near those of the readings; found from home if not given.
+
+    Raises:
+        MechanismError: readings that take the machine as drawn nowhere.
+    """
+    if influences is None or not needs_loads(mechanism, influences):
+        return influences
+    drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
+    poses = _reached(drawing, readings[known], None if guess is None else guess[known])
+    loads = np.full(readings.shape, np.nan)
+    loads[known] = gravity_loads(drawing, readings[known], drawing.platform.matrices(poses))
+    found = influences.copy()
+    for name in mechanism.loaded:
+        reading = mechanism.reading_names.index(name.removeprefix(f"{LOAD}_"))
+        found[:, mechanism.influences.index(name)] = loads[:, reading]
+    return found
+
+
+def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
+    """Return whether terms depend on loads of joints, and no row gives any."""
+    places = [mechanism.influences.index(name) for name in mechanism.loaded]
+    return bool(places) and not np.isfinite(influences[:, places]).any()
+
+
+def _reached(drawing: Mechanism, readings: Array, guess: Poses | None) -> Array:
+    """Return the poses of readings, from a guess or on the way from home, shape (N, dof).
+
+    Raises:
+        MechanismError: readings that take the machine nowhere.
+    """
+    platform = drawing.platform
+    near = np.tile(platform.home, (len(readings), 1))
+    if guess is not None:
+        near = platform.coordinates_of(guess)
+        solution = forward(drawing, readings, near)
+        if solution.converged.all():
+            return solution.poses
+    legs = nominal_legs(drawing)
+    at_home = [sensor_law(leg).reading(leg.leg.home[None, leg.leg.active]) for leg in legs]
+    home = np.concatenate(at_home, axis=1)
+    near = np.tile(platform.home, (len(readings), 1))
+    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
+        solution = forward(drawing, home + share * (readings - home), near)
+        near = np.where(solution.converged[:, None], solution.poses, near)
+    if not solution.converged.all():
+        row = int(np.argmin(solution.converged))
+        raise MechanismError(
+            f"the load of joints cannot be found: the readings {readings[row].tolist()} take "
+            f"{drawing.name!r}, as drawn, to no pose ({solution.reasons[row]}); give the loads as "
+            f"columns ({', '.join(f'{LOAD}_{name}' for name in drawing.reading_names)})"
+        )
+    return solution.poses
+
+
 def _solve(
-    mechanism: Mechanism, legs: Sequence[LegClosure], readings: Array, guess: RigidTransform
+    mechanism: Mechanism, legs: Sequence[LegClosure], known: Sequence[Array], guess: RigidTransform
 ) -> tuple[Array, list[str], Array, int]:
-    """Return matrices, reasons, gaps and the number of steps for one chunk."""
-    matrices = placed_by_arm(mechanism, legs, readings)
+    """Return matrices, reasons, gaps and the number of steps for one chunk.
+
+    Known are, leg by leg, readings and influences.
+    """
+    matrices = placed_by_arm(legs, known)
     matrices = guess.as_matrix().copy() if matrices is None else matrices
     joints = [_joints_near(leg, matrices) for leg in legs]
-    for leg, columns, q in zip(legs, mechanism.reading_columns, joints, strict=True):
-        q[:, leg.leg.active] = sensor_law(leg).position(readings[:, columns])
+    for leg, own, q in zip(legs, known, joints, strict=True):
+        q[:, leg.leg.active] = sensor_law(leg).position(own)
     size = max(leg.size for leg in legs)
     open_ = np.ones(len(matrices), dtype=bool)
     steps = 0
@@ -148,16 +231,15 @@ def _solve(
     return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
 
 
-def placed_by_arm(
-    mechanism: Mechanism, legs: Sequence[LegClosure], readings: Array
-) -> Array | None:
+def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array | None:
     """Return the poses that follow from a leg whose every joint is read, shape (N, 4, 4).
 
-    None if there is no such leg, or it ends in a point.
+    None if there is no such leg, or it ends in a point. Known are, leg by leg, readings and
+    influences.
     """
-    for leg, columns in zip(legs, mechanism.reading_columns, strict=True):
+    for leg, own in zip(legs, known, strict=True):
         if leg.leg.is_arm:
-            return arm_poses(leg, readings[:, columns])
+            return arm_poses(leg, own)
     return None
 
 

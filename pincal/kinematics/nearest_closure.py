@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import product
+from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton
-from pincal.kinematics.inverse import sensor_law
 from pincal.kinematics.starts import start_joints
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ _FLAT = 1e-9  # of the steepest direction, below which one counts as flat
 def nearest_closure(
     leg: LegClosure,
     matrices: Array,
-    readings: Array,
+    known: Array,
     joints: Array | None = None,
     steps: int = _NEWTON.steps,
 ) -> tuple[Closure, Array]:
@@ -31,7 +31,7 @@ def nearest_closure(
     Args:
         leg: The leg at its parameter values.
         matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        readings: Shape (N, n_active), [rad] or [m].
+        known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
         joints: Where the search for passive joints starts, shape (N, n_joints).
         steps: Most Gauss-Newton steps.
     """
@@ -42,7 +42,7 @@ def nearest_closure(
         joints = start_joints(leg, matrices)[0]
     else:
         joints = np.empty((len(matrices), len(active)))
-    joints[:, active] = sensor_law(leg).position(readings)
+    joints[:, active] = sensor_law(leg).position(known)
     for _ in range(steps):
         closed = leg.evaluate(joints, matrices)
         step = closed.passive_step()
@@ -80,14 +80,14 @@ def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:
     return -np.asarray(steps)[:, :, 0]
 
 
-def arm_poses(leg: LegClosure, readings: Array, gap: Array | None = None) -> Array:
+def arm_poses(leg: LegClosure, known: Array, gap: Array | None = None) -> Array:
     """Return where readings of an arm put the platform, ``T_base_platform``, shape (N, 4, 4).
 
     Args:
         leg: A leg that is an arm (see ``Leg``), at its parameter values.
-        readings: Shape (N, n_active), [rad] or [m].
+        known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
         gap: What the closure is to be there, shape (N, 6); nothing if not given.
     """
-    joints = np.empty((len(readings), len(leg.leg.moving)))
-    joints[:, leg.leg.active] = sensor_law(leg).position(readings)
+    joints = np.empty((len(known), len(leg.leg.moving)))
+    joints[:, leg.leg.active] = sensor_law(leg).position(known)
     return leg.frame(joints, gap)

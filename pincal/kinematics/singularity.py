@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import point_velocity
 from pincal.kinematics.closed_forms import rod_directions
+from pincal.kinematics.closing import close, close_chunks, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
-from pincal.kinematics.inverse import close, close_chunks, sensor_law
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses

@@ -37,6 +37,10 @@ class Joint:
     """Limits, [rad] or [m]."""
     home: float = 0.0
     """Position in the home configuration, [rad] or [m]; fixes the working mode."""
+    mass: float = 0.0
+    """Of the link behind the joint, [kg]."""
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of that mass, in the joint's own frame, [m]."""
 
     def __repr__(self) -> str:
         axis = f" {'about' if self.turns else 'along'} {triple(self.axis)}"
@@ -202,7 +206,7 @@ class Leg:
                 units[sensor.gain] = "1"
             if isinstance(sensor.offset, str):
                 units[sensor.offset] = unit
-            units |= {term.parameter: term.unit for term in sensor.terms}
+            units |= {term.parameter: term.unit or unit for term in sensor.terms}
         return units
 
     @property
@@ -217,6 +221,22 @@ class Leg:
         if len(self.sensors) == 1:
             return (self.name,)
         return tuple(sensor.joint for sensor in self.sensors)
+
+    @cached_property
+    def influences(self) -> tuple[str, ...]:
+        """Columns of the influence quantities on which the sensors' terms depend."""
+        named = zip(self.sensors, self.reading_names, strict=True)
+        found = (term.column(name) for sensor, name in named for term in sensor.terms)
+        return tuple(dict.fromkeys(name for name in found if name))
+
+    @cached_property
+    def without_terms(self) -> Leg:
+        """The leg with sensors of gain and offset alone, and without amplitudes of terms."""
+        sensors = tuple(replace(sensor, terms=()) for sensor in self.sensors)
+        geometry = {n for j in (*self.joints, self.point) for n in j.placement.parameter_units}
+        kept = geometry | {name for one in sensors for name in (one.gain, one.offset)}
+        own = tuple((name, value) for name, value in self.parameters if name in kept)
+        return replace(self, sensors=sensors, parameters=own)
 
     @cached_property
     def home(self) -> Array:

@@ -19,7 +19,7 @@ from pincal.model.setup import Setup
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 EVERY_LEG = "all"
-_COLUMNS = ("poses", "lines", "extra", "sigma_extra", "covariances")
+_COLUMNS = ("poses", "lines", "extra", "sigma_extra", "covariances", "influences")
 VERIFY = "verify"
 SMALLEST_SIGMA = 1e-50
 """Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
@@ -65,6 +65,9 @@ class Plan:
     """Readings to command, shape (N, n_readings), where poses do not determine them."""
     places: tuple[str, ...] | None = field(default=None, kw_only=True)
     """Name of the pose of each row: rows of one name are repeated measurements."""
+    influences: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+    """Influence quantities by column, on which terms of sensors depend (``Mechanism.influences``),
+    each of shape (N,); NaN where not known, which counts as at its reference."""
     lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
     """Line of the file that holds each row, if they were read from one."""
 
@@ -72,6 +75,21 @@ class Plan:
         poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
         object.__setattr__(self, "poses", poses)
         self._check({"readings": ("n_readings",)}, ("sets", "places"))
+        self._check_columns("influences")
+
+    def _check_columns(self, *names: str) -> None:
+        """Make mappings of columns ones of arrays, one number for each row.
+
+        Raises:
+            MeasurementError: something else, or another number of rows.
+        """
+        for name in names:
+            columns = must_be(getattr(self, name), Mapping, name, MeasurementError)
+            arrays = {
+                column: array_of(values, (len(self),), f"{name} {column!r}", MeasurementError)
+                for column, values in columns.items()
+            }
+            object.__setattr__(self, name, arrays)
 
     def _check(self, arrays: Mapping[str, tuple[int | str, ...]], names: Sequence[str]) -> None:
         """Make fields arrays and tuples with one entry for each row of the poses.
@@ -163,7 +181,7 @@ class Plan:
     def __repr__(self) -> str:
         more = [name for name, value in vars(self).items() if value is not None]
         has = [name for name in more if name not in _COLUMNS]
-        has += getattr(self, "extra", ())
+        has += [*getattr(self, "extra", ()), *self.influences]
         poses = f"{counted(len(self), 'row')}: {counted(self.poses.shape[1], 'coordinate')}"
         if lacks := int(np.isnan(self.poses).any(axis=1).sum()):
             poses += f" (not all in {counted(lacks, 'row')})"
@@ -186,6 +204,7 @@ class Plan:
             None if self.sets is None else tuple(self.sets[i] for i in index),
             None if self.readings is None else self.readings[index],
             places=None if self.places is None else tuple(self.places[i] for i in index),
+            influences={name: values[index] for name, values in self.influences.items()},
             lines=None if self.lines is None else tuple(self.lines[i] for i in index),
         )
 
@@ -243,13 +262,7 @@ class Measurements(Plan):
             {"sigma_poses": (dof,), "sigma_readings": (self.readings.shape[1],)},
             ("runs",),
         )
-        for name in ("extra", "sigma_extra", "covariances"):
-            columns = must_be(getattr(self, name), Mapping, name, MeasurementError)
-            arrays = {
-                column: array_of(values, (len(self),), f"{name} {column!r}", MeasurementError)
-                for column, values in columns.items()
-            }
-            object.__setattr__(self, name, arrays)
+        self._check_columns("extra", "sigma_extra", "covariances")
         if lone := [pair for pair in self.covariances if pair.count(",") != 1]:
             raise MeasurementError(f"covariance of {lone[0]!r}; expected a pair such as 'x,y'")
 
@@ -318,5 +331,6 @@ class Measurements(Plan):
             covariances=each(self.covariances),
             runs=names(self.runs),
             places=names(self.places),
+            influences=each(self.influences),
             lines=None if self.lines is None else tuple(self.lines[i] for i in index),
         )

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from pincal.errors import MechanismError
 from pincal.model.checks import must_be
 from pincal.model.leg import Leg
+from pincal.model.load import Load
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.overview import ROWS, counted, one_line
 from pincal.model.parameter import Parameter, Parameters, labels_of
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
+from pincal.model.terms import LOAD
 
 Array = NDArray[np.float64]
 #: Columns of tables that mean something else than a reading.
@@ -39,6 +41,8 @@ class Mechanism:
     labels: tuple[tuple[str, str], ...] = ()
     """What parameters are, for people, by name (of all legs) or by id (of one): ``("l", "crank")``,
     ``("leg_2.l", "short crank")``. A mapping will do; those of no parameter are not shown."""
+    load: Load | None = None
+    """What weighs on it, if that is known."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", labels_of(self.labels, self.name))
@@ -54,6 +58,16 @@ class Mechanism:
             raise MechanismError(
                 f"mechanism {self.name!r}: a reading named {taken[0]!r} cannot be distinguished "
                 f"from that column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
+            )
+        if taken := [name for name in self.influences if name in RESERVED or name in readings]:
+            raise MechanismError(
+                f"mechanism {self.name!r}: a term depends on {taken[0]!r}, which is another column "
+                "of tables; name the influence otherwise"
+            )
+        if self.load is None and self.loaded:
+            raise MechanismError(
+                f"mechanism {self.name!r}: a term depends on the load of its joint, but what "
+                "weighs on the mechanism is not said; give 'load' (mass, centre, gravity)"
             )
         if len(set(readings)) != len(readings):
             raise MechanismError(
@@ -108,6 +122,42 @@ class Mechanism:
     def reading_units(self) -> tuple[str, ...]:
         """Units of the readings, rad or m."""
         return tuple(unit for leg in self.legs for unit in leg.reading_units)
+
+    @cached_property
+    def influences(self) -> tuple[str, ...]:
+        """Columns of the influence quantities on which terms of sensors depend, of all legs."""
+        return tuple(dict.fromkeys(name for leg in self.legs for name in leg.influences))
+
+    @cached_property
+    def loaded(self) -> tuple[str, ...]:
+        """Those of the influences that are loads of joints."""
+        return tuple(name for name in self.influences if name.startswith(LOAD))
+
+    @cached_property
+    def drawing(self) -> Mechanism:
+        """The machine whose loads count: at parameters as drawn, its sensors without terms."""
+        drawn = {} if self.load is None else dict(self.load.drawn)
+        plain = replace(self, legs=tuple(leg.without_terms for leg in self.legs))
+        kept = {one.id for one in plain.parameters}
+        return plain.with_parameters({name: drawn[name] for name in drawn if name in kept})
+
+    def known(self, leg: int, readings: Array, influences: Array | None = None) -> Array:
+        """Return what is known of rows for a leg's sensors: its readings, then its influences.
+
+        Args:
+            leg: Index.
+            readings: Of all legs, shape (N, n_readings), [rad] or [m].
+            influences: Of all legs, shape (N, n_influences); at their reference if not given.
+
+        Returns:
+            Shape (N, n_active [+ n_influences of the leg]).
+        """
+        own = readings[:, self.reading_columns[leg]]
+        return own if influences is None else np.hstack((own, self.influences_at(leg, influences)))
+
+    def influences_at(self, leg: int, influences: Array) -> Array:
+        """Return the influences of one leg among those of all, shape (N, n_influences of it)."""
+        return influences[:, [self.influences.index(name) for name in self.legs[leg].influences]]
 
     @cached_property
     def counts(self) -> dict[str, float]:
@@ -209,7 +259,11 @@ class Mechanism:
                 raise MechanismError(f"{key!r} is given by its id and among all of {one.owner}")
             new[one.owner] = {**own, one.name: value}
         legs = (leg.with_parameters(new[leg.name]) if leg.name in new else leg for leg in self.legs)
-        return replace(self, legs=tuple(legs))
+        load = self.load
+        if load is not None and self.loaded and not load.drawn:
+            own = tuple((one.id, one.nominal) for one in self.parameters)
+            load = replace(load, drawn=own)
+        return replace(self, legs=tuple(legs), load=load)
 
     @cached_property
     def parameters(self) -> Parameters:

@@ -1,11 +1,13 @@
 """A sensor is the law between an active joint and its reading: gain, offset, direction, terms.
 
-q = k ψ + γ + Σ a_j b_j(ψ): linear in all that is unknown.
+q = k ψ + γ + Σ a_j b_j: linear in all that is unknown. Where a row says more than readings, its
+influence quantities stand beside them, as columns that follow the readings; what is not known of
+them, NaN or no column, is at its reference, where its terms are zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -13,27 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.model.terms import Term
 
 Array = NDArray[np.float64]
 _STEPS = 50
-
-
-@dataclass(frozen=True)
-class Term:
-    """A known function of the reading times an unknown amplitude: a b(ψ), added to q.
-
-    Such as the sine of a geared motor's angle, or the sag of a spool. Its slope must be so small
-    that q(ψ) remains monotonic.
-    """
-
-    parameter: str
-    """Name of the amplitude a, a parameter of the leg."""
-    basis: Callable[[Array], Array]
-    """b by the reading ψ [rad] or [m], of the same shape."""
-    slope: Callable[[Array], Array]
-    """db/dψ, likewise."""
-    unit: str = "rad"
-    """Of the amplitude: that of q over that of b."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +27,18 @@ class PlacedTerm:
 
     term: Term
     reading: int
-    """Of which of the leg's readings."""
+    """Which of the leg's readings it is added to."""
+    column: int
+    """On which column it depends: a reading, or behind them an influence."""
     parameter: int
     """Which of the leg's parameters its amplitude is."""
     amplitude: float
+
+    def basis(self, known: Array) -> Array:
+        """Return b at what is known of rows, shape (N, n_columns) to (N,)."""
+        column = known[:, self.column]
+        b = self.term.basis(column)
+        return np.where(np.isfinite(column), b, 0.0) if self.term.of else b
 
 
 @dataclass(frozen=True)
@@ -62,42 +55,58 @@ class SensorLaw:
     """∂start/∂φ, shape (n_active, n_params)."""
     terms: tuple[PlacedTerm, ...] = ()
 
-    def reading(self, joints: Array) -> Array:
+    def reading(self, joints: Array, influences: Array | None = None) -> Array:
         """Return the readings ψ of active joints' positions, shape (N, n_active), [rad] or [m].
 
         By Newton's method where there are terms.
+
+        Args:
+            joints: Shape (N, n_active), [rad] or [m].
+            influences: Influence quantities, shape (N, n_influences); at reference if not given.
         """
         readings = (joints - self.start) / self.slope
         for _ in range(_STEPS if self.terms else 0):
-            step = (joints - self.position(readings)) / self.slopes(readings)
+            known = readings if influences is None else np.hstack((readings, influences))
+            step = (joints - self.position(known)) / self.slopes(known)
             readings = readings + step
             size = np.maximum(1.0, np.abs(readings))
             if not (np.abs(step) > 4.0 * np.finfo(float).eps * size).any():
                 break
         return readings
 
-    def position(self, readings: Array) -> Array:
-        """Return the active joints' positions of readings ψ, shape (N, n_active)."""
-        joints = self.slope * readings + self.start
-        for one in self.terms:
-            joints[:, one.reading] += one.amplitude * one.term.basis(readings[:, one.reading])
+    def position(self, known: Array) -> Array:
+        """Return the active joints' positions of readings ψ, shape (N, n_active).
+
+        Args:
+            known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
+        """
+        joints = self.slope * known[:, : len(self.slope)] + self.start
+        for one in self._at(known):
+            joints[:, one.reading] += one.amplitude * one.basis(known)
         return joints
 
-    def slopes(self, readings: Array) -> Array:
+    def slopes(self, known: Array) -> Array:
         """Return ∂q/∂ψ at given readings, shape (N, n_active), or (n_active,) if everywhere."""
         if not self.terms:
             return self.slope
-        slopes = np.tile(self.slope, (len(readings), 1))
+        slopes = np.tile(self.slope, (len(known), 1))
         for one in self.terms:
-            slopes[:, one.reading] += one.amplitude * one.term.slope(readings[:, one.reading])
+            if one.column < len(self.slope):
+                by = one.term.slope_of(known[:, one.column])
+                slopes[:, one.reading] += one.amplitude * by
         return slopes
 
-    def by_parameter(self, readings: Array) -> Array:
+    def by_parameter(self, known: Array) -> Array:
         """Return ∂q/∂φ at given readings, shape (N, n_active) to (N, n_active, n_params)."""
-        found = readings[:, :, None] * self.slope_by_parameter + self.start_by_parameter
-        for one in self.terms:
-            found[:, one.reading, one.parameter] += one.term.basis(readings[:, one.reading])
+        readings = known[:, : len(self.slope), None]
+        found = readings * self.slope_by_parameter + self.start_by_parameter
+        for one in self._at(known):
+            found[:, one.reading, one.parameter] += one.basis(known)
         return found
+
+    def _at(self, known: Array) -> Iterator[PlacedTerm]:
+        """Yield the terms whose columns are known."""
+        return (one for one in self.terms if one.column < known.shape[1])
 
 
 @dataclass(frozen=True)
@@ -122,7 +131,7 @@ class Sensor:
     """Joint position from which q counts, [rad] or [m]; ``"home"``: the joint's position at the
     platform's home pose, whatever the parameters, as on machines that are zeroed there."""
     terms: tuple[Term, ...] = ()
-    """What is added to the joint's position in either form: Σ a_j b_j(ψ)."""
+    """What is added to the joint's position in either form: Σ a_j b_j."""
     counts_per_unit: float | None = field(default=None, repr=False)
     """Encoder counts of one rad or m of the reading, above 0; None if it is not read in counts."""
 
@@ -169,6 +178,7 @@ def sensor_laws(
     parameters: Mapping[str, float],
     home: Array,
     home_by_parameter: Array,
+    columns: Sequence[str] = (),
 ) -> SensorLaw:
     """Return the law of a leg's sensors at parameter values.
 
@@ -177,6 +187,8 @@ def sensor_laws(
         parameters: Values of the leg's parameters by name, in order.
         home: The active joints' positions at the platform's home pose, shape (n_active,).
         home_by_parameter: Their derivatives, shape (n_active, n_params).
+        columns: Names of the leg's readings, one for each sensor, and of its influences; not
+            needed where no term depends on any.
     """
     slope, start, slopes, starts = map(
         np.array, zip(*(sensor.law(parameters) for sensor in sensors), strict=True)
@@ -185,7 +197,13 @@ def sensor_laws(
     zeros = np.array([0.0 if isinstance(one.zero, str) else one.zero for one in sensors])
     place = {name: index for index, name in enumerate(parameters)}
     terms = tuple(
-        PlacedTerm(term, index, place[term.parameter], parameters[term.parameter])
+        PlacedTerm(
+            term,
+            index,
+            columns.index(term.column(columns[index])) if term.of else index,
+            place[term.parameter],
+            parameters[term.parameter],
+        )
         for index, sensor in enumerate(sensors)
         for term in sensor.terms
     )

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.closing import CHUNK, close, matrix_chunks
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.inverse import CHUNK, beyond_limits, close, matrix_chunks
+from pincal.kinematics.inverse import beyond_limits
 from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import (
     drive_margins,

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import joint_range, nominal_legs
 from pincal.kinematics.forward import forward
-from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import count_of, generator_of
 from pincal.model.measurements import Plan

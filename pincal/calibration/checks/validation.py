@@ -20,16 +20,13 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.drift import UNLIKELY, drifts
 from pincal.calibration.checks.folds import FOLDS, By, folds_of
 from pincal.calibration.checks.least import least_of_folds
+from pincal.calibration.checks.unseen import Predicted, misfit, predictions
 from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
-from pincal.calibration.promise import UNEXPLAINED, pose_misses
+from pincal.calibration.promise import UNEXPLAINED
 from pincal.errors import MeasurementError
-from pincal.estimation.fit import Fit
-from pincal.estimation.linear import Linear
-from pincal.estimation.pose_search import solve_poses
-from pincal.estimation.start import placed, poses_at_rest
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -135,7 +132,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     total = sum(one.fit.chi2 for one in whole.fits) if every else None
     count = int(groups.max()) + 1
     sure = np.inf if calibration.noise.known else confidence(whole).least or np.inf
-    parts: list[_Predicted] = []
+    parts: list[Predicted] = []
     misfits: list[Array] = []
     chances = []
     for fold in range(count):
@@ -143,10 +140,10 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         seen = calibration.rows(groups != fold).at_this_noise()
         found = _converged(seen, f"fold {fold + 1} of {count}")
         unseen = calibration.rows(groups == fold)
-        own = [_Predicted.of(one, linear) for one, linear in _predictions(found, unseen)]
+        own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]
         chances.append(_chance(found, own, total, sure))
         parts += own
-        misfits.append(_misfit(unseen, found))
+        misfits.append(misfit(unseen, found))
     equations = sum(one.equations for one in parts)
     dof = sum(one.fit.degrees_of_freedom for one in whole.fits)
     fit = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
@@ -162,7 +159,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
             )
         )
-    fit_misfits = _misfit(calibration.rows(calibration.counts), whole)
+    fit_misfits = misfit(calibration.rows(calibration.counts), whole)
     lengths = np.array([one == "m" for one in calibration.mechanism.platform.units])
     return Validation(
         folds=count,
@@ -192,7 +189,7 @@ def _converged(calibration: Calibration, what: str) -> Fits:
 
 
 def _chance(
-    found: Fits, parts: Sequence[_Predicted], total: float | None, sure: float = np.inf
+    found: Fits, parts: Sequence[Predicted], total: float | None, sure: float = np.inf
 ) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
@@ -221,60 +218,6 @@ def _chance(
     if not own > 0.0:
         return 1.0
     return exceeded(ratio / own, share * equations, min(share * dof, sure))
-
-
-@dataclass(frozen=True)
-class _Predicted:
-    """Residuals of a fit at rows that it has not seen."""
-
-    statistic: float
-    """Σ rᵀ (1 + J C Jᵀ)⁻¹ r."""
-    squares: float
-    """Σ rᵀ r."""
-    unknown: float
-    """Σ tr(J C Jᵀ): growth of the squares by what the fit does not know."""
-    equations: int
-
-    @classmethod
-    def of(cls, one: Fit, linear: Linear) -> _Predicted:
-        """Return how a fit does at rows, noise of unit variance."""
-        scale = one.noise_scale**2
-        J, r = linear.jacobian, linear.value
-        spread = J @ (one.covariance / scale) @ J.transpose(0, 2, 1)
-        weighed = np.linalg.solve(np.eye(J.shape[1]) + spread, r[:, :, None])[:, :, 0]
-        return cls(
-            float((r * weighed).sum()),
-            float((r**2).sum()),
-            float(np.einsum("nkk->", spread)),
-            int(linear.equations.sum()),
-        )
-
-
-def _predictions(found: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
-    """Return fits with their residuals and derivatives at rows that they have not seen."""
-    fits = [robust.fit for robust in found.fits]
-    if found.latent:
-        (one,) = fits
-        problem = unseen.latent_problem
-        external = one.last.state.external
-        state = placed(problem, unseen.measurements, one.parameters, external)
-        linear = problem.linearise(poses_at_rest(problem, state))
-        return [(one, solve_poses(problem, linear)[0])]
-    names = list(unseen.mechanism.leg_names)
-    given = unseen.given_poses(found.external)
-    pairs = []
-    for one in fits:
-        group = [names.index(leg.name) for leg in one.problem.legs]
-        problem, _ = unseen.measured_problem(group, *given)
-        pairs.append((one, problem.linearise(problem.start(one.parameters))))
-    return pairs
-
-
-def _misfit(calibration: Calibration, found: Fits) -> Array:
-    """Return by how much the platform misses measured poses, shape (N, dof); NaN where unknown."""
-    machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
-    plain = calibration.options.setup.plain
-    return pose_misses(calibration, machine, None if plain else found.external)
 
 
 def _both(fitted: Array, held_out: Array, columns: Mask) -> tuple[float, float] | None:

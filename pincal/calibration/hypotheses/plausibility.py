@@ -26,8 +26,9 @@ from pincal.errors import MeasurementError
 from pincal.estimation.conditions.external import External
 from pincal.estimation.observability.drawings import DIFFER
 from pincal.finding import Finding
+from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs
-from pincal.kinematics.inverse import inverse, sensor_law
+from pincal.kinematics.inverse import inverse
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism

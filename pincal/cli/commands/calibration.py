@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.options import Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json
+from pincal.calibration.terms.candidates import columns_said
 from pincal.cli.app import (
     Force,
     Mech,
@@ -31,13 +33,15 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.options import SetupOptions, TableOptions, with_unit
+from pincal.cli.options import SetupOptions, TableOptions, in_si, with_unit
 from pincal.errors import MeasurementError, MisfitError
 from pincal.estimation.conditions.leg_condition import Residual
 from pincal.estimation.residuals.losses import LossName
+from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurements import read_measurements
+from pincal.files.tables.units import UNITS
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
@@ -145,6 +149,21 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
         list[str] | None,
         typer.Option(metavar="NAME=SIGMA", help="A nominal value known to SIGMA [m, rad or 1]."),
     ] = None
+    terms: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[LEG=]KIND",
+            help="What sensors lack: harmonics:1,2, polynomial, backlash, gravity, a column such "
+            "as temperature; auto: those that pay (see pincal explain).",
+        ),
+    ] = None
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="0.5mm,5mrad",
+            help="How far machines differ from the drawing: a prior for all parameters, by unit.",
+        ),
+    ] = None
     rough: Annotated[
         bool,
         typer.Option("--rough", help="The nominal mechanism is known roughly: fewer checks."),
@@ -182,7 +201,10 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
         """
         setup = self.read()
         self.remark_replaced()
-        data = read_measurements(path, mechanism, setup, partial=not self.alone)
+        terms = tuple(self.terms or ())
+        data = read_measurements(
+            path, mechanism, setup, partial=not self.alone, influences=columns_said(terms)
+        )
         options = Options(
             method="per-leg" if self.alone else "all-legs",
             residual=self.residual,
@@ -193,6 +215,8 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             fixed=tuple(self.fix or ()),
             tied=tuple(self.tie or ()),
             priors=_priors(self.prior or ()),
+            tolerance=_tolerance(self.tolerance or ""),
+            terms=terms,
             rough=self.rough,
             hold_undetermined=self.hold_undetermined,
             intervals=self.intervals,
@@ -276,6 +300,26 @@ def _say(
         stdout.print(line, markup=False)
     if not tables:
         stdout.print("parameters and residuals: report.html in the result's folder, or --verbose")
+
+
+def _tolerance(said: str) -> dict[str, float]:
+    """Return standard deviations of parameters by unit.
+
+    Raises:
+        MeasurementError: a unit said twice, or no number with one.
+    """
+    found: dict[str, float] = {}
+    for text in filter(None, (one.strip() for one in said.split(","))):
+        number = re.match(r"[-+\d.eE]*", text)
+        unit = text[number.end() :].strip() if number else ""
+        dimension = UNITS.get(unit or "1", ("", 0.0))[0]
+        if dimension not in ("m", "rad", "1") or dimension in found:
+            raise MeasurementError(
+                f"--tolerance {said}: {text!r} is not understood; expected one number for lengths, "
+                "one for angles, and one without a unit for gains, such as 0.5mm,5mrad,0.001"
+            )
+        found[dimension] = in_si(text, dimension) if unit else plain_number(text)
+    return found
 
 
 def _priors(said: Sequence[str]) -> dict[str, float]:

@@ -25,7 +25,7 @@ from pincal.cli.app import (
 from pincal.cli.options import TableOptions
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurement_writing import columns_of, reason_column, write_readings
-from pincal.files.tables.measurements import read_poses, read_readings
+from pincal.files.tables.measurements import read_influences, read_poses, read_readings
 from pincal.files.tables.table import write_table
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.inverse import InverseSolution, outside_limits
@@ -54,7 +54,7 @@ def inverse(
     units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     plan = read_poses(poses, mechanism)
-    solution = solve_inverse(mechanism, plan.poses)
+    solution = solve_inverse(mechanism, plan.poses, plan.influences)
     lost = np.atleast_1d(~solution.reached.all(axis=1))
     reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
     values = np.where(lost[:, None], np.nan, solution.readings)
@@ -85,13 +85,12 @@ def forward(
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
     refuse_existing(output, force=force)
-    values = read_readings(readings, mechanism)
+    values, influences = read_readings(readings, mechanism), read_influences(readings, mechanism)
     with working("sampling the workspace for start poses"):
         samples = sample_workspace(mechanism, 3000, least=Margins(0.05, 0.02))
     tree = KDTree(solve_inverse(mechanism, samples).readings)
-    solution = solve_forward(
-        mechanism, values, samples[np.minimum(tree.query(values)[1], len(samples) - 1)]
-    )
+    guess = samples[np.minimum(tree.query(values)[1], len(samples) - 1)]
+    solution = solve_forward(mechanism, values, guess, influences)
     lost = ~solution.converged
     reasons = [solution.reasons[row] if lost[row] else "" for row in range(len(lost))]
     found = np.where(lost[:, None], np.nan, solution.poses)

@@ -31,9 +31,9 @@ from pincal.errors import MeasurementError, MechanismError, ObservabilityError, 
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.measurements import read_poses
+from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import check_reached
-from pincal.kinematics.inverse import sensor_law
 from pincal.kinematics.readers import free_of_collision
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism

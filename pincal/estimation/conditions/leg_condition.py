@@ -8,16 +8,16 @@ reading (3-RRR paper, Eq. 24) and exists within reach only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
-from pincal.kinematics.inverse import close, sensor_law
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
@@ -34,8 +34,8 @@ class LegCondition:
     leg: Leg
     """The nominal leg."""
     platform: Platform
-    readings: Array
-    """Measured readings, shape (N, n_active), [rad] or [m]."""
+    known: Array
+    """Measured readings, [rad] or [m], then influences, shape (N, n_active [+ n_influences])."""
     kind: Residual
     rows: NDArray[np.intp]
     """Rows of the measurements, counted from 0, for messages, shape (N,)."""
@@ -64,10 +64,21 @@ class LegCondition:
         """Unit of the leg's readings: m, rad, or both."""
         return " or ".join(dict.fromkeys(self.leg.reading_units))
 
+    @property
+    def readings(self) -> Array:
+        """Measured readings, shape (N, n_active), [rad] or [m]."""
+        return self.known[:, : len(self.leg.sensors)]
+
+    def corrected(self, shift: Array) -> LegCondition:
+        """Return the condition at other readings, by a shift of shape (N, n_active)."""
+        known = self.known.copy()
+        known[:, : shift.shape[1]] += shift
+        return replace(self, known=known)
+
     def part(self, chosen: NDArray[np.intp]) -> LegCondition:
         """Return the condition at some of its rows."""
         return LegCondition(
-            self.leg, self.platform, self.readings[chosen], self.kind, self.rows[chosen]
+            self.leg, self.platform, self.known[chosen], self.kind, self.rows[chosen]
         )
 
     def __call__(
@@ -87,8 +98,8 @@ class LegCondition:
         closure = LegClosure(self.leg, self.platform, parameters)
         if self.kind == "joint":
             return self._joint(closure, matrices)
-        closed, joints = nearest_closure(closure, matrices, self.readings, joints)
-        return demand(closure, closed, self.readings), joints
+        closed, joints = nearest_closure(closure, matrices, self.known, joints)
+        return demand(closure, closed, self.known), joints
 
     def _joint(self, closure: LegClosure, matrices: Array) -> tuple[Demand, Array]:
         closed = close(closure, matrices)
@@ -99,7 +110,9 @@ class LegCondition:
                 "tried, so its joint residual does not exist there; use the closure residual "
                 "(--residual closure), which does"
             )
-        predicted = sensor_law(closure).reading(closed.joints[:, self.leg.active])
-        rows = demand(closure, closed.closure, predicted).as_joint()
+        influences = self.known[:, len(self.leg.sensors) :]
+        predicted = sensor_law(closure).reading(closed.joints[:, self.leg.active], influences)
+        there = np.hstack((predicted, influences))
+        rows = demand(closure, closed.closure, there).as_joint()
         difference = predicted - self.readings
         return Demand(difference, rows.parameter, rows.pose, rows.reading), closed.joints

@@ -76,6 +76,7 @@ def derivatives_near(
     planned = Plan(
         platform.from_matrices(start.matrices[chosen]),
         readings=problem.readings[chosen] if mechanism.by_readings else None,
+        influences={name: values[chosen] for name, values in problem.influences.items()},
     )
     values = (start.parameters[columns] for columns in problem.columns)
     at = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))

@@ -42,7 +42,25 @@ class Score:
 
 
 @dataclass(frozen=True)
-class _Residuals:
+class Amplitudes:
+    """What residuals say of terms, to first order."""
+
+    values: Array
+    """Shape (f,)."""
+    std: Array
+    """Standard errors, shape (f,); infinite where parameters take the term up."""
+    F: float
+    """χ² along the terms by its degrees of freedom, over that of the rest."""
+    rank: int
+    """Degrees of freedom: directions that parameters do not take up."""
+    inside: float
+    """χ² along the terms."""
+    p_value: float
+    """Of so much, or more, by chance."""
+
+
+@dataclass(frozen=True)
+class Residuals:
     """White residuals and derivatives of rows that count, flat; parameters projected out."""
 
     used: NDArray[np.intp]
@@ -54,7 +72,8 @@ class _Residuals:
     degrees_of_freedom: int
 
     @classmethod
-    def of(cls, one: Fit) -> _Residuals:
+    def of(cls, one: Fit) -> Residuals:
+        """Return those of a fit."""
         used = np.flatnonzero(one.good)
         r, J = one.last.value[used], one.last.jacobian[used] @ one.unknowns.map
         _, prior = one.unknowns.prior_rows(one.unknowns.start)
@@ -84,6 +103,30 @@ class _Residuals:
             return 1.0
         return float(self.chance(float(((U.T @ self.left.ravel()) ** 2).sum()), U.shape[1]))
 
+    def amplitudes(self, W: Array) -> Amplitudes:
+        """Return the amplitudes that residuals ask for along the white rows of terms.
+
+        Args:
+            W: Of each term, shape (n_used, m, f).
+        """
+        lengths = np.linalg.norm(W, axis=(0, 1))
+        lengths = np.where(lengths > 0.0, lengths, 1.0)
+        flat = (W - self.Q @ np.einsum("nmi,nmf->if", self.Q, W)).reshape(-1, W.shape[2]) / lengths
+        U, s, V = np.linalg.svd(flat, full_matrices=False)
+        kept = s > RANK_TOLERANCE
+        rank = int(kept.sum())
+        if not 0 < rank < self.degrees_of_freedom:
+            none = np.full(W.shape[2], np.inf)
+            return Amplitudes(np.zeros(W.shape[2]), none, 0.0, 0, 0.0, 1.0)
+        along = U[:, kept].T @ self.left.ravel()
+        inside = float(along @ along)
+        rest = max(self.chi2 - inside, 1e-300) / (self.degrees_of_freedom - rank)
+        back = V[kept].T / s[kept] / lengths[:, None]
+        taken = (V[~kept] ** 2).sum(axis=0) > RANK_TOLERANCE  # along what geometry takes up
+        std = np.where(taken, np.inf, np.sqrt(rest * (back**2).sum(axis=1)))
+        p_value = float(self.chance(inside, rank))
+        return Amplitudes(-back @ along, std, inside / rank / rest, rank, inside, p_value)
+
     def step(self, w: Array) -> tuple[float, int, float]:
         """Return the probability of the clearest step anywhere, its first row and its size."""
         if len(w) < 2 or self.degrees_of_freedom < 2:
@@ -111,7 +154,7 @@ def scores(one: Fit) -> Iterator[Score]:
     """
     if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
         return
-    left, problem = _Residuals.of(one), one.problem
+    left, problem = Residuals.of(one), one.problem
     n_readings = problem.reading_columns[-1].stop
     alike: dict[tuple[str, int], Array] = {}
     angles: list[Array] = []

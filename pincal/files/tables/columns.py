@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -21,11 +21,16 @@ _log = logging.getLogger(__name__)
 _LISTED = 12  # names in a message
 
 
-def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None = None) -> Table:
+def table_for(
+    path: Source,
+    mechanism: Mechanism,
+    more: Mapping[str, str] | None = None,
+    further: Collection[str] | None = (),
+) -> Table:
     """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
 
-    That is logged, as are columns without a meaning. A header that is nearly a known one and says
-    no unit is refused.
+    That is logged, as are columns without a meaning, but for further ones; None for any. A header
+    that is nearly a known one and says no unit is refused.
     """
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     every = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
@@ -58,6 +63,7 @@ def table_for(path: Source, mechanism: Mechanism, more: Mapping[str, str] | None
     unused = [
         name
         for name in unknown_columns(table, mechanism, more)
+        if further is not None and name not in further
         if name != "row" and not name.startswith("planned_")  # of a measuring sheet
     ]
     if unused:
@@ -85,7 +91,8 @@ def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
     units |= more
     units |= {f"sigma_{name}": unit for name, unit in units.items()}
     pairs = covariance_headers(dict.fromkeys((*platform.freedoms, *more), ""))
-    return {"set": "", "run": "", "pose": "", **dict.fromkeys(pairs, ""), **units}
+    named = ("set", "run", "pose", *pairs, *mechanism.influences)
+    return {**dict.fromkeys(named, ""), **units}
 
 
 def _nearly(column: str, name: str, unit: str) -> bool:

@@ -36,7 +36,9 @@ def write_poses(
     """Write poses, and their sets if they have them, to a CSV file: see ``Plan.to_csv``."""
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses to write", MeasurementError)
-    planned = Plan(plan.poses, plan.sets, plan.readings, places=plan.places)
+    planned = Plan(
+        plan.poses, plan.sets, plan.readings, places=plan.places, influences=plan.influences
+    )
     write_table(path, columns_of(mechanism, planned, orientation), units=units, force=force)
 
 
@@ -105,7 +107,8 @@ def columns_of(
     """
     mechanism = as_mechanism(mechanism)
     columns = _pose_columns(mechanism, plan, orientation)
-    named: Columns = {} if plan.places is None else {"pose": plan.places}
+    named: Columns = {**plan.influences}
+    named |= {} if plan.places is None else {"pose": plan.places}
     if not isinstance(plan, Measurements):
         if plan.readings is not None:
             columns |= _reading_columns(mechanism, plan.readings)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError, MechanismError
+from pincal.errors import MeasurementError
+from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.tables.columns import Source, table_for
+from pincal.files.tables.columns import Source, table_for, unknown_columns
 from pincal.files.tables.covariances import read_covariances
 from pincal.files.tables.table import Table
 from pincal.model.checks import must_be
@@ -16,6 +20,7 @@ from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
+from pincal.model.terms import OF_JOINTS
 
 Array = NDArray[np.float64]
 
@@ -28,8 +33,14 @@ def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False
     if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
         readings = _readings(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
-    places = _names(table, "pose")
-    return Plan(poses, _sets(table, mechanism), readings, places=places, lines=table.file_lines)
+    return Plan(
+        poses,
+        _sets(table, mechanism),
+        readings,
+        places=_names(table, "pose"),
+        influences=_influences(table, mechanism),
+        lines=table.file_lines,
+    )
 
 
 def read_readings(path: Source, mechanism: GivenMechanism) -> Array:
@@ -43,16 +54,34 @@ def read_readings(path: Source, mechanism: GivenMechanism) -> Array:
     return _readings(table_for(path, mechanism), mechanism)
 
 
+def read_influences(path: Source, mechanism: Mechanism) -> dict[str, Array]:
+    """Return the columns on which terms of sensors depend, those that a file has.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: a cell that is no number; the message says where.
+    """
+    return _influences(table_for(path, mechanism), mechanism)
+
+
 def read_measurements(
-    path: Source, mechanism: GivenMechanism, setup: Setup | None = None, *, partial: bool = False
+    path: Source,
+    mechanism: GivenMechanism,
+    setup: Setup | None = None,
+    *,
+    partial: bool = False,
+    influences: Collection[str] | None = (),
 ) -> Measurements:
-    """Return the measurements of a CSV file or DataFrame: see ``Measurements.from_csv``."""
+    """Return the measurements of a CSV file or DataFrame: see ``Measurements.from_csv``.
+
+    Influences are further columns to read, on which no term depends yet; None for all columns of
+    numbers that differ.
+    """
     mechanism = as_mechanism(mechanism)
-    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
     polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
-    table = table_for(path, mechanism, more | polar)
+    table = table_for(path, mechanism, more | polar, influences)
     said = [name for name in ("range", "elevation") if name not in more]
     if not polar and (own := [name for name in said if f"sigma_{name}" in table]):
         raise MeasurementError(
@@ -60,6 +89,12 @@ def read_measurements(
             "is in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
             "(--setup), or leave the column out"
         )
+    for name in mechanism.influences:
+        if name not in table and not name.startswith(OF_JOINTS):
+            raise MeasurementError(
+                f"{table.path}: no column {name!r}, on which terms of sensors depend; add it, or "
+                "leave these terms out of the mechanism"
+            )
     for name, whose in setup.required.items():
         if name not in table:
             raise MeasurementError(
@@ -95,6 +130,8 @@ def read_measurements(
             for column, name in named.items()
         },
         covariances=read_covariances(table, seen),
+        influences=_influences(table, mechanism)
+        | _numbers(table, unknown_columns(table, mechanism, more | polar), influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
@@ -200,6 +237,35 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
 def _readings(table: Table, mechanism: Mechanism) -> Array:
     units = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
     return np.column_stack([table.numbers(name, unit) for name, unit in units])
+
+
+def _influences(table: Table, mechanism: Mechanism) -> dict[str, Array]:
+    """Return the columns on which terms of sensors depend, numbers as they stand."""
+    return {name: table.plain(name, blank=True) for name in mechanism.influences if name in table}
+
+
+def _numbers(
+    table: Table, columns: Mapping[str, object], wanted: Collection[str] | None
+) -> dict[str, Array]:
+    """Return further columns of a table, those that are wanted, or all of numbers that differ.
+
+    Raises:
+        MeasurementError: a column that is wanted is missing, or a cell is no number.
+    """
+    if wanted is not None:
+        if missing := [name for name in wanted if name not in table]:
+            raise MeasurementError(
+                f"{table.path}: no column {missing[0]!r}, on which terms are to depend. The file "
+                f"has {', '.join(table.units)}"
+            )
+        return {name: table.plain(name, blank=True) for name in wanted}
+    found = {}
+    for name in columns:
+        values = np.array([plain_number(cell) for cell in table.text[name]])
+        named = re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) and not name.startswith("planned_")
+        if named and name != "row" and np.isfinite(values).all() and np.ptp(values) > 0.0:
+            found[name] = values
+    return found
 
 
 def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:

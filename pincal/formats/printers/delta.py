@@ -20,8 +20,8 @@ from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.tables.units import UNITS
 from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
+from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.inverse import sensor_law
 from pincal.model.checks import EXACT, LARGEST
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -173,7 +173,12 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
         _three(tops - np.sqrt(arms**2 - radius**2)),
     )
     x, y = (float(v) for v in origin)
-    remarks = []
+    remarks = [
+        f"{leg.name}: terms of its sensor have no place in a firmware"
+        for leg in mechanism.legs
+        for sensor in leg.sensors
+        if sensor.terms
+    ]
     if hypot(x, y) > _SMALL:
         remarks.append(
             f"the printer's origin is at x = {1e3 * x:.4f}, y = {1e3 * y:.4f} mm of the "

@@ -20,7 +20,7 @@ from lxml import etree
 from pydantic import BaseModel, ConfigDict, Field
 
 from pincal.errors import FileError, MechanismError
-from pincal.files.schema import Number
+from pincal.files.strict import Number
 from pincal.files.urdf import link_of, read_joint
 from pincal.files.xml import read_xml
 from pincal.files.yaml_reading import meant, read_yaml

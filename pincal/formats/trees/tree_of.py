@@ -120,7 +120,9 @@ def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
     ]
     if not other:
         return ()
+    has_terms = any(sensor.terms for leg in mechanism.legs for sensor in leg.sensors)
+    what = "gains, offsets, zeros and terms" if has_terms else "gains, offsets and zeros"
     return (
-        f"the file holds joint positions, not readings: gains, offsets and zeros of the sensors of "
+        f"the file holds joint positions, not readings: {what} of the sensors of "
         f"{', '.join(dict.fromkeys(other))} have no place in it",
     )

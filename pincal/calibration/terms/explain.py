@@ -1,0 +1,83 @@
+"""What geometry does not explain in measurements: a screen of what sensors lack, and what pays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from pincal.calibration.calibrate import identify, prepared, started
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.folds import FOLDS
+from pincal.calibration.options import Options
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.terms.candidates import Kind, kinds_of
+from pincal.calibration.terms.choice import Choice, choose
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+
+Verdict = Literal["as drawn", "geometry", "terms"]
+_VERDICTS: tuple[Verdict, ...] = ("as drawn", "geometry", "terms")
+
+
+@dataclass(frozen=True, repr=False)
+class Explanation:
+    """What residuals of a calibration follow, and which model predicts rows best."""
+
+    result: CalibrationResult
+    """The calibration of the geometry."""
+    kinds: tuple[Kind, ...]
+    """Kinds of term that were tried."""
+    choice: Choice
+    """Candidates of the screen, and the models compared."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Which model to take."""
+        return _VERDICTS[min(self.choice.chosen, 2)]
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """The terms that pay, as options say them: ``leg_2=harmonics:1``."""
+        return tuple(f"{reading}={kind}" for reading, kind in self.choice.model.added)
+
+    def __repr__(self) -> str:
+        found = ", ".join(self.terms) or self.verdict
+        return f"Explanation({self.result.nominal.name!r}: {found})"
+
+
+def explain(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    *,
+    folds: int = FOLDS,
+    **more: Any,
+) -> Explanation:
+    """Return what a calibration's residuals follow, and which terms of sensors pay.
+
+    Args:
+        mechanism: The nominal mechanism; or its name or folder.
+        measurements: What was measured; or a CSV file or a DataFrame of it, whose other columns
+            of numbers (temperature, time, …) are tried too.
+        options: How to calibrate; ``terms`` are the kinds to try, all if none are given.
+        folds: How many times a share of the poses is held out.
+        **more: Single options by name: see ``Options``.
+
+    Raises:
+        MeasurementError: measurements that cannot be this mechanism's, or an unknown kind of term.
+        ObservabilityError: too few poses, or poses that leave parameters undetermined.
+    """
+    chosen = Options.of(options, **more)
+    asked = replace(chosen, terms=chosen.terms or ("auto",))
+    return explained(prepared(mechanism, measurements, asked), folds)
+
+
+def explained(calibration: Calibration, folds: int = FOLDS) -> Explanation:
+    """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
+    asked = calibration.options.terms
+    plain = replace(calibration, options=replace(calibration.options, terms=()))
+    named = tuple(dict.fromkeys(Kind.of(one.rpartition("=")[2]) for one in asked if one != "auto"))
+    kinds = named or kinds_of(plain.mechanism, plain.measurements)
+    result = identify(plain)
+    return Explanation(result, kinds, choose(started(plain), kinds, folds))

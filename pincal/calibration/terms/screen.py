@@ -1,0 +1,125 @@
+"""What a model lacks: all terms that sensors may have, each tried against residuals without a fit.
+
+A term is a parameter at zero, and its score test is its column: with M the projection on what the
+fit does not take up and W the white rows of the amplitudes, the share of χ² that lies in M W is,
+if the machine has no such term, one like any other (C. R. Rao 1948; an F test, since the scale
+of the rest is taken from the residuals). One step gives the amplitudes: a = −(Wᵀ M W)⁻¹ Wᵀ M r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.fits import Fits
+from pincal.calibration.terms.candidates import ORDER, Kind, with_influences, with_terms
+from pincal.estimation.linear import State
+from pincal.estimation.residuals.robust import Robust
+from pincal.estimation.residuals.score import Residuals
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One kind of term of one reading, and what residuals say of it."""
+
+    reading: str
+    kind: Kind
+    unit: str
+    """Of the amplitudes."""
+    names: tuple[str, ...]
+    """Ids of the amplitudes."""
+    amplitudes: Array
+    """As one step finds them, shape (k,)."""
+    std: Array
+    """Standard errors, shape (k,); infinite where geometry takes the term up."""
+    F: float
+    """χ² in the term by its degrees of freedom, over that of the rest."""
+    rank: int
+    """Degrees of freedom; 0 where geometry takes up all of it."""
+    share: float
+    """Share of χ² that the term would take off."""
+    p_value: float
+    """Probability of so large an F by chance, for this test alone."""
+    corrected: float
+    """The same with the number of tests (Holm 1979)."""
+
+
+def screen(found: Fits, kinds: Sequence[Kind]) -> list[Candidate]:
+    """Return all kinds of term of all readings, the most improbable by chance first.
+
+    Args:
+        found: The fits whose residuals are looked at.
+        kinds: What sensors may lack.
+    """
+    calibration = found.calibration
+    pairs = [(name, kind) for kind in kinds for name in calibration.mechanism.reading_names]
+    data = with_influences(calibration.mechanism, calibration.measurements, kinds)
+    order = {ORDER: np.linspace(-1.0, 1.0, len(data))}
+    data = replace(data, influences={**order, **data.influences})
+    mechanism, ids = with_terms(calibration.mechanism, data, pairs)
+    asked = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
+    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+    tried = []
+    for robust in found.fits:
+        if not robust.fit.problem.weighted:
+            continue
+        residuals = Residuals.of(robust.fit)
+        names, W = _columns(asked, robust, residuals.used)
+        for (reading, kind), own in ids.items():
+            places = [names.index(name) for name in own if name in names]
+            if places:
+                answer = residuals.amplitudes(W[:, :, places])
+                share = answer.inside / max(residuals.chi2, 1e-300)
+                tried.append(
+                    Candidate(
+                        reading=reading,
+                        kind=kind,
+                        unit=units[reading],
+                        names=own,
+                        amplitudes=answer.values,
+                        std=answer.std,
+                        F=answer.F,
+                        rank=answer.rank,
+                        share=float(share),
+                        p_value=answer.p_value,
+                        corrected=1.0,
+                    )
+                )
+    return _corrected(sorted(tried, key=lambda one: (one.p_value, -one.share)))
+
+
+def _corrected(tried: list[Candidate]) -> list[Candidate]:
+    """Return candidates with probabilities that take the number of tests in (Holm 1979)."""
+    count, largest, found = sum(one.rank > 0 for one in tried), 0.0, []
+    for place, one in enumerate(tried):
+        largest = max(largest, min(1.0, (count - place) * one.p_value)) if one.rank else 1.0
+        found.append(replace(one, corrected=largest))
+    return found
+
+
+def _columns(asked: Calibration, robust: Robust, used: NDArray[np.intp]) -> tuple[list[str], Array]:
+    """Return the ids of all legs' parameters, terms included, and their white rows.
+
+    Args:
+        asked: The calibration of the mechanism with all terms, at zero.
+        robust: The fit without them.
+        used: Rows of the fit that count.
+    """
+    fit = robust.fit
+    legs = [asked.mechanism.leg_names.index(leg.name) for leg in fit.problem.legs]
+    conditions = tuple(asked.condition(leg, robust.rows) for leg in legs)
+    names, values = [], []
+    for condition, columns in zip(conditions, fit.problem.columns, strict=True):
+        own = fit.parameters[columns]
+        values += [own, np.zeros(len(condition.leg.parameters) - len(own))]
+        names += [f"{condition.leg.name}.{name}" for name in condition.leg.parameter_names]
+    state = fit.last.state
+    there = State(np.concatenate(values), state.matrices, state.joints, state.external)
+    problem = replace(fit.problem, conditions=conditions, first=None)
+    return names, problem.linearise(there).jacobian[used]

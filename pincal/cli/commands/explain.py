@@ -1,0 +1,74 @@
+"""``pincal explain``: what geometry does not explain, and which terms of sensors pay."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pincal.calibration.terms.candidates import AUTO
+from pincal.calibration.terms.explain import explained
+from pincal.cli.app import Mech, answer, command, stdout, typed, warn, working
+from pincal.cli.commands.calibration import CalibrateOptions
+from pincal.errors import MeasurementError
+from pincal.show.explanation import explanation_lines, models_table, screen_table
+from pincal.show.results import warnings
+
+
+@command(answers=True)
+def explain(
+    mech: Mech,
+    measurements: Annotated[
+        Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
+    ],
+    how: CalibrateOptions,
+) -> None:
+    """Say what geometry does not explain, and which terms pay.
+
+    Every reading is tried with harmonics of its angle, polynomials, backlash, gravity (where the
+    mechanism says what weighs on it), and every other column of numbers. Models are compared on
+    poses that their fits have not seen. --terms says which kinds to try.
+    """
+    if how.folds < 2:
+        raise MeasurementError("--folds: expected 2 or more: models are compared on held-out rows")
+    mechanism = how.load(mech)
+    asked = replace(how, terms=how.terms or [AUTO])
+    with working("identifying parameters") as progress:
+        calibration = asked.calibration(mechanism, measurements)
+        options = replace(calibration.options, progress=progress)
+        found = explained(replace(calibration, options=options), how.folds)
+    for text in warnings(found.result):
+        warn(text)
+    stdout.print(screen_table(found))
+    stdout.print(models_table(found))
+    for line in explanation_lines(found):
+        stdout.print(line, markup=False, soft_wrap=True)
+    line = _line(found.terms)
+    if line:
+        stdout.print(f"  {line}", markup=False, soft_wrap=True)
+    answer(
+        {
+            "verdict": found.verdict,
+            "terms": list(found.terms),
+            "command": line or None,
+            "candidates": screen_table(found).records(),
+            "models": models_table(found).records(),
+        }
+    )
+
+
+def _line(terms: tuple[str, ...]) -> str:
+    """Return the command that calibrates with terms, empty if there are none."""
+    if not terms:
+        return ""
+    words = shlex.split(typed())
+    words[words.index("explain")] = "calibrate"
+    while "--terms" in words:  # those that were tried
+        place = words.index("--terms")
+        del words[place : place + 2]
+    words = [word for word in words if not word.startswith("--terms=")]
+    added = [word for one in terms for word in ("--terms", one)]
+    return shlex.join([*words, *added, "-o", "RESULT"])

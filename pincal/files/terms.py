@@ -1,0 +1,116 @@
+"""Terms of sensors in ``mechanism.yaml``: the name of the amplitude, and what it multiplies.
+
+terms:
+a_sin: {sine: 50}                          # sin 50 ψ; cosine likewise
+screw: {power: 2, range: 0.25}             # (ψ / 0.25 m)²; centre: 0
+e1: {knots: [0.0, 0.1, 0.2, 0.3], knot: 1} # table of errors, cubic between; periodic: false
+warm: {of: temperature, per: 10, reference: 20}
+play: {of: approach}
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import Field
+
+from pincal.errors import MechanismError
+from pincal.files.strict import Name, Number, Strict
+from pincal.model.terms import Harmonic, Knot, Power, Share, Term
+
+_OWN = {
+    "sine": ("period",),
+    "cosine": ("period",),
+    "power": ("range", "centre"),
+    "knots": ("knot", "periodic"),
+    "of": ("per", "reference"),
+}
+
+
+class TermSpec(Strict):
+    """A term, but for the name of its amplitude."""
+
+    sine: Number | None = None
+    cosine: Number | None = None
+    period: Number | None = None
+    power: int | None = None
+    range: Number | None = None
+    centre: Number | None = None
+    knots: list[Number] | None = Field(default=None, max_length=1000)
+    knot: int | None = None
+    periodic: bool | None = None
+    of: Name | None = None
+    per: Number | None = None
+    reference: Number | None = None
+
+
+def term_of(parameter: str, spec: TermSpec, where: str) -> Term:
+    """Return a term of its description.
+
+    Args:
+        parameter: Name of the amplitude.
+        spec: What it multiplies.
+        where: For messages.
+
+    Raises:
+        MechanismError: none or several of the forms, a key that is missing or of another form, or
+            a number that it cannot have.
+    """
+    said = {key: value for key, value in spec.model_dump().items() if value is not None}
+    kinds = [key for key in _OWN if key in said]
+    if len(kinds) != 1:
+        raise MechanismError(
+            f"{where}, term {parameter!r}: expected one of {', '.join(_OWN)}; got "
+            f"{' and '.join(kinds) or 'none'}"
+        )
+    kind = kinds[0]
+    if odd := [key for key in said if key not in (kind, *_OWN[kind])]:
+        raise MechanismError(
+            f"{where}, term {parameter!r}: {odd[0]!r} does not go with {kind!r}; expected "
+            f"{', '.join(_OWN[kind])}"
+        )
+    needed = {"power": "range", "knots": "knot"}.get(kind)
+    if needed and needed not in said:
+        raise MechanismError(f"{where}, term {parameter!r}: {kind!r} needs {needed!r} beside it")
+    value = said.pop(kind)
+    try:
+        if kind in ("sine", "cosine"):
+            return Term(parameter, Harmonic(value, kind, **said))  # type: ignore[arg-type]
+        if kind == "power":
+            return Term(parameter, Power(value, **said))
+        if kind == "knots":
+            return Term(parameter, Knot(tuple(value), **said))
+        return Term(parameter, Share(**said), of=value)
+    except MechanismError as error:
+        raise MechanismError(f"{where}, term {parameter!r}: {error}") from error
+
+
+def described(term: Term, where: str) -> dict[str, Any]:
+    """Return a term as plain data, but for the name of its amplitude.
+
+    Raises:
+        MechanismError: it is a function of one's own, which is code.
+    """
+    basis = term.basis
+    if not term.plain or bool(term.of) != isinstance(basis, Share):
+        raise MechanismError(
+            f"{where}: the sensor's term of {term.parameter!r} is code, which a mechanism's folder "
+            "does not hold; save the mechanism without terms, and its parameters "
+            "(mechanism.parameters)"
+        )
+    if isinstance(basis, Harmonic):
+        return {basis.phase: basis.order, **_changed(basis, "period")}
+    if isinstance(basis, Power):
+        return {"power": basis.power, "range": basis.range, **_changed(basis, "centre")}
+    if isinstance(basis, Knot):
+        own = _changed(basis, "periodic")
+        return {"knots": list(basis.knots), "knot": basis.knot, **own}
+    return {"of": term.of, **_changed(basis, "per", "reference")}
+
+
+def _changed(basis: Any, *names: str) -> dict[str, Any]:
+    """Return the fields that differ from their defaults."""
+    fields = type(basis).__dataclass_fields__
+    return {
+        name: value for name in names if (value := getattr(basis, name)) != fields[name].default
+    }

@@ -1,0 +1,94 @@
+"""Influence quantities of rows: what terms of sensors depend on beside readings, as columns.
+
+Temperature, time and whatever else is measured are given. From which side a joint came follows from
+the order of rows where no column says it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import MeasurementError
+from pincal.model.checks import array_of
+from pincal.model.measurements import Measurements, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.terms import APPROACH
+
+Array = NDArray[np.float64]
+Influences = Mapping[str, Array | float] | Array
+
+
+def influence_columns(mechanism: Mechanism, given: Influences | None, count: int) -> Array | None:
+    """Return the columns of a mechanism's influences, shape (N, n_influences).
+
+    NaN, at its reference, where nothing is given; None if no term depends on any.
+
+    Args:
+        mechanism: The mechanism.
+        given: By column, a number for all rows or one for each, shape (N,); or all columns.
+        count: Number of rows N.
+
+    Raises:
+        MeasurementError: a column on which nothing depends, or of a wrong shape.
+    """
+    if isinstance(given, np.ndarray):
+        shape = (count, len(mechanism.influences))
+        return array_of(given, shape, "influences", MeasurementError)
+    given = given or {}
+    if unknown := [name for name in given if name not in mechanism.influences]:
+        known = ", ".join(mechanism.influences) or "none"
+        raise MeasurementError(
+            f"no term of {mechanism.name!r} depends on {unknown[0]!r}; its influences: {known}"
+        )
+    if not mechanism.influences:
+        return None
+    columns = np.full((count, len(mechanism.influences)), np.nan)
+    for place, name in enumerate(mechanism.influences):
+        if name in given:
+            values = np.broadcast_to(np.asarray(given[name]), (count,))
+            columns[:, place] = array_of(values, (count,), f"influence {name!r}", MeasurementError)
+    return columns
+
+
+def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = None) -> Array | None:
+    """Return the columns of influences of a plan's or measurements' rows, in order of time.
+
+    Args:
+        mechanism: The mechanism.
+        plan: The rows, with the influences that were given.
+        readings: Of each row, shape (N, n_readings); those of the plan if not given.
+
+    Returns:
+        Shape (N, n_influences); None if no term depends on any.
+    """
+    own = {name: plan.influences[name] for name in mechanism.influences if name in plan.influences}
+    columns = influence_columns(mechanism, own, len(plan))
+    readings = plan.readings if readings is None else readings
+    if columns is None or readings is None:
+        return columns
+    runs = plan.runs if isinstance(plan, Measurements) else None
+    for place, name in enumerate(mechanism.reading_names):
+        column = f"{APPROACH}_{name}"
+        if column in mechanism.influences and column not in own:
+            columns[:, mechanism.influences.index(column)] = sides(readings[:, place], runs)
+    return columns
+
+
+def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
+    """Return from which side readings were come to, +1 from below, -1 from above, shape (N,).
+
+    A reading that stays keeps its side; NaN until it first moves, in each run.
+
+    Args:
+        readings: In order of time, shape (N,).
+        runs: Run of each row, if there were several.
+    """
+    moved = np.sign(np.diff(readings, prepend=np.nan))
+    if runs is not None:
+        moved[1:][np.array(runs[1:]) != np.array(runs[:-1])] = np.nan
+    # A run's first row and one that is not known have no side; where nothing moved, the last one's.
+    at = np.where(moved == 0.0, 0, np.arange(len(moved)))
+    return np.asarray(moved[np.maximum.accumulate(at)])

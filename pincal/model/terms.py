@@ -1,0 +1,206 @@
+"""Terms of a sensor: known functions of what a row says, times unknown amplitudes.
+
+What is not geometry lives in the joint's reading: q = k ψ + γ + Σ a_j b_j. Each b_j is a number
+for each row, of its reading or of an influence quantity beside it (temperature, time, side of
+approach, load), scaled so that its amplitude is in the joint's own unit. Linear in the unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from pincal.errors import MechanismError
+
+Array = NDArray[np.float64]
+APPROACH = "approach"
+LOAD = "load"
+OF_JOINTS = (APPROACH, LOAD)
+"""Influences of each joint for itself, that follow from the rows where no column gives them."""
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """Sine or cosine of a multiple of the reading: eccentric gears, encoders, screws.
+
+    ``order`` periods in one of the reading: a turn, or ``period`` [rad] or [m] where it is given.
+    A motor geared 1 : 50 turns 50 times in one turn of the joint: order 50, 100, ….
+    """
+
+    order: float
+    phase: Literal["sine", "cosine"]
+    period: float = 2.0 * np.pi
+
+    def __post_init__(self) -> None:
+        _positive("a harmonic's order", self.order)
+        _positive("a harmonic's period", self.period)
+        if self.phase not in ("sine", "cosine"):
+            raise MechanismError(f"a harmonic's phase is {self.phase!r}; expected sine or cosine")
+
+    @property
+    def rate(self) -> float:
+        """Radians of the angle by one unit of the reading."""
+        return 2.0 * np.pi * self.order / self.period
+
+    def __call__(self, value: Array) -> Array:
+        """Return the sine or cosine."""
+        turn = self.rate * value
+        return np.sin(turn) if self.phase == "sine" else np.cos(turn)
+
+    def slope(self, value: Array) -> Array:
+        """Return its derivative."""
+        turn = self.rate * value
+        return self.rate * (np.cos(turn) if self.phase == "sine" else -np.sin(turn))
+
+
+@dataclass(frozen=True)
+class Power:
+    """A power of the reading over a range: what a screw or belt is off, as a polynomial.
+
+    1 at ``centre`` + ``range``; powers 0 and 1 are offset and gain, which sensors have.
+    """
+
+    power: int
+    range: float
+    """[rad] or [m]."""
+    centre: float = 0.0
+
+    def __post_init__(self) -> None:
+        _positive("a power's range", self.range)
+        if not 2 <= self.power <= 20:
+            raise MechanismError(
+                f"a power of {self.power!r}; expected 2 to 20 (0 and 1 are offset and gain)"
+            )
+
+    def __call__(self, value: Array) -> Array:
+        """Return the power."""
+        return ((value - self.centre) / self.range) ** self.power
+
+    def slope(self, value: Array) -> Array:
+        """Return its derivative."""
+        relative = (value - self.centre) / self.range
+        return np.asarray(self.power / self.range * relative ** (self.power - 1))
+
+
+@dataclass(frozen=True)
+class Knot:
+    """One knot of a table of errors, cubic between knots: 1 at its own, 0 at all others.
+
+    Beyond the first and last knot the table goes on straight; if ``periodic``, the last knot is
+    the first again, and has no amplitude of its own.
+    """
+
+    knots: tuple[float, ...]
+    """Ascending, [rad] or [m]."""
+    knot: int
+    """Index of its own, from 0."""
+    periodic: bool = False
+
+    def __post_init__(self) -> None:
+        count = len(self.knots) - self.periodic
+        if len(self.knots) < 3 or not (np.diff(self.knots) > 0.0).all():
+            raise MechanismError(
+                f"a table's knots are {list(self.knots)}; expected three or more, ascending"
+            )
+        if not 0 <= self.knot < count:
+            raise MechanismError(f"knot {self.knot!r} of a table that has {count}, from 0")
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        values = np.zeros(len(self.knots))
+        values[self.knot] = 1.0
+        if self.periodic and self.knot == 0:
+            values[-1] = 1.0
+        return CubicSpline(self.knots, values, bc_type="periodic" if self.periodic else "natural")
+
+    def _inside(self, value: Array) -> Array:
+        return value if self.periodic else np.clip(value, self.knots[0], self.knots[-1])
+
+    def __call__(self, value: Array) -> Array:
+        """Return the cardinal spline."""
+        inside = self._inside(value)
+        return np.asarray(self._spline(inside) + (value - inside) * self._spline(inside, 1))
+
+    def slope(self, value: Array) -> Array:
+        """Return its derivative."""
+        return np.asarray(self._spline(self._inside(value), 1))
+
+
+@dataclass(frozen=True)
+class Share:
+    """A column's excess over a reference, in so many units: 1 at ``reference`` + ``per``."""
+
+    per: float = 1.0
+    reference: float = 0.0
+
+    def __post_init__(self) -> None:
+        _positive("an influence's share ('per')", self.per)
+
+    def __call__(self, value: Array) -> Array:
+        """Return the share."""
+        return (value - self.reference) / self.per
+
+    def slope(self, value: Array) -> Array:
+        """Return its derivative."""
+        return np.full_like(value, 1.0 / self.per)
+
+
+def _positive(what: str, value: float) -> None:
+    if not 0.0 < value < np.inf:
+        raise MechanismError(f"{what} is {value!r}; expected a number above 0")
+
+
+FORMS = (Harmonic, Power, Knot, Share)
+"""Forms that a mechanism's folder may hold."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A known function b of a row times an unknown amplitude a: a b, added to the joint's position.
+
+    Such as the sine of a geared motor's angle, or the sag of a spool. By the reading, its slope
+    must be so small that q(ψ) remains monotonic.
+    """
+
+    parameter: str
+    """Name of the amplitude a, a parameter of the leg."""
+    basis: Callable[[Array], Array]
+    """b by the reading ψ [rad] or [m], or by the influence, of the same shape."""
+    slope: Callable[[Array], Array] | None = None
+    """db/dψ, likewise; that of the basis, ``basis.slope``, if not given."""
+    unit: str = ""
+    """Of the amplitude: that of q over that of b; that of q if not given."""
+    of: str = ""
+    """Influence quantity on which b depends, a column of the measurements: ``"temperature"``,
+    ``"time"``, any other; ``"approach"`` and ``"load"`` of this sensor's own joint. The reading
+    if empty."""
+
+    def __post_init__(self) -> None:
+        if self.slope is None and not callable(getattr(self.basis, "slope", None)):
+            raise MechanismError(
+                f"term {self.parameter!r} has no slope; give db/dψ as Term(…, slope=…), or a basis "
+                "with a method slope"
+            )
+
+    @property
+    def slope_of(self) -> Callable[[Array], Array]:
+        """db/dψ."""
+        if self.slope is not None:
+            return self.slope
+        found: Callable[[Array], Array] = self.basis.slope  # type: ignore[attr-defined]
+        return found
+
+    def column(self, reading: str) -> str:
+        """Return the influence's column, of a sensor of a reading; empty if it is the reading."""
+        return f"{self.of}_{reading}" if self.of in OF_JOINTS else self.of
+
+    @property
+    def plain(self) -> bool:
+        """Whether a folder can hold it: one of the forms, not a function of one's own."""
+        return self.slope is None and isinstance(self.basis, FORMS)

@@ -1,0 +1,113 @@
+"""What an explanation shows: the screen of terms, the models compared, and what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pincal.calibration.terms.candidates import ORDER
+from pincal.calibration.terms.choice import LEVEL
+from pincal.calibration.terms.explain import Explanation
+from pincal.calibration.terms.screen import Candidate
+from pincal.words.numbers import SMALL, chance
+from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
+from pincal.words.terms import (
+    AMPLITUDES,
+    CAUSES,
+    COLUMN,
+    HELD_OUT,
+    NO_TERM,
+    NOTHING,
+    SEEN,
+    VERDICTS,
+)
+
+_SHOWN = 12  # candidates
+_CLEAR = 2.0  # standard errors, above which an amplitude is shown
+
+
+def screen_table(found: Explanation) -> Table:
+    """Return what was tried, the least probable by chance first."""
+    rows = [_row(one) for one in found.choice.candidates[:_SHOWN]]
+    more = len(found.choice.candidates) - len(rows)
+    return Table(
+        f"{found.result.nominal.name}: what residuals follow beyond geometry",
+        columns("reading", "term", "amplitudes", "off χ² [%]:.1f", "F:.3g", "chance"),
+        rows,
+        "; ".join(filter(None, (AMPLITUDES, f"{more} more are less clear" * bool(more)))),
+    )
+
+
+def _row(one: Candidate) -> tuple[Value, ...]:
+    if not one.rank:
+        return (one.reading, str(one.kind), Cell(None, "taken up by geometry"), None, None, None)
+    clear = np.abs(one.amplitudes) > _CLEAR * one.std
+    sizes = [
+        Quantity(float(value), one.unit, float(std))
+        for value, std in zip(one.amplitudes[clear], one.std[clear], strict=True)
+    ]
+    names = [name.partition(".")[2] for name in np.array(one.names)[clear]]
+    said = ", ".join(
+        f"{name} {size.text(SMALL)} {SMALL[one.unit]}"
+        for name, size in zip(names, sizes, strict=True)
+    )
+    return (one.reading, str(one.kind), said, 100.0 * one.share, one.F, chance(one.corrected))
+
+
+def models_table(found: Explanation) -> Table:
+    """Return the models compared on rows held out, the one that was chosen marked."""
+    shown = [name for name in ("position", "orientation") if _known(found, name)]
+    units = {"position": "m", "orientation": "rad"}
+    misses = [Column(name, units[name], ".3g") for name in shown]
+    heads = columns("", "model", "parameters", "held out [σ]:.3f", "±:.3f")
+    rows = [
+        (
+            "→" if index == found.choice.chosen else "",
+            one.name if index < 2 else f"+ {one.name}",
+            one.parameters,
+            one.held_out,
+            one.spread if one.spread else None,
+            *(getattr(one, name) for name in shown),
+            one.bic,
+        )
+        for index, one in enumerate(found.choice.models)
+    ]
+    every = (*heads, *misses, *columns("BIC:.1f"))
+    return Table("Models on rows held out", every, rows, HELD_OUT)
+
+
+def _known(found: Explanation, name: str) -> bool:
+    return all(np.isfinite(getattr(one, name)) for one in found.choice.models)
+
+
+def explanation_lines(found: Explanation) -> list[str]:
+    """Return what is seen, and the verdict."""
+    tried = found.choice.candidates
+    seen = [one for one in tried if one.corrected < LEVEL]
+    lines = [
+        SEEN.format(
+            reading=one.reading,
+            kind=one.kind,
+            cause=CAUSES.get(one.kind.name, COLUMN),
+            share=one.share,
+            chance=chance(one.corrected),
+        )
+        for one in seen[:_SHOWN]
+    ]
+    if not seen:
+        least = min((one.corrected for one in tried), default=1.0)
+        lines.append(NOTHING.format(count=len(tried), least=f"{least:.2g}"))
+    if any(one.kind.name == ORDER for one in seen):
+        lines.append(NO_TERM)
+    models = found.choice.models
+    lines.append(
+        VERDICTS[found.verdict].format(
+            held_out=f"{found.choice.model.held_out:.2f} σ", before=f"{models[1].held_out:.2f} σ"
+        )
+    )
+    return lines
+
+
+def explanation_page(found: Explanation) -> str:
+    """Return tables and verdict as text."""
+    parts = [str(screen_table(found)), str(models_table(found)), *explanation_lines(found)]
+    return "\n".join(parts)

@@ -1,0 +1,104 @@
+"""Loads of joints by gravity: against Pinocchio, and against what energy says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arms import ARMS, loaded, urdf
+from scipy.spatial.transform import Rotation
+
+import pincal
+from pincal.kinematics.loads import gravity_loads
+from pincal.model.load import Load
+from pincal.workspace.sampling import sample_workspace
+
+PAYLOAD = Load(5.0, (0.02, 0.01, 0.07), (0.3, -1.0, -9.81))
+
+
+def heavy(mechanism: pincal.Mechanism, seed: int = 0) -> pincal.Mechanism:
+    """Return a mechanism whose links have masses of some kind, and whose platform does."""
+    draw = np.random.default_rng(seed)
+
+    def weighed(joint: pincal.Joint) -> pincal.Joint:
+        centre = tuple(draw.uniform(-0.1, 0.1, 3).tolist())
+        return replace(joint, mass=float(draw.uniform(0.2, 1.0)), centre=centre)
+
+    legs = tuple(replace(leg, joints=tuple(map(weighed, leg.joints))) for leg in mechanism.legs)
+    return replace(mechanism, legs=legs, load=PAYLOAD)
+
+
+def energy(mechanism: pincal.Mechanism, readings: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """Return the potential energy at readings, links placed one on the other, shape (N,) [J]."""
+    solution = pincal.forward(mechanism, readings, guess)
+    assert solution.converged.all()
+    joints = pincal.inverse(mechanism, solution.poses).joints
+    load, placed = mechanism.load, mechanism.platform.matrices(solution.poses)
+    gravity = np.array(load.gravity)
+    found = -load.mass * ((placed[:, :3, :3] @ load.centre + placed[:, :3, 3]) @ gravity)
+    for leg in mechanism.legs:
+        columns = iter(joints[leg.name].T)
+        at = np.tile(np.eye(4), (len(readings), 1, 1))
+        for joint in leg.joints:
+            at = at @ joint.placement.origin()
+            if joint.kind != "fixed":
+                along = next(columns)[:, None] * np.array(joint.axis)
+                move = np.tile(np.eye(4), (len(at), 1, 1))
+                if joint.kind == "prismatic":
+                    move[:, :3, 3] = along
+                else:
+                    move[:, :3, :3] = Rotation.from_rotvec(along).as_matrix()
+                at = at @ move
+            found -= joint.mass * ((at[:, :3, :3] @ joint.centre + at[:, :3, 3]) @ gravity)
+    return found
+
+
+@pytest.mark.parametrize("name", ["3RRR", "5R", "3PRR", "6UPS", "delta"])
+def test_loads_are_what_the_height_loses_with_each_reading(name: str) -> None:
+    machine = heavy(pincal.load_mechanism(name))
+    poses = sample_workspace(machine, 4, seed=1)
+    readings = pincal.inverse(machine, poses).readings
+    signs = [s.direction for leg in machine.legs for s in leg.sensors]  # of readings over joints
+    loads = gravity_loads(machine, readings, machine.platform.matrices(poses)) * signs
+    step, by_energy = 1e-5, np.zeros_like(loads)
+    for column, e in enumerate(step * np.eye(len(signs))):
+        ends = [energy(machine, readings + side * e, poses) for side in (1, -1)]
+        by_energy[:, column] = -(ends[0] - ends[1]) / (2 * step)
+    np.testing.assert_allclose(loads, by_energy, atol=1e-7 * np.abs(loads).max())
+
+
+@pytest.mark.parametrize("name", ["ur3", "ur5", "ur10", "xarm7"])
+def test_loads_of_an_arm_are_those_of_pinocchio(name: str) -> None:
+    file, base, tip = ARMS[name]
+    load = Load(2.0, (0.01, 0.02, 0.05))
+    machine = replace(loaded(name), load=load)
+    model = pin.buildModelFromUrdf(str(urdf(file)))
+    frame = model.frames[model.getFrameId(tip)]
+    inertia = pin.Inertia(load.mass, np.array(load.centre), np.zeros((3, 3)))
+    model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
+    low, high = np.array([(j.lower, j.upper) for j in machine.legs[0].moving]).T
+    q = np.random.default_rng(0).uniform(low, high, (10, model.nq))
+    wanted = [-pin.computeGeneralizedGravity(model, model.createData(), row) for row in q]
+    poses = machine.platform.matrices(pincal.forward(machine, q).poses)
+    base_at = _base(file, base)
+    turned = replace(machine, load=replace(load, gravity=tuple(base_at.T @ load.gravity)))
+    found = gravity_loads(turned, q, poses)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+def _base(file: str, base: str) -> np.ndarray:
+    """Return how a link stands in the root's frame at rest, shape (3, 3)."""
+    model = pin.buildModelFromUrdf(str(urdf(file)))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    return np.eye(3) if not base else np.array(data.oMf[model.getFrameId(base)].rotation)
+
+
+def test_masses_are_read_from_a_urdf_and_written_again(tmp_path) -> None:
+    machine = heavy(pincal.load_mechanism("5R"))
+    machine.save(tmp_path / "heavy")
+    again = pincal.load_mechanism(tmp_path / "heavy")
+    assert again == machine
+    assert again.legs[0].joints[0].mass > 0.0

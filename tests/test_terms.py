@@ -1,0 +1,335 @@
+"""Terms of sensors: found without noise, known to all kinematics, kept in folders and tables."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import done, run
+
+import pincal
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.terms.candidates import said, with_terms
+from pincal.errors import MeasurementError, MechanismError
+from pincal.kinematics.influences import influences_of, sides
+from pincal.model.load import Load
+from pincal.workspace.sampling import sample_workspace
+
+EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)
+FORMS = {
+    "sine": pincal.Term("a", pincal.Harmonic(3, "sine")),
+    "cosine": pincal.Term("a", pincal.Harmonic(5, "cosine", period=1.5)),
+    "power": pincal.Term("a", pincal.Power(2, 0.5, 0.1)),
+    "table": pincal.Term("a", pincal.Knot((-3.0, -1.0, 0.0, 0.5, 1.0, 3.0), 2)),
+    "periodic table": pincal.Term("a", pincal.Knot((0.0, 0.5, 1.0, 1.5, 2.0), 0, periodic=True)),
+    "temperature": pincal.Term("a", pincal.Share(10.0, 20.0), of="temperature"),
+    "time": pincal.Term("a", pincal.Power(2, 100.0, 50.0), of="time"),
+    "backlash": pincal.Term("a", pincal.Share(), of="approach"),
+    "gravity": pincal.Term("a", pincal.Share(300.0), of="load"),
+}
+
+
+def extended(mechanism: pincal.Mechanism, *terms: pincal.Term) -> pincal.Mechanism:
+    """Return a mechanism each of whose sensors has terms, at zero, and something that weighs."""
+
+    def leg(one: pincal.Leg) -> pincal.Leg:
+        sensors, more = [], []
+        for index, sensor in enumerate(one.sensors):
+            own = [replace(term, parameter=f"{term.parameter}_{index}") for term in terms]
+            sensors.append(replace(sensor, terms=tuple(own)))
+            more += [(term.parameter, 0.0) for term in own]
+        return replace(one, sensors=tuple(sensors), parameters=(*one.parameters, *more))
+
+    load = Load(20.0, (0.01, 0.02, 0.1), (1.0, -2.0, -9.81))
+    return replace(mechanism, legs=tuple(map(leg, mechanism.legs)), load=load)
+
+
+def truth_of(mechanism: pincal.Mechanism, size: float = 3e-4) -> pincal.Mechanism:
+    """Return a machine whose terms have amplitudes of a size, [rad] or [m]."""
+    true = pincal.disturb(mechanism, 1e-3, seed=1)
+    ids = [one.id for one in true.parameters if one.name.startswith("a_")]
+    draw = np.random.default_rng(2)
+    return true.with_parameters({name: float(size * draw.uniform(0.5, 1.0)) for name in ids})
+
+
+def measured(
+    mechanism: pincal.Mechanism, truth: pincal.Mechanism, noise: pincal.Noise, count: int = 60
+) -> pincal.Measurements:
+    """Return simulated measurements, with all influences."""
+    draw = np.random.default_rng(3)
+    poses = sample_workspace(mechanism, count, seed=4)
+    influences = {
+        "temperature": draw.uniform(15.0, 30.0, len(poses)),
+        "time": np.sort(draw.uniform(0.0, 100.0, len(poses))),
+    }
+    plan = pincal.Plan(poses, influences=influences)
+    return pincal.simulate(mechanism, truth, plan, noise, seed=5).measurements
+
+
+def largest_error(result: pincal.CalibrationResult, truth: pincal.Mechanism) -> float:
+    """Return how far an identified parameter is from the true one, at most."""
+    return max(
+        abs(p.identified - truth.parameters[p.id].nominal)
+        for leg in result.legs
+        for p in leg.parameters
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "form"),
+    [
+        *(("3RRR", form) for form in FORMS if form != "gravity"),
+        ("6UPS", "gravity"),
+        *(
+            pytest.param("6UPS", form, marks=pytest.mark.slow)
+            for form in FORMS
+            if form != "gravity"
+        ),
+    ],
+)
+def test_without_noise_amplitudes_are_found(name: str, form: str) -> None:
+    machine = extended(pincal.load_mechanism(name), FORMS[form])
+    truth = truth_of(machine)
+    data = measured(machine, truth, pincal.Noise(0.0, 0.0, 0.0), 40)
+    result = pincal.calibrate(machine, data, noise=EXACT)
+    assert largest_error(result, truth) < 1e-9
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_forward_and_inverse_agree_with_terms(form: str) -> None:
+    machine = truth_of(extended(pincal.load_mechanism("6UPS"), FORMS[form]))
+    data = measured(machine, machine, pincal.Noise(0.0, 0.0, 0.0), 8)
+    influences = influences_of(machine, data)
+    there = pincal.forward(machine, data.readings, data.poses, influences)
+    np.testing.assert_allclose(there.poses, data.poses, atol=1e-11)
+    back = pincal.inverse(machine, data.poses, influences)
+    np.testing.assert_allclose(back.readings, data.readings, atol=1e-12)
+    if influences is not None:
+        at_rest = pincal.inverse(machine, data.poses)
+        followed = form == "gravity"  # from the pose itself
+        assert (np.abs(at_rest.readings - data.readings).max() < 1e-12) == followed
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_derivatives_by_amplitudes_are_differences(form: str) -> None:
+    machine = truth_of(extended(pincal.load_mechanism("3RRR"), FORMS[form]), 1e-2)
+    data = measured(machine, machine, pincal.Noise(0.0, 0.0, 0.0), 6)
+    condition = Calibration(machine, data).condition(0, np.arange(len(data)))
+    matrices = machine.platform.matrices(data.poses)
+    values = machine.legs[0].nominal
+    exact, _ = condition(values, matrices)
+    h = 1e-6
+    for column in range(len(values)):
+        step = h * np.eye(len(values))[column]
+        ends = [condition(values + side * step, matrices)[0].value for side in (1.0, -1.0)]
+        np.testing.assert_allclose(
+            exact.parameter[:, :, column], (ends[0] - ends[1]) / (2 * h), atol=1e-7
+        )
+    moved = [condition.corrected(np.full((len(data), 1), side * h)) for side in (1.0, -1.0)]
+    ends = [one(values, matrices)[0].value for one in moved]
+    np.testing.assert_allclose(exact.reading[:, :, 0], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+
+
+def test_gravity_bends_an_arm_and_is_identified() -> None:
+    from arms import loaded
+
+    arm = replace(loaded("ur5"), load=Load(5.0, (0.0, 0.0, 0.05)))
+    draw = np.random.default_rng(0)
+    readings = draw.uniform(-1.2, 1.2, (60, 6))
+    plan = pincal.Plan(pincal.forward(arm, readings).poses, readings=readings)
+    nominal = pincal.Measurements(poses=plan.poses, readings=readings)
+    pairs = said(["shoulder_lift_joint=gravity", "elbow_joint=gravity"], arm)
+    bent, ids = with_terms(arm, nominal, pairs)
+    names = [name for own in ids.values() for name in own]
+    truth = bent.with_parameters(dict.fromkeys(names, 3e-4))
+    noise = pincal.Noise(2e-5, 2e-5, 0.0)
+    data = pincal.simulate(bent, truth, plan, noise, seed=1).measurements
+    given = {"noise": noise, "hold_undetermined": True}
+    result = pincal.calibrate(bent, data, **given)
+    for name in names:
+        p = result[name]
+        assert abs(p.identified - 3e-4) < 4.0 * p.std < 1.5e-4
+    assert pincal.calibrate(arm, data, **given).reduced_chi2 > 3.0 * result.reduced_chi2
+
+
+def test_loads_are_those_of_the_drawing_before_and_after_calibration() -> None:
+    machine = extended(pincal.load_mechanism("6UPS"), FORMS["gravity"])
+    poses = sample_workspace(machine, 5, seed=1)
+    readings = pincal.inverse(machine.drawing, poses).readings
+    loads = influences_of(machine, pincal.Plan(poses, readings=readings))
+    assert np.isnan(loads).all()  # followed from readings, where kinematics asks
+    moved = pincal.disturb(machine, 1e-2, seed=2)
+    again = pincal.disturb(moved, 1e-2, seed=3)
+    assert again.drawing.parameters == machine.drawing.parameters
+
+
+@pytest.mark.parametrize("form", [name for name in FORMS if name != "time"])
+def test_a_folder_holds_terms(tmp_path: Path, form: str) -> None:
+    machine = truth_of(extended(pincal.load_mechanism("3RRR"), FORMS[form]))
+    machine.save(tmp_path / "m")
+    assert pincal.load_mechanism(tmp_path / "m") == machine
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{sine: 2, cosine: 3}", "expected one of sine, cosine, power, knots, of"),
+        ("{}", "expected one of sine"),
+        ("{sine: -1}", "a harmonic's order is -1.0; expected a number above 0"),
+        ("{sine: 2, range: 3}", "'range' does not go with 'sine'; expected period"),
+        ("{power: 2}", "'power' needs 'range' beside it"),
+        ("{power: 1, range: 1}", "expected 2 to 20"),
+        ("{knots: [0, 1], knot: 0}", "expected three or more, ascending"),
+        ("{knots: [0, 1, 2], knot: 3}", "knot 3 of a table that has 3, from 0"),
+        ("{of: temperature, per: 0}", "expected a number above 0"),
+        ("{of: load}", "what weighs on the mechanism is not said"),
+        ("{of: x}", "which is another column of tables"),
+        ("{pover: 2}", "pover"),
+    ],
+)
+def test_wrong_terms_of_a_file_are_named(tmp_path: Path, text: str, words: str) -> None:
+    machine = extended(pincal.load_mechanism("3RRR"), FORMS["sine"])
+    replace(machine, load=None).save(tmp_path / "m")
+    path = tmp_path / "m" / "mechanism.yaml"
+    path.write_text(path.read_text().replace("a_0: {sine: 3}", f"a_0: {text}", 1))
+    with pytest.raises(MechanismError, match=r"mechanism\.yaml") as error:
+        pincal.load_mechanism(tmp_path / "m")
+    assert words in str(error.value)
+
+
+def test_columns_of_influences_are_read_and_written(tmp_path: Path) -> None:
+    machine = extended(
+        pincal.load_mechanism("3RRR"),
+        FORMS["temperature"],
+        replace(FORMS["backlash"], parameter="b"),
+    )
+    data = measured(machine, machine, EXACT, 12)
+    data.to_csv(tmp_path / "d.csv", machine)
+    again = pincal.Measurements.from_csv(tmp_path / "d.csv", machine)
+    for name in machine.influences:
+        np.testing.assert_array_equal(again.influences[name], data.influences[name])
+    path = tmp_path / "d.csv"
+    path.write_text(path.read_text().replace("temperature", "warmth"))
+    with pytest.raises(MeasurementError, match="no column 'temperature', on which terms"):
+        pincal.Measurements.from_csv(path, machine)
+
+
+def test_sides_follow_the_order_of_rows() -> None:
+    readings = np.array([0.0, 1.0, 1.0, 0.5, 0.7, 0.7])
+    np.testing.assert_array_equal(sides(readings), [np.nan, 1, 1, -1, 1, 1])
+    runs = ("a", "a", "a", "b", "b", "b")
+    np.testing.assert_array_equal(sides(readings, runs), [np.nan, 1, 1, np.nan, 1, 1])
+
+
+def test_rows_keep_their_side_where_others_are_left_out() -> None:
+    machine = extended(pincal.load_mechanism("3RRR"), FORMS["backlash"])
+    data = measured(machine, machine, EXACT, 20)
+    whole = Calibration(machine, replace(data, influences={}))
+    part = whole.rows(np.arange(0, len(data), 3))
+    np.testing.assert_array_equal(part.influences, whole.influences[::3])
+
+
+def test_an_influence_that_nothing_depends_on_is_refused() -> None:
+    machine = pincal.load_mechanism("3RRR")
+    home = np.array([machine.platform.home])
+    with pytest.raises(MeasurementError, match="no term of '3RRR' depends on 'temperature'"):
+        pincal.inverse(machine, home, {"temperature": 20.0})
+
+
+def test_a_machine_at_its_reference_needs_no_influences() -> None:
+    plain = pincal.load_mechanism("3RRR")
+    machine = truth_of(extended(plain, FORMS["temperature"]))
+    bare = machine.drawing.with_parameters(
+        {p.id: p.nominal for p in machine.parameters if not p.name.startswith("a_")}
+    )
+    poses = sample_workspace(plain, 5, seed=1)
+    np.testing.assert_array_equal(
+        pincal.inverse(machine, poses).readings, pincal.inverse(bare, poses).readings
+    )
+    warm = pincal.inverse(machine, poses, {"temperature": 30.0}).readings
+    amplitudes = [machine.parameters[f"{leg.name}.a_0"].nominal for leg in machine.legs]
+    gains = [machine.parameters[f"{leg.name}.k"].nominal for leg in machine.legs]
+    cold = pincal.inverse(machine, poses).readings
+    np.testing.assert_allclose(warm - cold, -np.divide(amplitudes, gains) + 0 * cold, atol=1e-12)
+
+
+def _with_a_warm_leg(plain: pincal.Mechanism) -> tuple[pincal.Measurements, pincal.Mechanism]:
+    """Return measurements of a 3-RRR whose third motor follows the temperature; and the machine."""
+    draw = np.random.default_rng(0)
+    poses = plain.platform.home + [0.15, 0.15, 0.4] * draw.uniform(-1.0, 1.0, (80, 3))
+    influences = {"temperature": draw.uniform(18.0, 30.0, len(poses))}
+    nominal = pincal.Measurements(
+        poses=poses, readings=pincal.inverse(plain, poses).readings, influences=influences
+    )
+    machine, _ = with_terms(
+        pincal.disturb(plain, 1e-3, seed=1), nominal, said(["leg_3=temperature"], plain)
+    )
+    machine = machine.with_parameters({"leg_3.temperature": 1.5e-4})
+    noise = pincal.Noise(2e-5, 2e-5, 2e-5)
+    plan = pincal.Plan(poses, influences=influences)
+    return pincal.simulate(plain, machine, plan, noise, seed=3).measurements, machine
+
+
+NOISE = ("--noise-position", "20um", "--noise-orientation", 2e-5, "--noise-reading", 2e-5)
+
+
+def test_the_term_that_is_there_is_named_first_and_pays(tmp_path: Path) -> None:
+    data, machine = _with_a_warm_leg(pincal.load_mechanism("3RRR"))
+    data.to_csv(tmp_path / "d.csv", machine)
+    out = done("explain", "3RRR", tmp_path / "d.csv", *NOISE).out
+    assert "leg_3 follows temperature" in out
+    assert "these terms pay" in out
+    command = next(line for line in out.splitlines() if "pincal calibrate" in line)
+    assert "--terms leg_3=temperature -o RESULT" in command
+    words = shlex.split(command)[1:-1]
+    outcome = done(*words, tmp_path / "r", "--folds", 0)
+    assert "columns not used" not in outcome.err
+    found = pincal.load_result(tmp_path / "r")
+    assert found["leg_3.temperature"].identified == pytest.approx(1.5e-4, abs=2e-5)
+    again = pincal.load_mechanism(tmp_path / "r")
+    assert again.influences == ("temperature",)
+
+
+@pytest.mark.slow
+def test_auto_takes_what_pays() -> None:
+    plain = pincal.load_mechanism("3RRR")
+    data, _ = _with_a_warm_leg(plain)
+    noise = pincal.Noise(2e-5, 2e-5, 2e-5)
+    result = pincal.calibrate(plain, data, noise=noise, terms="auto")
+    names = {p.id for leg in result.legs for p in leg.parameters}
+    assert names - {p.id for p in plain.parameters} == {"leg_3.temperature"}
+
+
+def test_a_machine_without_terms_needs_none() -> None:
+    plain = pincal.load_mechanism("3RRR")
+    truth = pincal.disturb(plain, 1e-3, seed=1)
+    noise = pincal.Noise(2e-5, 2e-5, 2e-5)
+    data = pincal.simulate(plain, truth, sample_workspace(plain, 60, seed=1), noise, seed=2)
+    found = pincal.explain(plain, data.measurements, noise=noise)
+    assert found.verdict == "geometry"
+    assert min(one.corrected for one in found.choice.candidates) > 0.01
+
+
+@pytest.mark.slow
+def test_a_machine_as_drawn_is_left_alone() -> None:
+    plain = pincal.load_mechanism("3RRR")
+    noise = pincal.Noise(1e-3, 1e-3, 0.0)
+    data = pincal.simulate(plain, plain, sample_workspace(plain, 15, seed=1), noise, seed=2)
+    found = pincal.explain(plain, data.measurements, noise=noise)
+    assert found.verdict == "as drawn"
+
+
+def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
+    data, machine = _with_a_warm_leg(pincal.load_mechanism("3RRR"))
+    data.to_csv(tmp_path / "d.csv", machine)
+    for term, words in (
+        ("humidity", "no column 'humidity', on which terms are to depend"),
+        ("harmonics:x", "expected harmonics:1,2"),
+        ("gravity", "what weighs on '3RRR' is not known"),
+    ):
+        outcome = run("explain", "3RRR", tmp_path / "d.csv", "--terms", term)
+        assert outcome.code == 2
+        assert words in " ".join(outcome.trouble.split())
