@@ -173,7 +173,7 @@ def _label(term: Term, unit: str) -> str:
     """
     basis = term.basis
     if isinstance(basis, Harmonic):
-        return f"{basis.phase}, {basis.order:g} periods a turn"
+        return f"{basis.phase} of {basis.order:g} times the reading"
     if isinstance(basis, Power):
         return f"power {basis.power} at {basis.centre + basis.range:g} {unit}"
     if term.of == APPROACH:
