@@ -101,7 +101,7 @@ def with_terms(
             )
         wanted.setdefault(reading, []).append(kind)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
-    legs, ids, column = [], {}, 0
+    legs, labels, ids, column = [], [], {}, 0
     for leg in mechanism.legs:
         sensors, parameters = [], list(leg.parameters)
         for index, sensor in enumerate(leg.sensors):
@@ -116,11 +116,13 @@ def with_terms(
                 ]
                 terms += more
                 parameters += [(one.parameter, 0.0) for one in more]
+                unit = leg.reading_units[index]
+                labels += [(f"{leg.name}.{one.parameter}", _label(one, unit)) for one in more]
                 ids[reading, kind] = tuple(f"{leg.name}.{one.parameter}" for one in more)
             sensors.append(replace(sensor, terms=tuple(terms)))
             column += 1
         legs.append(replace(leg, sensors=tuple(sensors), parameters=tuple(parameters)))
-    return replace(mechanism, legs=tuple(legs)), ids
+    return replace(mechanism, legs=tuple(legs), labels=(*mechanism.labels, *labels)), ids
 
 
 def _terms(
@@ -160,6 +162,27 @@ def _terms(
         )
     centre, half = _range(measurements.influences[kind.name])
     return [Term(named(kind.name), Share(half, centre), of=kind.name)]
+
+
+def _label(term: Term, unit: str) -> str:
+    """Return what an amplitude is, in a few words.
+
+    Args:
+        term: The term.
+        unit: Of the reading.
+    """
+    basis = term.basis
+    if isinstance(basis, Harmonic):
+        return f"{basis.phase} of {basis.order:g} times the reading"
+    if isinstance(basis, Power):
+        return f"power {basis.power} at {basis.centre + basis.range:g} {unit}"
+    if term.of == APPROACH:
+        return "half the play"
+    if not isinstance(basis, Share):
+        return ""
+    if term.of == LOAD:
+        return f"under a load of {basis.per:g} N{' m' if unit == 'rad' else ''}"
+    return f"at {term.of} {basis.reference + basis.per:g}, none at {basis.reference:g}"
 
 
 def with_influences(
