@@ -247,6 +247,8 @@ CLAUSES: dict[str, tuple[dict[str, Any], str]] = {
     "unit": ({"units": (("positions", "m", "mm"), ("readings", "rad", "deg"))}, "the positions are in mm under a metre header and the readings are in degrees under a radian header"),
     "left-handed-frame": ({"axis": "xy", "orientations_right": True}, "x and y are exchanged and the orientations are right"),
     "sign-of-angle": ({"column": "torsion"}, "torsion has the other sign"),
+    "angles-exchanged": ({"order": (("yaw", "roll"), ("roll", "yaw"))}, "yaw and roll are exchanged"),
+    "scale-of-readings": ({"factors": (("a", 10.0, "rad"), ("b", 0.25, "m"))}, "the readings of a are 10 times too large, those of b are 4 times too small"),
     "orientation-inverted": ({}, "the orientations turn the other way"),
     "pose-inverted": ({}, "the poses are those of the base in the platform's frame"),
     "rows-shifted": ({"shift": -2}, "the readings stand 2 rows above the poses they belong to"),

@@ -98,6 +98,7 @@ def read_measurements(
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
+        written=_way(table) if platform.turns == 3 else None,
     )
     measured = [data.poses, *(values[:, None] for values in extra.values())]
     blank = np.isnan(np.column_stack([*measured, data.readings])).all(axis=1)
