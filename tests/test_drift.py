@@ -128,3 +128,38 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
     plan = pincal.Plan.from_csv(tmp_path / "plan.csv", "3RRR")
     assert plan.places is not None
     assert plan.places.count(REFERENCE) > 2
+
+
+def test_a_reference_that_moves_is_named_with_how_far() -> None:
+    """A tracker that drifts 0.2 mm along y over the run; one that stands still is not blamed."""
+    mechanism, plan = leg_after_leg(12)
+    more = with_reference(mechanism, in_turns(plan), 4)
+    data = pincal.simulate(mechanism, mechanism, more, NOISE).measurements
+    poses = data.poses + 2e-4 * np.linspace(-0.5, 0.5, len(data))[:, None] * [0.0, 1.0, 0.0]
+    still, moved = (
+        [
+            one
+            for one in pincal.calibrate(mechanism, found, noise=NOISE).findings
+            if one.code == "reference-moved"
+        ]
+        for found in (data, replace(data, poses=poses))
+    )
+    assert not still
+    (one,) = moved
+    assert data.places is not None
+    assert [data.places[row] for row in one.rows] == [REFERENCE] * data.places.count(REFERENCE)
+    assert one.values["quantity"] == "measured y"
+    assert abs(one.values["size"] - 2e-4) < 4e-5
+
+
+@pytest.mark.parametrize(("field", "column"), [("poses", 0), ("readings", 1)])
+def test_a_step_has_its_sign(field: str, column: int) -> None:
+    """What is 0.2 mm, or mrad, too large from a row on is said to be so."""
+    mechanism, plan = leg_after_leg(12)
+    data = pincal.simulate(mechanism, mechanism, plan, NOISE).measurements
+    values = getattr(data, field).copy()
+    values[20:, column] += 2e-4
+    found = pincal.calibrate(mechanism, replace(data, **{field: values}), noise=NOISE).findings
+    (one,) = (one for one in found if one.code == "step")
+    assert one.rows == (20,)
+    assert abs(one.values["size"] - 2e-4) < 2e-5

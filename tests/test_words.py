@@ -207,6 +207,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "chi2-too-large": ({"chi2": 4.0, "dof": 30, "source": "given"}, (), (), "reduced χ² is 4 where 1 is expected: the noise is larger than given, or the model lacks something"),
     "chi2-too-small": ({"chi2": 0.1, "dof": 30, "source": "repeats"}, (), (), "the noise is smaller than repeated rows show; the uncertainties"),
     "noise-in-other-proportion": ({"ratios": {"positions": 1.4, "readings": 0.4}, "p_value": 1e-5}, (), (), "not in the proportion given (p = 1e-05): residuals show 140 % of it in positions, 40 % of it in readings"),
+    "reference-moved": ({"pose": "reference", "quantity": "x", "size": 1.2e-4, "unit": "m", "p_value": 1e-5}, (0, 5, 11), (), "the pose 'reference', measured 3 times: x moved by 0.12 mm from data row 1 to 12 (p = 1e-05)"),
     "model-lacks": ({"quantity": "reading of leg_1", "term": "angle", "p_value": 1e-5}, (), (), "reading of leg_1: residuals follow its own value (p = 1e-05)"),
     "curved": ({"curvature": 2.1, "intervals": "wald"}, (), (), "the curved part of the residuals' change is 2.1 of the straight one"),
     "interval-open": ({}, (), ("leg_1.l", "leg_2.l"), "the 95 % intervals of leg_1.l, leg_2.l have no end on one side or both"),

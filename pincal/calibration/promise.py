@@ -45,6 +45,7 @@ CONTRADICT = frozenset(
         "held-out-worse",
         "drift",
         "step",
+        "reference-moved",
         "runs-differ",
     }
 )
