@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from measured import machine
 import pincal
 from pincal.files.tables.measurements import read_measurements, read_readings
 from pincal.files.tables.table_reading import read_table
-from pincal.words.numbers import FACTORS
+from pincal.files.tables.units import Units
+from pincal.model.units import UNITS
+from pincal.words.numbers import SMALL, reading_in, shown_in
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 COUNTS = 4096 / (2 * np.pi)
@@ -165,11 +168,35 @@ def test_tables_in_mm_and_degrees_on_request(counted: Path, tmp_path: Path) -> N
     assert "-150.0000" in shown
 
 
-def test_every_unit_of_tables_can_be_printed() -> None:
+@pytest.mark.parametrize("name", UNITS)
+def test_every_unit_of_tables_can_be_printed(name: str) -> None:
     """Units to write in and units to print in are the same, with the same factors."""
-    from pincal.files.tables.units import UNITS, Units
+    dimension, factor = UNITS[name]
+    printed = Units({dimension: name}).printed
+    with reading_in(printed):
+        assert SMALL[dimension] == printed[dimension]
+        assert shown_in(factor, dimension) == pytest.approx(1.0, abs=1e-15)
+        assert UNITS[printed[dimension]] == UNITS[name]
+    assert SMALL["m"] == "mm"
 
-    for name, (dimension, factor) in UNITS.items():
-        if dimension != "1":
-            shown = Units({dimension: name}).read({})[dimension]
-            assert FACTORS[shown] * factor == pytest.approx(1.0, abs=1e-15)
+
+def test_the_report_is_in_the_units_asked_for(counted: Path, tmp_path: Path) -> None:
+    """Cards, sentences, tables and figures; without, in mm and mrad; the terminal's alike."""
+    said = (*GIVEN, "--counts", "4096/turn", "--folds", 0)
+    out = done("calibrate", "3RRR", counted, *said, "--units", "in,deg", "-o", tmp_path / "in").out
+    done("calibrate", "3RRR", counted, *said, "-o", tmp_path / "mm")
+    own, usual = ((tmp_path / one / "report.html").read_text() for one in ("in", "mm"))
+    for text in ("position [in]", "orientation [°]", " in in position", "° in orientation"):
+        assert text in own
+        assert text not in usual
+    assert not re.search(r"[0-9] mm|[0-9] mrad|\[mm\]|\[mrad\]", without_code(own))
+    assert not re.search(r"[0-9] mm|[0-9] mrad", out)
+    assert "was off by" in out
+    assert re.search(r"off by [0-9.]+ in and [0-9.]+ °", out)
+    assert "x [in]" in own  # text of figures is text
+    assert "x [m]" not in own
+
+
+def without_code(page: str) -> str:
+    """Return a page without the command that was typed."""
+    return re.sub(r"<pre>.*?</pre>", "", page, flags=re.DOTALL)

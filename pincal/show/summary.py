@@ -167,8 +167,8 @@ def check_lines(result: CalibrationResult) -> list[str]:
             text += f". Platform: {amount(one.position[1], 'm')} held out, "
             text += f"{number(one.position[0], 'm')} in the fit"
             if one.orientation is not None:
-                fit, held = (number(turned, "rad") for turned in one.orientation)
-                text += f"; {held} mrad and {fit}"
+                fit, held = one.orientation
+                text += f"; {amount(held, 'rad')} and {number(fit, 'rad')}"
             text += " (measuring noise included)"
         by = f"{one.folds} folds" if one.folds > 1 else f"{one.rows} rows of the set verify"
         lines.append(f"{text} ({by})")
@@ -310,7 +310,7 @@ def _expected(error: PlatformError, turning: bool) -> str:
 def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
     """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
     many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-    text = f"for {1e3 * accuracy:g} mm: {many}"
+    text = f"for {amount(accuracy, 'm', 6)}: {many}"
     text += "" if alone is None else f", {alone:,.0f} with --per-leg"
     if 1e5 < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"

@@ -158,11 +158,6 @@ class Table:
         columns = tuple(self.columns[i] for i in kept)
         return replace(self, columns=columns, rows=rows, caption=caption)
 
-    def read_in(self, units: Mapping[str, str]) -> Table:
-        """Return the table with its numbers in other units; those that are not named stay."""
-        columns = tuple(replace(one, units={**one.units, **units}) for one in self.columns)
-        return replace(self, columns=columns)
-
     def cells(self) -> list[list[str]]:
         """Return all cells as text, those of a group's name but once."""
         shown = [

@@ -19,6 +19,7 @@ from pincal.show.symmetry_tables import group_table, near_table, symmetry_table
 from pincal.show.tables import nominal_table
 from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
 from pincal.symmetry.elements import cyclic
+from pincal.words.numbers import reading_in
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
@@ -50,8 +51,8 @@ def check(mech: Mech, how: UnitOptions) -> None:
     Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
     """
     mechanism = load_mechanism(mech)
-    units = how.written_in(mechanism).read({})
-    stdout.print(nominal_table(mechanism).read_in(units))
+    with reading_in(how.written_in(mechanism).printed):
+        stdout.print(nominal_table(mechanism))
     platform, legs = mechanism.platform, []
     home = platform.home_pose.as_matrix()
     for leg in mechanism.legs:

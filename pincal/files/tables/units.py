@@ -9,28 +9,12 @@ from typing import TypeAlias
 import numpy as np
 
 from pincal.errors import MeasurementError
+from pincal.model.units import PRINTED, UNITS
 
 Columns: TypeAlias = Mapping[str, Iterable[float] | Iterable[str]]
 
-#: Units as people write them: dimension, and factor to SI.
-UNITS: dict[str, tuple[str, float]] = {
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "µm": ("m", 1e-6),  # micro sign
-    "μm": ("m", 1e-6),  # Greek letter
-    "in": ("m", 0.0254),
-    "1": ("1", 1.0),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", np.pi / 180),
-    "°": ("rad", np.pi / 180),
-    "turn": ("rad", 2 * np.pi),
-}
 COUNTS = "counts"
 """Unit of readings as an encoder counts them; its sensor says how many are in one rad or m."""
-_READ = {"deg": "°", "um": "µm", "μm": "µm"}  # as tables write them
 
 
 @dataclass(frozen=True)
@@ -91,9 +75,10 @@ class Units:
         scale, shown = (by, COUNTS) if by else (1.0 / UNITS[str(own)][1], own)
         return f"{name} [{shown}]", np.asarray(column[1], dtype=np.float64) * scale
 
-    def read(self, default: Mapping[str, str]) -> dict[str, str]:
-        """Return in which unit numbers of a table are read, by SI unit."""
-        return {**default, **{k: _READ.get(unit, unit) for k, unit in self.names.items()}}
+    @property
+    def printed(self) -> dict[str, str]:
+        """In which unit numbers are printed, by SI unit, where that was said."""
+        return {dimension: PRINTED.get(unit, unit) for dimension, unit in self.names.items()}
 
 
 SI = Units()
