@@ -17,6 +17,7 @@ from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.readers import tips_by_reader
 from pincal.show.symmetry_tables import group_table, near_table, symmetry_table
 from pincal.show.tables import nominal_table
+from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
 from pincal.symmetry.elements import cyclic
 from pincal.words.numbers import reading_in
@@ -193,7 +194,7 @@ def _claim(wanted: tuple[int, bool], found: SymmetryGroup) -> None:
     mirrors = sum(element.reflection for element in found.elements)
     if mirrored and mirrors < n:
         missing.append(f"{n - mirrors} of {n} mirrors")
-    why = "; ".join(str(b) for b in found.breaks) or "nothing near suggests it"
+    why = "; ".join(no_symmetries(found.breaks)) or "nothing near suggests it"
     raise SymmetryError(
         f"not the group {name} but {found.name}: {', '.join(missing) or 'elements'} missing ({why})"
     )
