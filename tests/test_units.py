@@ -127,14 +127,14 @@ def test_from_counts_to_a_commanded_pose_in_counts(counted: Path, tmp_path: Path
 
 @pytest.mark.parametrize("units", ["mm,deg", "in,turn", "um,mrad", "cm"])
 def test_what_is_written_in_other_units_is_read_again(units: str, tmp_path: Path) -> None:
-    """Headers say the unit, so that numbers come back to rounding."""
+    """Headers say the unit, so that numbers come back to a picometre or picoradian."""
     plan = pincal.Plan(np.array([[0.1, -0.2, 0.3], [0.0, 0.1, -0.1]]))
     plan.to_csv(tmp_path / "p.csv", "3RRR")
     done("inverse", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "r.csv")
     done("simulate", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "m.csv")
     readings = pincal.inverse("3RRR", plan.poses).readings
     again = read_readings(tmp_path / "r.csv", "3RRR")
-    np.testing.assert_allclose(again, readings, rtol=1e-14)
+    np.testing.assert_allclose(again, readings, rtol=0.0, atol=1e-12)
     named = read_table(tmp_path / "m.csv").units
     assert named["x"] in units.split(",")
     assert len(read_measurements(tmp_path / "m.csv", "3RRR")) == 2
@@ -200,3 +200,23 @@ def test_the_report_is_in_the_units_asked_for(counted: Path, tmp_path: Path) -> 
 def without_code(page: str) -> str:
     """Return a page without the command that was typed."""
     return re.sub(r"<pre>.*?</pre>", "", page, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(("units", "places"), [("", 12), ("mm,deg", 10), ("um,mrad", 9)])
+def test_what_commands_write_has_no_noise_of_digits(
+    units: str, places: int, tmp_path: Path
+) -> None:
+    """0.3, not 0.30000000000000004; no digits below a picometre; results are to the last bit."""
+    plan = pincal.Plan(np.array([[0.1 + 0.2, -0.2, 0.3], [1 / 3, 0.1, -0.1]]))
+    plan.to_csv(tmp_path / "p.csv", "3RRR")
+    assert "0.30000000000000004,-0.2" in (tmp_path / "p.csv").read_text()
+    said = ("--units", units) if units else ()
+    done("inverse", "3RRR", tmp_path / "p.csv", "-o", tmp_path / "r.csv")
+    done("forward", "3RRR", tmp_path / "r.csv", *said, "-o", tmp_path / "there.csv")
+    text = (tmp_path / "there.csv").read_text()
+    assert max(len(cell.partition(".")[2]) for cell in re.findall(r"[0-9.]+", text)) <= places + 1
+    there = pincal.Plan.from_csv(tmp_path / "there.csv", "3RRR").poses
+    np.testing.assert_allclose(there, plan.poses, rtol=0.0, atol=1e-11)
+    assert Units(last=1e-12).written({"x [m]": [0.1 + 0.2, -1e-14], "sigma_x [m]": [1e-13, 1.0]})[
+        "sigma_x [m]"
+    ] == pytest.approx([1e-13, 1.0], rel=1e-15)

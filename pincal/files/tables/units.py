@@ -25,13 +25,15 @@ class Units:
     """A key of ``UNITS`` for each SI unit, ``{"m": "mm"}``."""
     counts: Mapping[str, float] = field(default_factory=dict)
     """Encoder counts of one rad or m, by the column of a reading that is written in counts."""
+    last: float = 0.0
+    """To what values are written, in SI, but for standard deviations; 0 is to the last bit."""
 
     @classmethod
     def of(cls, said: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Units:
         """Return the units that a list such as ``mm,deg,counts`` names.
 
         Args:
-            said: Units with commas between them.
+            said: Units with commas between them; numbers end where those of ``WRITTEN`` do.
             counts: Encoder counts of one rad or m, by reading.
             readings: Names of all readings, each of which needs its counts.
 
@@ -58,7 +60,7 @@ class Units:
                     f"({', '.join(known)}, {COUNTS})"
                 )
             names[dimension] = unit
-        return cls(names, counts if COUNTS in listed else {})
+        return cls(names, counts if COUNTS in listed else {}, WRITTEN.last)
 
     def written(self, columns: Columns) -> Columns:
         """Return columns (header to values, SI) in these units, which their headers say."""
@@ -69,11 +71,14 @@ class Units:
     ) -> tuple[str, Iterable[float] | Iterable[str]]:
         name, bracket, rest = column[0].partition(" [")
         unit = rest.removesuffix("]")
-        own, by = self.names.get(unit), self.counts.get(name.removeprefix("sigma_"))
-        if not bracket or (own is None and by is None):
+        own, by = self.names.get(unit, unit), self.counts.get(name.removeprefix("sigma_"))
+        if not bracket or (own == unit and by is None and not self.last):
             return column
-        scale, shown = (by, COUNTS) if by else (1.0 / UNITS[str(own)][1], own)
-        return f"{name} [{shown}]", np.asarray(column[1], dtype=np.float64) * scale
+        scale, shown = (by, COUNTS) if by else (1.0 / UNITS.get(own, ("", 1.0))[1], own)
+        values = np.asarray(column[1], dtype=np.float64) * scale
+        if self.last and not name.startswith(("sigma_", "cov_")):  # these may be as small
+            values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
+        return f"{name} [{shown}]", values
 
     @property
     def printed(self) -> dict[str, str]:
@@ -82,7 +87,9 @@ class Units:
 
 
 SI = Units()
-"""Nothing but SI."""
+"""Nothing but SI, to the last bit."""
+WRITTEN = Units(last=1e-12)
+"""As commands write what was computed: to a picometre or picoradian, far below any noise."""
 
 
 def counts_of(said: Iterable[str], readings: Mapping[str, str]) -> dict[str, float]:
