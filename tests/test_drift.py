@@ -14,6 +14,7 @@ from measured import workspace
 import pincal
 from pincal.design.drift import drift
 from pincal.design.order import REFERENCE, in_turns, with_reference
+from pincal.show.summary import drift_lines
 
 NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)
 
@@ -125,6 +126,7 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
     assert "as the pose 'reference'" in said.err
     assert "a drift of each measured quantity" in said.out
     assert "the same with --per-leg" in said.out
+    assert "that does not matter beside the noise" in " ".join(said.out.split())
     plan = pincal.Plan.from_csv(tmp_path / "plan.csv", "3RRR")
     assert plan.places is not None
     assert plan.places.count(REFERENCE) > 2
@@ -163,3 +165,19 @@ def test_a_step_has_its_sign(field: str, column: int) -> None:
     (one,) = (one for one in found if one.code == "step")
     assert one.rows == (20,)
     assert abs(one.values["size"] - 2e-4) < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("relative", "says"),
+    [(0.3, "does not matter"), (0.7, "a drift twice as large would"), (2.0, "measure in turns")],
+)
+def test_whether_a_drift_matters_is_said(relative: float, says: str) -> None:
+    """By the larger of what it does to a parameter and to the platform, over the noise."""
+    mechanism, plan = leg_after_leg(12)
+    found = drift(pincal.forecast(mechanism, plan, NOISE), plan)
+    for one in (
+        replace(found, relative=np.full_like(found.relative, relative), share=0.1),
+        replace(found, relative=np.zeros_like(found.relative), share=relative),
+    ):
+        (line,) = drift_lines([one])
+        assert says in line

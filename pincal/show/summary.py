@@ -27,7 +27,12 @@ _NO_FREEDOM = (
 )
 FRAMES = ", but for where the base and platform frames lie"
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
-_ALIASED = 1.0  # standard errors: a larger bias by drift is the plan's fault
+_MATTERS = 0.5, 1.0  # standard errors: a bias by drift that adds an eighth to what noise leaves
+_VERDICTS = (
+    "that does not matter beside the noise",
+    "that matters little; a drift twice as large would",
+    "that matters: measure in turns (pincal select writes such an order), or again in parts",
+)
 _ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
 
 
@@ -261,8 +266,8 @@ def drift_lines(drifts: Sequence[Drift]) -> list[str]:
         text = f"{head}: {one.worst} off by {most:.2g} standard errors"
         if np.isfinite(one.share):
             text += f", the platform by {one.share:.2g} of its expected error"
-        if max(most, np.nan_to_num(one.share)) > _ALIASED:
-            text += " (measure in turns: pincal select writes such an order)"
+        much = max(most, float(np.nan_to_num(one.share)))
+        text += f": {_VERDICTS[int(np.searchsorted(_MATTERS, much))]}"
         lines.append(text)
     return lines
 
