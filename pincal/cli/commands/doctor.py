@@ -18,6 +18,7 @@ from pincal.cli.commands.calibration import GivenNoise
 from pincal.cli.options import CountOptions, SetupOptions
 from pincal.files.output import refuse_existing
 from pincal.files.tables.columns import unknown_columns
+from pincal.files.tables.level import tilt_column
 from pincal.files.tables.measurement_writing import Columns, columns_of
 from pincal.files.tables.measurements import read_measurements
 from pincal.files.tables.table import Table, write_table
@@ -119,7 +120,8 @@ def doctor(
 
 def _others(table: Table, mechanism: Mechanism, setup: Setup) -> Columns:
     """Return the columns that mean nothing to pincal, header to cells."""
-    others = unknown_columns(table, mechanism, setup.columns(mechanism))
+    more = setup.columns(mechanism)
+    others = unknown_columns(table, mechanism, more | tilt_column(mechanism, more))
     units = {name: f" [{unit}]" if (unit := table.units[name]) else "" for name in others}
     return {f"{name}{units[name]}": cells for name, cells in others.items()}
 

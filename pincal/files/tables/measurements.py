@@ -10,6 +10,7 @@ from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables.columns import Source, table_for
 from pincal.files.tables.covariances import read_covariances
+from pincal.files.tables.level import levelled, tilt_column
 from pincal.files.tables.table import Table
 from pincal.model.checks import must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
@@ -52,7 +53,8 @@ def read_measurements(
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
     polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
-    table = table_for(path, mechanism, more | polar)
+    level = tilt_column(mechanism, more)
+    table = table_for(path, mechanism, more | polar | level)
     said = [name for name in ("range", "elevation") if name not in more]
     if not polar and (own := [name for name in said if f"sigma_{name}" in table]):
         raise MeasurementError(
@@ -71,6 +73,8 @@ def read_measurements(
     if not partial:
         _whole(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
+    if level and "z" in table:
+        poses = levelled(table, setup, poses)
     extra = {
         name: table.numbers(name, unit, blank=True)
         for name, unit in more.items()
