@@ -45,7 +45,7 @@ def in_si(text: str | float, dimensions: str, bare: str | None = "") -> float:
     if wrong or lacks:
         some = [one for one, (kind, _) in UNITS.items() if kind in dimensions.split()]
         raise typer.BadParameter(f"{text!r}: expected a number, with one of {', '.join(some)}")
-    return value * factor
+    return float(f"{value * factor:.15g}")  # 20um is 2e-05, not 1.9999999999999998e-05
 
 
 def with_unit(dimensions: str, what: str, bare: str | None = "") -> typer.models.OptionInfo:

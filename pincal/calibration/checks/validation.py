@@ -24,7 +24,7 @@ from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
-from pincal.calibration.promise import UNEXPLAINED, pose_misses
+from pincal.calibration.promise import UNEXPLAINED, point_misses, pose_misses
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
@@ -60,7 +60,7 @@ class Validation:
     """Probability of such a growth, or a larger one, if the model is right."""
     position: tuple[float, float] | None
     """Root mean square misfit of the platform's position, [m], in the fit and held out; where
-    poses were measured in full."""
+    poses were not measured in full, of the points that were."""
     orientation: tuple[float, float] | None
     """The same of its orientation, [rad]."""
     findings: tuple[Finding, ...]
@@ -137,6 +137,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     sure = np.inf if calibration.noise.known else confidence(whole).least or np.inf
     parts: list[_Predicted] = []
     misfits: list[Array] = []
+    pairs: list[tuple[Calibration, Fits]] = []
     chances = []
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
@@ -147,6 +148,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         chances.append(_chance(found, own, total, sure))
         parts += own
         misfits.append(_misfit(unseen, found))
+        pairs.append((unseen, found))
     equations = sum(one.equations for one in parts)
     dof = sum(one.fit.degrees_of_freedom for one in whole.fits)
     fit = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
@@ -162,7 +164,8 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
             )
         )
-    fit_misfits = _misfit(calibration.rows(calibration.counts), whole)
+    fitted_rows = calibration.rows(calibration.counts)
+    fit_misfits = _misfit(fitted_rows, whole)
     lengths = np.array([one == "m" for one in calibration.mechanism.platform.units])
     return Validation(
         folds=count,
@@ -171,7 +174,8 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         held_out=float(held),
         expected=float(expected),
         p_value=p_value,
-        position=_both(fit_misfits, np.concatenate(misfits), lengths),
+        position=_both(fit_misfits, np.concatenate(misfits), lengths)
+        or _sizes([(fitted_rows, whole)], pairs),
         orientation=_both(fit_misfits, np.concatenate(misfits), ~lengths),
         findings=(*drifts(whole), *more),
     )
@@ -275,6 +279,21 @@ def _misfit(calibration: Calibration, found: Fits) -> Array:
     machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
     plain = calibration.options.setup.plain
     return pose_misses(calibration, machine, None if plain else found.external)
+
+
+def _points(calibration: Calibration, found: Fits) -> Array:
+    """Return by how much measured points are missed, [m], flat."""
+    machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
+    start = calibration.observation.external.start
+    return point_misses(calibration, machine, found.external or start)
+
+
+def _sizes(*pairs: Sequence[tuple[Calibration, Fits]]) -> tuple[float, float] | None:
+    """Return by how much points are missed in the fit and held out, or None where none are."""
+    fitted, unseen = (np.concatenate([_points(*one) for one in own]) for own in pairs)
+    if not (len(fitted) and len(unseen)):
+        return None
+    return float(np.sqrt(np.mean(fitted**2))), float(np.sqrt(np.mean(unseen**2)))
 
 
 def _both(fitted: Array, held_out: Array, columns: Mask) -> tuple[float, float] | None:
