@@ -129,10 +129,10 @@ def each_leg(
 def _pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:
     """Return a root R of the pseudo-inverse Rᵀ R of rows' information, and what it lacks."""
     lengths, s, axes = scaled_axes(rows)
-    return axes[:rank] / lengths / s[:rank, None], lost_directions(lengths, axes, rank)
+    return axes[:rank] / lengths / s[:rank, None], null_directions(lengths, axes, rank)
 
 
-def lost_directions(lengths: Array, axes: Array, rank: int) -> Array:
+def null_directions(lengths: Array, axes: Array, rank: int) -> Array:
     """Return what rows do not determine, columns of shape (n, n_lost); see ``scaled_axes``."""
     return np.asarray(np.linalg.qr((axes[rank:] / lengths).T)[0])
 
