@@ -263,6 +263,7 @@ def test_help_of_each_command(command: str) -> None:
     assert outcome.code == 0
     assert outcome.out.startswith(f"Usage: pincal {command} ")
     assert str(COMMANDS[command].callback.__doc__).splitlines()[0] in outcome.out
+    assert not re.search(r"list\[|\[\[|^  [A-Z.|]+ <", outcome.out, re.MULTILINE)
     assert outcome.err == ""
 
 

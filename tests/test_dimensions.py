@@ -97,3 +97,15 @@ def test_the_command_draws_them(tmp_path: Path) -> None:
     outcome = run("picture", "3RRR", "-o", tmp_path / "q.svg", "--dimensions", "leg_9")
     assert outcome.code == 2
     assert "leg_9" in outcome.err
+
+
+@pytest.mark.parametrize("kind", ["3RPS", "6PUS"])
+def test_dimensions_are_in_the_picture(kind: str) -> None:
+    """The arc of an angle that goes beyond all parts of the machine is not cut off."""
+    mechanism = pincal.load_mechanism(kind)
+    axes = pincal.picture(mechanism, dimensions=["leg_1"]).figure().axes[0]
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    for line in axes.lines:
+        at = np.array(line.get_xydata())
+        assert left <= at[:, 0].min() < at[:, 0].max() + 1e-9 <= right
+        assert low <= at[:, 1].min() < at[:, 1].max() + 1e-9 <= high

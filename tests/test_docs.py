@@ -19,8 +19,8 @@ from typer.main import get_command
 import pincal
 from pincal import errors
 from pincal.cli.app import app
-from pincal.files.tables.units import UNITS
 from pincal.model.orientation import WAYS
+from pincal.model.units import UNITS
 from pincal.words.sentences import WORDINGS
 
 ROOT = Path(__file__).parents[1]

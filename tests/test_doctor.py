@@ -183,3 +183,34 @@ def test_doctor_does_not_say_works_for_what_calibrate_contradicts() -> None:
     assert first.result.validation is not None
     assert [one.code for one in first.result.contradictions] == ["runs-differ"]
     assert not first.works
+
+
+def test_counts_of_another_scale_are_said_as_the_option_that_is_right(tmp_path: Path) -> None:
+    """Ten times the counts a turn: no file is written, the command has the right number."""
+    mechanism, _, data = machine("3RRR", 24, NOISE)
+    frame = data.to_dataframe(mechanism)
+    for name in mechanism.reading_names:
+        counts = frame.pop(f"{name} [rad]") * 409600 / (2 * np.pi)
+        frame[f"{name} [counts]"] = counts.round().astype(int)
+    frame.to_csv(tmp_path / "m.csv", index=False)
+    counted = ("doctor", "3RRR", tmp_path / "m.csv", *GIVEN, "--counts", "40960/turn")
+    outcome = done(*counted, "-o", tmp_path / "mended.csv")
+    assert "the readings are 10 times too large" in outcome.out
+    assert "known roughly" not in outcome.out
+    assert "--counts 409600/turn" in outcome.out
+    assert not (tmp_path / "mended.csv").exists()
+
+
+def test_exchanged_columns_of_the_orientation_are_mended_as_they_were_written(
+    tmp_path: Path,
+) -> None:
+    """Yaw below roll: both are named, and the mended file has Z-Y-X angles too."""
+    mechanism, _, data = machine("6UPS", 24, NOISE)
+    frame = data.to_dataframe(mechanism, orientation="zyx")
+    names = {"yaw [rad]": "roll [rad]", "roll [rad]": "yaw [rad]"}
+    frame.rename(columns=names).to_csv(tmp_path / "m.csv", index=False)
+    outcome = done("doctor", "6UPS", tmp_path / "m.csv", *GIVEN, "-o", tmp_path / "mended.csv")
+    assert "yaw and roll are exchanged" in outcome.out
+    mended = pincal.Measurements.from_csv(tmp_path / "mended.csv", mechanism)
+    assert np.abs(mended.poses - data.poses).max() < 1e-9
+    assert mended.written == "zyx"

@@ -14,6 +14,7 @@ from measured import workspace
 import pincal
 from pincal.design.drift import drift
 from pincal.design.order import REFERENCE, in_turns, with_reference
+from pincal.show.summary import drift_lines
 
 NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)
 
@@ -125,6 +126,58 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
     assert "as the pose 'reference'" in said.err
     assert "a drift of each measured quantity" in said.out
     assert "the same with --per-leg" in said.out
+    assert "that does not matter beside the noise" in " ".join(said.out.split())
     plan = pincal.Plan.from_csv(tmp_path / "plan.csv", "3RRR")
     assert plan.places is not None
     assert plan.places.count(REFERENCE) > 2
+
+
+def test_a_reference_that_moves_is_named_with_how_far() -> None:
+    """A tracker that drifts 0.2 mm along y over the run; one that stands still is not blamed."""
+    mechanism, plan = leg_after_leg(12)
+    more = with_reference(mechanism, in_turns(plan), 4)
+    data = pincal.simulate(mechanism, mechanism, more, NOISE).measurements
+    poses = data.poses + 2e-4 * np.linspace(-0.5, 0.5, len(data))[:, None] * [0.0, 1.0, 0.0]
+    still, moved = (
+        [
+            one
+            for one in pincal.calibrate(mechanism, found, noise=NOISE).findings
+            if one.code == "reference-moved"
+        ]
+        for found in (data, replace(data, poses=poses))
+    )
+    assert not still
+    (one,) = moved
+    assert data.places is not None
+    assert [data.places[row] for row in one.rows] == [REFERENCE] * data.places.count(REFERENCE)
+    assert one.values["quantity"] == "measured y"
+    assert abs(one.values["size"] - 2e-4) < 4e-5
+
+
+@pytest.mark.parametrize(("field", "column"), [("poses", 0), ("readings", 1)])
+def test_a_step_has_its_sign(field: str, column: int) -> None:
+    """What is 0.2 mm, or mrad, too large from a row on is said to be so."""
+    mechanism, plan = leg_after_leg(12)
+    data = pincal.simulate(mechanism, mechanism, plan, NOISE).measurements
+    values = getattr(data, field).copy()
+    values[20:, column] += 2e-4
+    found = pincal.calibrate(mechanism, replace(data, **{field: values}), noise=NOISE).findings
+    (one,) = (one for one in found if one.code == "step")
+    assert one.rows == (20,)
+    assert abs(one.values["size"] - 2e-4) < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("relative", "says"),
+    [(0.3, "does not matter"), (0.7, "a drift twice as large would"), (2.0, "measure in turns")],
+)
+def test_whether_a_drift_matters_is_said(relative: float, says: str) -> None:
+    """By the larger of what it does to a parameter and to the platform, over the noise."""
+    mechanism, plan = leg_after_leg(12)
+    found = drift(pincal.forecast(mechanism, plan, NOISE), plan)
+    for one in (
+        replace(found, relative=np.full_like(found.relative, relative), share=0.1),
+        replace(found, relative=np.zeros_like(found.relative), share=relative),
+    ):
+        (line,) = drift_lines([one])
+        assert says in line

@@ -34,7 +34,9 @@ BUNDLED = ("5R", "3RRR", "6UPS", "delta", "3PRR")
 SAME = 1e-5  # relative
 STEPS = 1e-4  # of a standard error; frames of legs alone are found to less
 DRAWN = frozenset({"curved"})  # by a few random draws of the parameters in their order
-BY_AXIS = frozenset({"step", "model-lacks"})  # asked of x, y and z as they were measured
+BY_AXIS = frozenset(
+    {"step", "model-lacks", "reference-moved"}
+)  # asked of x, y and z as they were measured
 
 
 @dataclass(frozen=True)

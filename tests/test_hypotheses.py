@@ -14,12 +14,14 @@ import pytest
 from marks import quick, some_slow
 from measured import put
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.calibration.hypotheses import plausibility
 from pincal.calibration.hypotheses.plausibility import check_copies, check_noise, check_plausible
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
+from pincal.model.orientation import columns_of, rotation_of
 from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]
@@ -93,6 +95,18 @@ def base_in_platform(mechanism: pincal.Mechanism, data: pincal.Measurements) -> 
     """Return measurements whose poses are inverted."""
     inverted = mechanism.platform.transforms(data.poses).inv().as_matrix()
     return replace(data, poses=mechanism.platform.from_matrices(inverted))
+
+
+def angles(way: str, *order: int) -> Fault:
+    """Return what writes the columns of orientations in another order."""
+
+    def fault(mechanism: pincal.Mechanism, data: pincal.Measurements) -> pincal.Measurements:
+        matrices = mechanism.platform.transforms(data.poses).as_matrix()
+        right = columns_of(way, Rotation.from_matrix(matrices[:, :3, :3]))
+        turns = rotation_of(way, right[:, order]).as_matrix()
+        return replace(seen(np.eye(3), lambda _: turns)(mechanism, data), written=way)
+
+    return fault
 
 
 def column(index: int, factor: float) -> Fault:
@@ -188,6 +202,27 @@ FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
         mirrored([0, 1, 0], [1, 0, 0], [0, 0, 1]),
         ["x and y are exchanged" + LEFT],
     ),
+    "x-z-exchanged": (
+        ["6UPS"],
+        mirrored([0, 0, 1], [0, 1, 0], [1, 0, 0]),
+        ["x and z are exchanged" + LEFT],
+    ),
+    "only-y-z-exchanged": (
+        ["6UPS"],
+        seen(np.eye(3)[[0, 2, 1]], lambda R: R),
+        ["y and z are exchanged" + RIGHT],
+    ),
+    "yaw-roll": (["6UPS"], angles("zyx", 2, 1, 0), ["yaw and roll are exchanged"]),
+    "scalar-last": (
+        ["6UPS"],
+        angles("quaternion", 1, 2, 3, 0),
+        [
+            "columns of the orientation are exchanged: qw stands below qz, qx stands below qw, "
+            "qy stands below qx, qz stands below qy"
+        ],
+    ),
+    "scale-of-all": (EVERY, scaled(1, 1, 10), ["the readings are 10 times too large"]),
+    "scale-of-one": (EVERY, column(1, 0.25), ["the readings of leg_2 are 4 times too small"]),
     "only-x": (TURNING, seen(np.array(TURNED), lambda R: R), [X + RIGHT]),
     "only-z": (["6UPS"], seen(np.diag([1.0, 1.0, -1.0]), lambda R: R), [Z + RIGHT]),
     "inverse-rotation": (

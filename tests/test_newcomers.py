@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import done
+from command_line import done, run
 from measured import machine
 from scipy.spatial.transform import Rotation
 
@@ -116,3 +116,23 @@ def test_articular_all_is_said_to_be_a_sample(tmp_path: Path) -> None:
     mechanism = pincal.load_mechanism("5R")
     whole = articular_table(mechanism, {"phi = 0 rad": np.zeros((3, 2))}, ())
     assert "random" not in whole.caption
+
+
+def test_a_folder_to_import_is_asked_about(tmp_path: Path) -> None:
+    """The file in it is named; it was taken for a table."""
+    (tmp_path / "robot.urdf").write_text("<robot/>")
+    outcome = run("import", tmp_path, "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert f"is a folder; name the file to read, such as {tmp_path / 'robot.urdf'}" in outcome.err
+
+
+def test_many_weakly_determined_parameters_are_not_all_listed() -> None:
+    """Eight of them, and how many more."""
+    mechanism, _, data = machine("6UPS", 36)
+    near = np.array(mechanism.platform.home) + 1e-3 * (data.poses - data.poses.mean(axis=0))
+    near = pincal.simulate(mechanism, mechanism, pincal.Plan(near), NOISE, seed=1).measurements
+    with pytest.raises(pincal.ObservabilityError) as caught:
+        pincal.calibrate(mechanism, near)
+    named = str(caught.value).partition(" weakly determined")[0]
+    assert re.search(r"and [0-9]+ more parameters are$", named)
+    assert named.count("leg_") == 8

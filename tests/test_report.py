@@ -21,11 +21,13 @@ import pytest
 from command_line import done, run
 from lxml import html as lxml_html
 from marks import some_slow
+from matplotlib.figure import Figure
 from rich.console import Console
 
 import pincal
 from pincal.calibration.result_files import as_json
 from pincal.estimation.residuals.robust import Outlier
+from pincal.show.plots import draw_poses
 from pincal.show.report.answers import Answers
 from pincal.show.report.findings import Findings, findings
 from pincal.show.report.report import Origin, Report
@@ -113,6 +115,22 @@ def test_the_first_section_answers(planar: Any) -> None:
     order = [one.get("id") for one in page_of(report).iter("section")]
     assert order[:4] == ["answers", "measured", "parameters", "residuals"]
     assert order[-1] == "reproduction"
+
+
+def test_every_row_is_drawn_in_its_set(planar: Any) -> None:
+    """Rows of the set verify are hollow, those of two legs have a set of their own."""
+    result, data, _ = planar
+    names = ("leg_1", "leg_2", "leg_1+leg_3", "verify", "all")
+    sets = tuple(names[row % 5] for row in range(len(data)))
+    axes = Figure().subplots()
+    draw_poses(axes, result.nominal, pincal.Plan(data.poses, sets))
+    lines = {str(line.get_label()): line for line in axes.lines}
+    said = ["set leg_1", "set leg_2", "every leg", "set leg_1+leg_3", "verify (not fitted)"]
+    assert list(lines) == said
+    assert sum(len(line.get_xydata()) for line in lines.values()) == len(data)
+    hollow = [name for name, line in lines.items() if line.get_mfc() == "none"]
+    assert hollow == ["verify (not fitted)"]
+    assert len({(line.get_marker(), line.get_mfc()) for line in lines.values()}) == 5
 
 
 def verdicts_of(report: Any, result: Any) -> tuple[list[str], str]:

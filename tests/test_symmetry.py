@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import runpy
 from dataclasses import replace
@@ -10,11 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.model.sensor import sensor_laws
+from pincal.show.symmetry_tables import symmetry_table
 from pincal.symmetry.carry import canonical, carry
+from pincal.symmetry.detect import nearest_group
 
 ROBOTS = Path(__file__).parents[1] / "robots"
 
@@ -287,3 +291,27 @@ def test_legs_above_each_other_do_not_repeat_elements() -> None:
     platform = pincal.Platform("translational", (0.0, 0.0, 2.0))
     group = pincal.symmetry_group(pincal.Mechanism("stack", platform, legs))
     assert [str(e) for e in group.elements] == ["identity", "mirror at azimuth 0°"]
+
+
+def test_what_breaks_elements_is_said_once_and_can_be_followed() -> None:
+    """One sentence a reason: which elements, which legs, in what, by how much."""
+    group = pincal.symmetry_group(pincal.load_mechanism("3RRR"))
+    mirrors = "mirror at azimuth 30°, mirror at azimuth 90° and mirror at azimuth 150°"
+    (line,) = str(group).splitlines()[1:]
+    assert line == (
+        f"  no symmetry: {mirrors}: leg_1, leg_2 and leg_3 differ from what is carried there in "
+        "working mode (the side on which the leg bends)"
+    )
+    cables = pincal.new_mechanism("cable-8")
+    for line in str(pincal.symmetry_group(cables)).splitlines()[1:]:
+        assert line.startswith("  no symmetry: ")
+        assert line.endswith(": the home pose, from which sensors count, is carried elsewhere")
+
+
+def test_a_narrow_terminal_loses_no_letter() -> None:
+    """Elements and legs of eight cables, in 80 columns."""
+    group = pincal.symmetry_group(pincal.load_mechanism("8cable"))
+    out = io.StringIO()
+    Console(file=out, width=80).print(symmetry_table(group, 0.0, nearest_group(group.mechanism)))
+    words = set(out.getvalue().split())
+    assert {"270°", "135°", *group.mechanism.leg_names} <= words

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from command_line import done
 from marks import some_slow
-from measured import EXACT, NOISE, machine, put, seen_from_elsewhere
+from measured import EXACT, NOISE, machine, put, seen_from_elsewhere, targets
 from scipy.stats import chi2, f, spearmanr
 
 import pincal
 from pincal.calibration.checks.drift import trends
 from pincal.calibration.checks.runs import compare_runs
+from pincal.calibration.promise import point_misses
+from pincal.show.summary import check_lines
 from pincal.words.numbers import amount
 from pincal.words.sentences import finding, sentence
 
@@ -275,3 +277,29 @@ def test_noise_given_too_small_is_no_matter_of_held_out_rows() -> None:
     found = pincal.validate(mechanism, data, noise=small, rough=True)
     assert found.held_out > 5.0
     assert "held-out-worse" not in [one.code for one in found.findings]
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_held_out_points_are_missed_in_mm(several: bool) -> None:
+    """Of positions alone, or of two targets: what the true machine's noise and errors make.
+
+    The true machine misses points by their noise and by what noise of readings moves it.
+    """
+    mechanism, truth, data = machine("3RRR", 60, NOISE)
+    setup, poses = pincal.Setup(), data.poses.copy()
+    if several:
+        offset = (0.3, 0.1, 0.0)
+        there = pincal.forward(truth, data.readings).poses
+        data = replace(data, extra=targets(mechanism, there, {"ball": offset}, NOISE.position))
+        known = {"platform": pincal.Target(), "ball": pincal.Target(offset)}
+        setup = pincal.Setup(targets=known)
+    poses[:, 2] = np.nan
+    data = replace(data, poses=poses)
+    result = pincal.calibrate(mechanism, data, noise=NOISE, setup=setup).validated()
+    assert result.validation is not None
+    assert result.validation.position is not None
+    fit, held = result.validation.position
+    exact = point_misses(result.calibration, truth, result.calibration.observation.external.start)
+    least = float(np.sqrt(np.mean(exact**2)))
+    assert 0.7 * least < fit < held < 4.0 * least
+    assert " held out, " in "\n".join(check_lines(result))

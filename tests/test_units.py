@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from measured import machine
 import pincal
 from pincal.files.tables.measurements import read_measurements, read_readings
 from pincal.files.tables.table_reading import read_table
-from pincal.words.numbers import FACTORS
+from pincal.files.tables.units import Units
+from pincal.model.units import UNITS
+from pincal.words.numbers import SMALL, reading_in, shown_in
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 COUNTS = 4096 / (2 * np.pi)
@@ -124,14 +127,14 @@ def test_from_counts_to_a_commanded_pose_in_counts(counted: Path, tmp_path: Path
 
 @pytest.mark.parametrize("units", ["mm,deg", "in,turn", "um,mrad", "cm"])
 def test_what_is_written_in_other_units_is_read_again(units: str, tmp_path: Path) -> None:
-    """Headers say the unit, so that numbers come back to rounding."""
+    """Headers say the unit, so that numbers come back to a picometre or picoradian."""
     plan = pincal.Plan(np.array([[0.1, -0.2, 0.3], [0.0, 0.1, -0.1]]))
     plan.to_csv(tmp_path / "p.csv", "3RRR")
     done("inverse", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "r.csv")
     done("simulate", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "m.csv")
     readings = pincal.inverse("3RRR", plan.poses).readings
     again = read_readings(tmp_path / "r.csv", "3RRR")
-    np.testing.assert_allclose(again, readings, rtol=1e-14)
+    np.testing.assert_allclose(again, readings, rtol=0.0, atol=1e-12)
     named = read_table(tmp_path / "m.csv").units
     assert named["x"] in units.split(",")
     assert len(read_measurements(tmp_path / "m.csv", "3RRR")) == 2
@@ -165,11 +168,55 @@ def test_tables_in_mm_and_degrees_on_request(counted: Path, tmp_path: Path) -> N
     assert "-150.0000" in shown
 
 
-def test_every_unit_of_tables_can_be_printed() -> None:
+@pytest.mark.parametrize("name", UNITS)
+def test_every_unit_of_tables_can_be_printed(name: str) -> None:
     """Units to write in and units to print in are the same, with the same factors."""
-    from pincal.files.tables.units import UNITS, Units
+    dimension, factor = UNITS[name]
+    printed = Units({dimension: name}).printed
+    with reading_in(printed):
+        assert SMALL[dimension] == printed[dimension]
+        assert shown_in(factor, dimension) == pytest.approx(1.0, abs=1e-15)
+        assert UNITS[printed[dimension]] == UNITS[name]
+    assert SMALL["m"] == "mm"
 
-    for name, (dimension, factor) in UNITS.items():
-        if dimension != "1":
-            shown = Units({dimension: name}).read({})[dimension]
-            assert FACTORS[shown] * factor == pytest.approx(1.0, abs=1e-15)
+
+def test_the_report_is_in_the_units_asked_for(counted: Path, tmp_path: Path) -> None:
+    """Cards, sentences, tables and figures; without, in mm and mrad; the terminal's alike."""
+    said = (*GIVEN, "--counts", "4096/turn", "--folds", 0)
+    out = done("calibrate", "3RRR", counted, *said, "--units", "in,deg", "-o", tmp_path / "in").out
+    done("calibrate", "3RRR", counted, *said, "-o", tmp_path / "mm")
+    own, usual = ((tmp_path / one / "report.html").read_text() for one in ("in", "mm"))
+    for text in ("position [in]", "orientation [°]", " in in position", "° in orientation"):
+        assert text in own
+        assert text not in usual
+    assert not re.search(r"[0-9] mm|[0-9] mrad|\[mm\]|\[mrad\]", without_code(own))
+    assert not re.search(r"[0-9] mm|[0-9] mrad", out)
+    assert "was off by" in out
+    assert re.search(r"off by [0-9.]+ in and [0-9.]+ °", out)
+    assert "x [in]" in own  # text of figures is text
+    assert "x [m]" not in own
+
+
+def without_code(page: str) -> str:
+    """Return a page without the command that was typed."""
+    return re.sub(r"<pre>.*?</pre>", "", page, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(("units", "places"), [("", 12), ("mm,deg", 10), ("um,mrad", 9)])
+def test_what_commands_write_has_no_noise_of_digits(
+    units: str, places: int, tmp_path: Path
+) -> None:
+    """0.3, not 0.30000000000000004; no digits below a picometre; results are to the last bit."""
+    plan = pincal.Plan(np.array([[0.1 + 0.2, -0.2, 0.3], [1 / 3, 0.1, -0.1]]))
+    plan.to_csv(tmp_path / "p.csv", "3RRR")
+    assert "0.30000000000000004,-0.2" in (tmp_path / "p.csv").read_text()
+    said = ("--units", units) if units else ()
+    done("inverse", "3RRR", tmp_path / "p.csv", "-o", tmp_path / "r.csv")
+    done("forward", "3RRR", tmp_path / "r.csv", *said, "-o", tmp_path / "there.csv")
+    text = (tmp_path / "there.csv").read_text()
+    assert max(len(cell.partition(".")[2]) for cell in re.findall(r"[0-9.]+", text)) <= places + 1
+    there = pincal.Plan.from_csv(tmp_path / "there.csv", "3RRR").poses
+    np.testing.assert_allclose(there, plan.poses, rtol=0.0, atol=1e-11)
+    assert Units(last=1e-12).written({"x [m]": [0.1 + 0.2, -1e-14], "sigma_x [m]": [1e-13, 1.0]})[
+        "sigma_x [m]"
+    ] == pytest.approx([1e-13, 1.0], rel=1e-15)

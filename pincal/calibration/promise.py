@@ -22,6 +22,7 @@ from pincal.design.platform_error import (
 )
 from pincal.estimation.conditions.external import External
 from pincal.finding import Finding
+from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
@@ -45,6 +46,7 @@ CONTRADICT = frozenset(
         "held-out-worse",
         "drift",
         "step",
+        "reference-moved",
         "runs-differ",
     }
 )
@@ -165,3 +167,26 @@ def pose_misses(calibration: Calibration, machine: Mechanism, external: External
         poses, _ = calibration.rows(whole).given_poses(external)
         twists[whole] = closing_twists(machine, Plan(poses, readings=data.readings[whole]))
     return twists
+
+
+def point_misses(calibration: Calibration, machine: Mechanism, external: External) -> Array:
+    """Return by how much points were measured elsewhere than a machine's readings say, [m].
+
+    Each coordinate apart, times the root of their number: so root mean squares are distances.
+
+    Args:
+        calibration: What was measured, and how.
+        machine: The calibrated machine.
+        external: Frame and targets.
+    """
+    seen, readings = calibration.observation, calibration.measurements.readings
+    platform, setup = machine.platform, calibration.options.setup
+    own = np.isin(seen.names, [*platform.coordinates[: platform.lengths], *setup.points(platform)])
+    rows = np.flatnonzero(seen.measured[:, own].any(axis=1) & np.isfinite(readings).all(axis=1))
+    if machine.by_readings or not len(rows):
+        return np.empty(0)
+    found = forward(machine, readings[rows])
+    rows, poses = rows[found.converged], found.poses[found.converged]
+    there = seen.rows(rows)
+    off = there.evaluate(platform.matrices(poses), external).value[:, own]
+    return np.asarray(np.sqrt(platform.space) * off[there.measured[:, own]])

@@ -312,10 +312,12 @@ class CalibrationResult:
         """Return the report as a page: ``html()``, ``save(path)``, or shown by a notebook.
 
         Args:
-            **origin: ``command``, ``files``, ``notes`` and ``date``, which the page names.
+            **origin: ``command``, ``files``, ``notes`` and ``date``, which the page names;
+                ``units`` in which its numbers are read, such as ``"in,deg"``.
 
         Raises:
             FileError: a file that cannot be read.
+            MeasurementError: a unit that is not understood.
         """
         from pincal.show.report.report import report
 

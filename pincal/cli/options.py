@@ -14,10 +14,11 @@ from pincal.cli.app import Seed
 from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.setups import read_setup
-from pincal.files.tables.units import UNITS, Units, counts_of
+from pincal.files.tables.units import Units, counts_of
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup
+from pincal.model.units import UNITS
 
 _NUMBER = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf))\s*\[?([^\d\s\]]*)\]?\s*")
 
@@ -44,7 +45,7 @@ def in_si(text: str | float, dimensions: str, bare: str | None = "") -> float:
     if wrong or lacks:
         some = [one for one, (kind, _) in UNITS.items() if kind in dimensions.split()]
         raise typer.BadParameter(f"{text!r}: expected a number, with one of {', '.join(some)}")
-    return value * factor
+    return float(f"{value * factor:.15g}")  # 20um is 2e-05, not 1.9999999999999998e-05
 
 
 def with_unit(dimensions: str, what: str, bare: str | None = "") -> typer.models.OptionInfo:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -57,6 +58,12 @@ def registered(name: str) -> CommandInfo:
     return _REGISTERED[name]
 
 
+def _untyped(record: Callable[[Any], tuple[str, str] | None], ctx: Any) -> tuple[str, str] | None:
+    """Return how an argument is helped with, without its type in Python."""
+    found = record(ctx)
+    return None if found is None else (found[0].partition(" <")[0], found[1])
+
+
 class Commands(TyperGroup):
     """All commands, none of them imported before it is asked for."""
 
@@ -67,9 +74,13 @@ class Commands(TyperGroup):
         """Return a command by its name, None if there is none."""
         if cmd_name not in NAMES:
             return None
-        return get_command_from_info(
+        found = get_command_from_info(
             registered(cmd_name), pretty_exceptions_short=False, rich_markup_mode=None
         )
+        for one in found.params:  # their names say what they are, not '<list[Path]>'
+            if one.param_type_name == "argument":
+                setattr(one, "get_help_record", partial(_untyped, one.get_help_record))  # noqa: B010
+        return found
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         """List the commands, each with the first sentence of its help."""

@@ -1,4 +1,4 @@
-"""What rows of measurements determine: of all legs together, or of each leg by rows of its own."""
+"""What rows of measurements determine: of all legs together, or of each by rows of its own."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from pincal.design.information import Information, leg_whitener, parameter_ids
 from pincal.errors import MeasurementError
+from pincal.estimation.observability.frames import frames_moved, split_frames
+from pincal.estimation.observability.generic import GENERIC
 from pincal.estimation.observability.indices import Identifiability, identifiability, scaled_axes
-from pincal.kinematics.configurations import Legs
+from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import Legs, legs_at, nearby
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -125,8 +128,28 @@ def each_leg(
 
 def _pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:
     """Return a root R of the pseudo-inverse Rᵀ R of rows' information, and what it lacks."""
-    n = rows.shape[1]
     lengths, s, axes = scaled_axes(rows)
-    axes = axes / lengths  # directions in parameters
-    lost, _ = np.linalg.qr(axes[rank:].T) if rank < n else (np.empty((n, 0)), None)
-    return axes[:rank] / s[:rank, None], lost
+    return axes[:rank] / lengths / s[:rank, None], null_directions(lengths, axes, rank)
+
+
+def null_directions(lengths: Array, axes: Array, rank: int) -> Array:
+    """Return what rows do not determine, columns of shape (n, n_lost); see ``scaled_axes``."""
+    return np.asarray(np.linalg.qr((axes[rank:] / lengths).T)[0])
+
+
+def apart_from_frames(mechanism: Mechanism, legs: Legs, lost: Array) -> tuple[Array, Array, Array]:
+    """Return freedoms of frames among directions that are lost, the others, and these motions.
+
+    Args:
+        mechanism: The mechanism.
+        legs: What its parameters do, at the poses to measure.
+        lost: Directions of the legs' parameters, columns of shape (n, n_lost).
+    """
+    platform, size = mechanism.platform, largest_size(mechanism.legs, mechanism.platform)
+    reached = Plan(legs.poses, readings=legs.readings)
+    near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, size))
+    there = platform.matrices(near.poses)
+    gauge, rest = split_frames(platform, there, near.gain, lost, size)
+    if gauge.shape[1]:  # which does not count: what is lost takes no part of it
+        rest = rest - gauge @ np.linalg.lstsq(gauge, rest, rcond=None)[0]
+    return gauge, rest, frames_moved(platform, there, near.gain, gauge)

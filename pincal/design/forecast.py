@@ -15,19 +15,23 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.estimable import Estimable, Method, all_legs, check_whole, each_leg
+from pincal.design.estimable import (
+    Estimable,
+    Method,
+    all_legs,
+    apart_from_frames,
+    check_whole,
+    each_leg,
+)
 from pincal.design.information import information_rows, parameter_ids
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.drawings import nearest_to_nominal
-from pincal.estimation.observability.frames import frames_moved, split_frames
-from pincal.estimation.observability.generic import GENERIC
 from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.estimation.observability.weak import WeakPair, weak_pairs
 from pincal.files.given import as_noise, as_setup
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.closure import largest_size
-from pincal.kinematics.configurations import as_plan, check_reached, legs_at, nearby
+from pincal.kinematics.configurations import as_plan, check_reached, legs_at
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
@@ -161,7 +165,7 @@ def forecast(
         MechanismError: poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
-    noise, setup, platform = as_noise(noise), as_setup(setup), mechanism.platform
+    noise, setup = as_noise(noise), as_setup(setup)
     if not isinstance(method, str) or method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
     every = as_plan(mechanism, poses)
@@ -175,13 +179,7 @@ def forecast(
         found = each_leg(mechanism, plan, legs.reached, noise)
     else:
         found = all_legs(legs, information_rows(mechanism, legs, noise, measured, setup))
-    size = largest_size(mechanism.legs, platform)
-    reached = Plan(legs.poses, readings=legs.readings)
-    near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, size))
-    there = platform.matrices(near.poses)
-    gauge, lost = split_frames(platform, there, near.gain, found.lost, size)
-    if gauge.shape[1]:  # which does not count: what is lost takes no part of it
-        lost = lost - gauge @ np.linalg.lstsq(gauge, lost, rcond=None)[0]
+    gauge, lost, frames = apart_from_frames(mechanism, legs, found.lost)
     P = nearest_to_nominal(mechanism, gauge)
     return Forecast(
         **vars(found)
@@ -194,6 +192,6 @@ def forecast(
         method=method,
         poses=len(legs.poses),
         gauge=gauge,
-        frames=frames_moved(platform, there, near.gain, gauge),
+        frames=frames,
         when=when,
     )

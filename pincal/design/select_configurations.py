@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.distinct import distinct
-from pincal.design.forecast import forecast
+from pincal.design.estimable import apart_from_frames, null_directions
 from pincal.design.information import information_rows
 from pincal.design.platform_error import without_frames
 from pincal.design.search import SelectionOptions, accurate, d_optimal
@@ -125,8 +125,8 @@ def select_configurations(
     how.say("choosing configurations")
     rng = np.random.default_rng(how.seed)
     if goal == "platform":
-        frames = forecast(mechanism, plan, how.noise, measured, setup).frames
-        rows = _platform_rows(mechanism, legs, frames)
+        lost = null_directions(lengths, axes, found.rank)[: legs.gain.shape[2]]
+        rows = _platform_rows(mechanism, legs, apart_from_frames(mechanism, legs, lost)[2])
         seen = rows / lengths[: rows.shape[1]] @ axes[: found.rank, : rows.shape[1]].T
         chosen, efficiency = accurate(blocks, _root(seen.T @ seen), count, rng, how.starts)
     else:

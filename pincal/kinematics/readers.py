@@ -10,9 +10,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import FileError, MechanismError, ObservabilityError
 from pincal.files.urdf_writing import leg_urdf
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Leg
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 _CLOSE = 2  # joints: bodies nearer than that along the chain touch by design
@@ -62,6 +66,32 @@ def _configured(leg: Leg, joints: Array) -> tuple[pin.Model, pin.Data, Array]:
             [np.cos(value), np.sin(value)] if entry.nq == 2 else [value]
         )
     return model, model.createData(), q
+
+
+def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path) -> Plan:
+    """Return the configurations of a plan at which a serial arm is free of itself.
+
+    Args:
+        mechanism: The arm.
+        offered: Configurations, with readings.
+        path: Its URDF with collision geometry.
+
+    Raises:
+        FileError: the file or one of its meshes cannot be read.
+        MechanismError: no serial arm, no such joint, no readings, or no collision geometry.
+        ObservabilityError: every configuration collides.
+    """
+    if len(mechanism.legs) > 1 or mechanism.legs[0].passive:
+        raise MechanismError(f"{mechanism.name!r} is no serial arm; --collision is for such")
+    (leg,), readings = mechanism.legs, offered.readings
+    if readings is None:
+        raise MechanismError(f"{mechanism.name!r} is planned by poses; --collision needs readings")
+    law = sensor_law(LegClosure(leg, mechanism.platform))
+    names = [leg.moving[index].name for index in leg.active]
+    free = free_of_collision(path, names, law.position(readings))
+    if not free.any():
+        raise ObservabilityError(f"no candidate is free of collisions by {path}")
+    return offered.rows(free)
 
 
 def free_of_collision(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from pincal.model.setup import Setup
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 EVERY_LEG = "all"
-_COLUMNS = ("poses", "lines", "extra", "sigma_extra", "covariances", "influences")
+_COLUMNS = ("poses", "lines", "written", "extra", "sigma_extra", "covariances", "influences")
 VERIFY = "verify"
 SMALLEST_SIGMA = 1e-50
 """Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
@@ -70,6 +70,9 @@ class Plan:
     each of shape (N,); NaN where not known, which counts as at its reference."""
     lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
     """Line of the file that holds each row, if they were read from one."""
+    written: str | None = field(default=None, compare=False, kw_only=True)
+    """Way in which the file gives a spatial platform's orientation, a key of ``WAYS``; None if
+    they were not read from one."""
 
     def __post_init__(self) -> None:
         poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
@@ -196,17 +199,18 @@ class Plan:
         """Return where a row is: the line of its file, else its number."""
         return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
 
-    def rows(self, chosen: NDArray[np.intp] | Mask) -> Plan:
+    def rows(self, chosen: NDArray[np.intp] | Mask) -> Self:
         """Return some rows, by index or mask."""
         index = np.arange(len(self))[chosen]
-        return Plan(
-            self.poses[index],
-            None if self.sets is None else tuple(self.sets[i] for i in index),
-            None if self.readings is None else self.readings[index],
-            places=None if self.places is None else tuple(self.places[i] for i in index),
-            influences={name: values[index] for name, values in self.influences.items()},
-            lines=None if self.lines is None else tuple(self.lines[i] for i in index),
-        )
+
+        def some(values: Any) -> Any:
+            if isinstance(values, Mapping):
+                return {name: column[index] for name, column in values.items()}
+            if isinstance(values, tuple):
+                return tuple(values[i] for i in index)
+            return values[index] if isinstance(values, np.ndarray) else values
+
+        return replace(self, **{one.name: some(getattr(self, one.name)) for one in fields(self)})
 
     @property
     def serving(self) -> tuple[str, ...]:
@@ -306,31 +310,3 @@ class Measurements(Plan):
             MeasurementError: a column or cell that is missing or wrong; the message says where.
         """
         return cls.from_csv(frame, mechanism, setup, partial=partial)
-
-    def rows(self, chosen: NDArray[np.intp] | Mask) -> Measurements:
-        """Return some rows of the measurements, by index or mask."""
-        index = np.arange(len(self))[chosen]
-
-        def some(values: Array | None) -> Array | None:
-            return None if values is None else values[index]
-
-        def names(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
-            return None if values is None else tuple(values[i] for i in index)
-
-        def each(columns: Mapping[str, Array]) -> dict[str, Array]:
-            return {name: values[index] for name, values in columns.items()}
-
-        return Measurements(
-            poses=self.poses[index],
-            sets=names(self.sets),
-            readings=self.readings[index],
-            sigma_poses=some(self.sigma_poses),
-            sigma_readings=some(self.sigma_readings),
-            extra=each(self.extra),
-            sigma_extra=each(self.sigma_extra),
-            covariances=each(self.covariances),
-            runs=names(self.runs),
-            places=names(self.places),
-            influences=each(self.influences),
-            lines=None if self.lines is None else tuple(self.lines[i] for i in index),
-        )

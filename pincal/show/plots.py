@@ -23,11 +23,12 @@ from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
-from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import noisy_series, parameters
-from pincal.show.style import PAGE, look
+from pincal.show.style import EVERY, PAGE, look
 from pincal.show.workspace_errors import error_maps
+from pincal.words.numbers import SMALL, STORED, amount, per_si
 
 Array = NDArray[np.float64]
 #: Light enough for black lines; brighter is more, in black and white too.
@@ -72,7 +73,7 @@ class Plots:
         return axes
 
     def error_map(self, ax: Axes | None = None) -> Axes:
-        """Draw the expected error of the calibrated platform's position over x and y [mm].
+        """Draw the expected error of the calibrated platform's position over x and y.
 
         The other coordinates are as at home; in space, z is in the middle of the workspace.
 
@@ -89,11 +90,10 @@ class Plots:
         if (maps := error_maps(self.result)) is None:
             raise WorkspaceError(f"{name}: no workspace was found to draw errors over")
         axes, middle = _axes_of(ax, 5.0, 4.2), len(maps.heights) // 2
-        image = draw_map(axes, (maps.x, maps.y), 1e3 * maps.after[middle, ..., 0])
-        axes.figure.colorbar(image, ax=axes, label="expected error of position [mm]")
+        image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[middle, ..., 0])
+        axes.figure.colorbar(image, ax=axes, label=f"expected error of position [{SMALL['m']}]")
         height = maps.heights[middle]
-        title = "" if height is None else f"z = {height:.3g} m"
-        axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
+        axes.set(xlabel=along("x"), ylabel=along("y"), title=height_said(height))
         return axes
 
     def correlation(self, ax: Axes | None = None) -> Axes:
@@ -133,8 +133,8 @@ def draw_map(
         values: NaN where there is none.
         limits: Of the colours; those of the values if not given.
     """
-    (x, y), known = over, values[np.isfinite(values)]
-    half = [(own[1] - own[0]) / 2 for own in over]
+    (x, y), known = (per_si("m", STORED) * one for one in over), values[np.isfinite(values)]
+    half = [(own[1] - own[0]) / 2 for own in (x, y)]
     extent = (x[0] - half[0], x[-1] + half[0], y[0] - half[1], y[-1] + half[1])
     low, high = limits or (known.min(), known.max())
     image = axes.imshow(values, origin="lower", extent=extent, vmin=low, vmax=high, cmap=_LIGHT)
@@ -153,7 +153,7 @@ def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
     for index, leg in enumerate(mechanism.legs):
         if not solution.reached[0, index]:
             continue
-        points = skeleton(leg, solution.joints[leg.name][0])[:, :2]
+        points = per_si("m", STORED) * skeleton(leg, solution.joints[leg.name][0])[:, :2]
         colour, base = look(index).colour, points[0]
         axes.plot(*points.T, "-", color=colour, lw=2.5, zorder=2)
         axes.plot(*base, "s", color=colour, ms=9, zorder=3)
@@ -163,13 +163,13 @@ def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
     if len({tuple(c.round(9)) for c in corners}) > 2:
         axes.fill(*np.array(corners).T, color="0.5", alpha=0.4, zorder=1)
     axes.margins(0.18)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.set(xlabel=along("x"), ylabel=along("y"), aspect="equal")
 
 
 def draw_poses(
     axes: Axes, mechanism: Mechanism, plan: Plan, seen: tuple[int, int] = (0, 1)
 ) -> None:
-    """Draw poses of a plan by set; a stroke shows the orientation in the plane.
+    """Draw poses of a plan by set, hollow if no fit follows them; strokes show orientations.
 
     Args:
         axes: Where to draw.
@@ -178,20 +178,35 @@ def draw_poses(
         seen: Coordinates that point right and up.
     """
     turns = "phi" in mechanism.platform.coordinates
-    size = 0.05 * float(np.ptp(plan.poses[:, :2], axis=0).max())
-    sets = np.array(plan.sets or (EVERY_LEG,) * len(plan.poses))
-    for index, name in enumerate((*mechanism.leg_names, EVERY_LEG)):
+    scale = per_si("m", STORED)
+    size = 0.05 * scale * float(np.ptp(plan.poses[:, :2], axis=0).max())
+    sets = np.array(plan.serving)
+    names = dict.fromkeys((*mechanism.leg_names, EVERY_LEG, *plan.serving))
+    for index, name in enumerate(names):
         colour, marker, _ = look(index)
         if not (own := plan.poses[sets == name]).size:
             continue
-        said = "every leg" if name == EVERY_LEG else f"set {name}"
-        many, at = len(own) > PAGE.many, own[:, seen]
-        axes.plot(*at.T, marker, color=colour, ms=4, label=said, zorder=2, rasterized=many)
+        said = {EVERY_LEG: "every leg", VERIFY: "verify (not fitted)"}.get(name, f"set {name}")
+        many, at = len(own) > PAGE.many, scale * own[:, seen]
+        hollow: dict[str, Any] = (
+            {"mfc": "none", "color": EVERY} if name == VERIFY else {"color": colour}
+        )
+        axes.plot(*at.T, marker, **hollow, ms=4, label=said, zorder=2, rasterized=many)
         if turns:
             end = at + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
             strokes = list(np.stack((at, end), axis=1))
             axes.add_collection(LineCollection(strokes, colors=colour, lw=0.8, zorder=2))
-    axes.set(xlabel=f"{'xyz'[seen[0]]} [m]", ylabel=f"{'xyz'[seen[1]]} [m]")
+    axes.set(xlabel=along("xyz"[seen[0]]), ylabel=along("xyz"[seen[1]]))
+
+
+def along(axis: str) -> str:
+    """Return what names an axis of the base frame, with its unit."""
+    return f"{axis} [{STORED['m']}]"
+
+
+def height_said(height: float | None) -> str:
+    """Return at which z something is drawn, [m]; nothing where there is no z."""
+    return "" if height is None else f"z = {amount(height, 'm', 3, STORED)}"
 
 
 def draw_bars(axes: Axes, values: Mapping[str, Mapping[str, float]]) -> Axes:

@@ -27,7 +27,12 @@ _NO_FREEDOM = (
 )
 FRAMES = ", but for where the base and platform frames lie"
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
-_ALIASED = 1.0  # standard errors: a larger bias by drift is the plan's fault
+_MATTERS = 0.5, 1.0  # standard errors: a bias by drift that adds an eighth to what noise leaves
+_VERDICTS = (
+    "that does not matter beside the noise",
+    "that matters little; a drift twice as large would",
+    "that matters: measure in turns (pincal select writes such an order), or again in parts",
+)
 _ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
 
 
@@ -167,8 +172,8 @@ def check_lines(result: CalibrationResult) -> list[str]:
             text += f". Platform: {amount(one.position[1], 'm')} held out, "
             text += f"{number(one.position[0], 'm')} in the fit"
             if one.orientation is not None:
-                fit, held = (number(turned, "rad") for turned in one.orientation)
-                text += f"; {held} mrad and {fit}"
+                fit, held = one.orientation
+                text += f"; {amount(held, 'rad')} and {number(fit, 'rad')}"
             text += " (measuring noise included)"
         by = f"{one.folds} folds" if one.folds > 1 else f"{one.rows} rows of the set verify"
         lines.append(f"{text} ({by})")
@@ -261,8 +266,8 @@ def drift_lines(drifts: Sequence[Drift]) -> list[str]:
         text = f"{head}: {one.worst} off by {most:.2g} standard errors"
         if np.isfinite(one.share):
             text += f", the platform by {one.share:.2g} of its expected error"
-        if max(most, np.nan_to_num(one.share)) > _ALIASED:
-            text += " (measure in turns: pincal select writes such an order)"
+        much = max(most, float(np.nan_to_num(one.share)))
+        text += f": {_VERDICTS[int(np.searchsorted(_MATTERS, much))]}"
         lines.append(text)
     return lines
 
@@ -310,7 +315,7 @@ def _expected(error: PlatformError, turning: bool) -> str:
 def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
     """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
     many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-    text = f"for {1e3 * accuracy:g} mm: {many}"
+    text = f"for {amount(accuracy, 'm', 6)}: {many}"
     text += "" if alone is None else f", {alone:,.0f} with --per-leg"
     if 1e5 < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import NearestGroup, SymmetryGroup
 from pincal.words.numbers import amount, counted
 from pincal.words.table import Column, Table
@@ -13,7 +14,7 @@ def symmetry_table(group: SymmetryGroup, equivariance: float, near: NearestGroup
     """Return a group's elements, where they carry the legs, what breaks others, how nearly."""
     names = group.mechanism.leg_names
     lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
-    lines += [f"broken: {text}" for text in group.breaks]
+    lines += [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
     if len(near.group.elements) > 1:
         lines.append(_nearness(near))
     size = f"{group.name}, {counted(len(group.elements), 'element')}"

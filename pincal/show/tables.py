@@ -37,7 +37,7 @@ def nominal_table(mechanism: Mechanism) -> Table:
         grid = [list(row) for row in zip(*grid, strict=True)]
     heads, *rows = grid
     title, own = f"{mechanism.name}: nominal parameters", mechanism.labelled
-    return Table(title, columns(*map(str, heads), units=STORED | {"1": "1"}), rows, own)
+    return Table(title, columns(*map(str, heads), units=STORED), rows, own)
 
 
 def selection_table(selection: Selection) -> Table:

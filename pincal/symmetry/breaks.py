@@ -15,6 +15,10 @@ from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import Element, Isometry
 from pincal.symmetry.fits import NEARLY, Fits, suggested
 from pincal.symmetry.groups import exact, largest_closed, place_of, product_table
+from pincal.words.numbers import POSES, amount, listed
+
+HOME = "home pose"
+HOME_MOVES = "the home pose, from which sensors count, is carried elsewhere"
 
 
 @dataclass(frozen=True)
@@ -26,12 +30,29 @@ class Break:
     """The leg onto which another one should have been carried."""
     quantity: str
     deviation: float | None = None
-    """How far the quantity is off, [m] or [rad]; None where it is no number."""
+    """By how much the quantity differs, in the unit; None where it is no number."""
+    unit: str = "1"
+    """m, rad or 1."""
 
     def __str__(self) -> str:
         """Return the break as a sentence."""
-        much = "differs" if self.deviation is None else f"is off by {self.deviation:.4g}"
-        return f"{self.element}: {self.quantity} of {self.leg} {much}"
+        return no_symmetries([self])[0]
+
+
+def no_symmetries(breaks: Sequence[Break]) -> list[str]:
+    """Return sentences that say what keeps elements out of a group, one for each reason."""
+    alike: dict[str, list[Break]] = {}
+    for one in breaks:
+        by = "" if one.deviation is None else f", by {amount(one.deviation, one.unit, 4, POSES)}"
+        alike.setdefault(f"{one.quantity}{by}", []).append(one)
+    found = []
+    for reason, own in alike.items():
+        elements = listed(dict.fromkeys(str(one.element) for one in own))
+        legs = list(dict.fromkeys(one.leg for one in own))
+        differ = f"differ{'s' * (len(legs) == 1)} from what is carried there in {reason}"
+        why = HOME_MOVES if own[0].quantity == HOME else f"{listed(legs)} {differ}"
+        found.append(f"{elements}: {why}")
+    return found
 
 
 def breaks_of(
@@ -99,7 +120,7 @@ def _first_break(fits: Fits, legs: list[Leg], element: Element, tolerance: float
     for index, leg in enumerate(legs):
         homed = fits.readings and any(sensor.homed for sensor in leg.sensors)
         if homed and moved > tolerance * max(1.0, fits.points.size):
-            return Break(element, leg.name, "home pose from which the sensor counts", moved)
+            return Break(element, leg.name, HOME)
         near = [i for i in np.argsort(apart[index]) if apart[index, i] <= apart[index].min() + 1e-6]
         first: Break | None = None
         for other in near:
@@ -133,5 +154,5 @@ def _leg_break(
     for carried, leg in pairs:
         for one in fits.differences(carried, leg, own, other):
             if one.exceeds(tolerance, size):
-                return Break(element, legs[1].name, one.quantity, one.deviation)
+                return Break(element, legs[1].name, one.quantity, one.deviation, one.unit)
     return None

@@ -13,7 +13,7 @@ from pincal.errors import SymmetryError
 from pincal.kinematics.inverse import inverse
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.symmetry.breaks import Break, breaks_of
+from pincal.symmetry.breaks import Break, breaks_of, no_symmetries
 from pincal.symmetry.elements import Element
 from pincal.symmetry.fits import Permutation
 from pincal.symmetry.groups import generators, group_name, product_table, subgroups
@@ -92,7 +92,7 @@ class SymmetryGroup:
             found.setdefault(permutation[first], element)
         for index, name in enumerate(names):
             if leg is None and index not in found:
-                broken = "; ".join(str(b) for b in self.breaks)
+                broken = "; ".join(no_symmetries(self.breaks))
                 raise SymmetryError(
                     f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name}"
                     f"{broken and f' ({broken})'}. "
@@ -135,4 +135,4 @@ class SymmetryGroup:
     def __str__(self) -> str:
         """Return a page: the elements, and what breaks the others."""
         lines = [f"{self.name}: {', '.join(str(e) for e in self.elements)}"]
-        return "\n".join(lines + [f"  broken: {b}" for b in self.breaks])
+        return "\n".join(lines + [f"  no symmetry: {one}" for one in no_symmetries(self.breaks)])

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pincal.finding import Finding
-from pincal.words.numbers import counted, percent
+from pincal.words.numbers import counted, percent, rounded
 from pincal.words.wording import Wording, Words
 
 _MANY = {"mm": "in mm", "m": "in metres", "deg": "in degrees", "rad": "in radians"}
@@ -18,7 +18,9 @@ _HEADER = {
     ("rad", "deg"): "a radian header",
     ("rad", "rad"): "a degree header",
 }
-_AXES = {axis: f"{axis} has the other sign" for axis in "xyz"} | {"xy": "x and y are exchanged"}
+_AXES = {axis: f"{axis} has the other sign" for axis in "xyz"} | {
+    one + other: f"{one} and {other} are exchanged" for one, other in ("xy", "xz", "yz")
+}
 _SIGN = "Change {}, or the sensor's 'direction' in mechanism.yaml"
 _ORDER = "Correct the order of columns"
 #: What every hypothesis says beside its own values.
@@ -48,6 +50,29 @@ def _units(found: Finding) -> str:
 def _exchanged(found: Finding) -> str:
     fits = (f"column {column} fits {leg}" for leg, column in found.values["order"])
     return f"legs are exchanged: {' and '.join(fits)}"
+
+
+def _scales(found: Finding) -> str:
+    sizes = {name: _times(by) for name, by, _ in found.values["factors"]}
+    if len(set(sizes.values())) == 1:
+        return f"{_readings(found)} are {next(iter(sizes.values()))}"
+    said = (f"{name} are {times}" for name, times in sizes.items())
+    return f"the readings of {', those of '.join(said)}"
+
+
+def _times(factor: float) -> str:
+    """Return how far a scale is off: ``10 times too large``."""
+    large = factor > 1.0
+    times = rounded(factor if large else 1.0 / factor, 3)
+    return f"{times} times too {'large' if large else 'small'}"
+
+
+def _angles(found: Finding) -> str:
+    order = found.values["order"]
+    if len(order) == 2:
+        return f"{order[0][0]} and {order[1][0]} are exchanged"
+    below = (f"{name} stands below {column}" for name, column in order)
+    return f"columns of the orientation are exchanged: {', '.join(below)}"
 
 
 def _mirrored(found: Finding) -> str:
@@ -113,7 +138,7 @@ HYPOTHESES: dict[str, Wording] = {
         _mirrored,
         "An axis of the poses points the other way, or two are exchanged.",
         "Give the poses in the right-handed frame of the base",
-        axis='"x", "y" or "z" with the other sign, or "xy" exchanged',
+        axis='"x", "y" or "z" with the other sign, or "xy", "xz", "yz" exchanged',
         orientations_right="whether the orientations are right",
     ),
     "sign-of-angle": _wording(
@@ -122,6 +147,13 @@ HYPOTHESES: dict[str, Wording] = {
         "An angle of the platform's orientation turns the other way.",
         "Change the sign of that angle",
         column="name of the angle",
+    ),
+    "angles-exchanged": _wording(
+        "Exchanged columns of the orientation",
+        _angles,
+        "Numbers of the platform's orientation stand below each other's names.",
+        _ORDER,
+        order="columns of the orientation, each with that in which its numbers are",
     ),
     "orientation-inverted": _wording(
         "Inverted orientation",
@@ -148,6 +180,14 @@ HYPOTHESES: dict[str, Wording] = {
         "A sensor's zero is farther off than machines differ from their drawings.",
         "Set the sensor's zero, or correct its nominal offset",
         offsets="name, offset [unit] and unit of each reading",
+    ),
+    "scale-of-readings": _wording(
+        "Scale of the readings",
+        _scales,
+        "Readings are in other units than said: counts of another scale, a gear that is left out.",
+        "Correct the scale of the readings (--counts, or counts_per_unit or gain of the sensor in "
+        "mechanism.yaml)",
+        factors="name, how many times too large, and unit of each reading",
     ),
     "unknown-frame": _wording(
         "Frame of the measurements",

@@ -2,38 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from math import floor, isfinite, log10, pi
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from math import floor, isfinite, log10
 
-#: Units by name, and how many of each an SI unit is.
-FACTORS = {
-    "m": 1.0, "cm": 1e2, "mm": 1e3, "µm": 1e6, "in": 1 / 0.0254, "rad": 1.0, "mrad": 1e3,
-    "°": 180 / pi, "turn": 0.5 / pi, "1": 1.0, "": 1.0,
-}  # fmt: skip
-#: In which unit values of parameters are read: as in mechanism.yaml, but lengths in mm.
-VALUES = {"m": "mm", "rad": "rad", "1": ""}
-#: In which unit small quantities are read: errors, residuals, standard deviations.
-SMALL = {"m": "mm", "rad": "mrad", "1": ""}
-#: In which unit poses and readings are read.
-POSES = {"m": "mm", "rad": "°", "1": ""}
+from pincal.model.units import UNITS
+
+_ASKED: ContextVar[Mapping[str, str]] = ContextVar("units asked for")  # by SI unit
+
+
+class Read(Mapping[str, str]):
+    """In which unit numbers of a kind are read, by SI unit: the usual one, or what is asked for."""
+
+    def __init__(self, m: str, rad: str, one: str = "") -> None:
+        self._usual = {"m": m, "rad": rad, "1": one}
+
+    def __getitem__(self, unit: str) -> str:
+        return _ASKED.get({}).get(unit) or self._usual[unit]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._usual)
+
+    def __len__(self) -> int:
+        return len(self._usual)
+
+
+#: Values of parameters: as in mechanism.yaml, but lengths in mm.
+VALUES = Read("mm", "rad")
+#: Small quantities: errors, residuals, standard deviations.
+SMALL = Read("mm", "mrad")
+#: Poses and readings.
+POSES = Read("mm", "°")
 #: As they are stored.
-STORED = {"m": "m", "rad": "rad", "1": ""}
+STORED = Read("m", "rad", "1")
 _EVEN = 0.01  # share by which the ends of an interval may differ that is said as ±
-#: Digits behind the point of values whose uncertainty is not known, by the unit they are read in.
-_DIGITS = {
-    "m": 6, "cm": 4, "mm": 3, "µm": 0, "in": 5, "rad": 6, "mrad": 3, "°": 4, "turn": 7,
-    "1": 6, "": 6,
-}  # fmt: skip
-#: Digits behind the point past which nobody measures: 0.1 µm, 0.1 µrad.
-_FINEST = {
-    "m": 7, "cm": 5, "mm": 4, "µm": 1, "in": 5, "rad": 7, "mrad": 4, "°": 5, "turn": 8,
-    "1": 9, "": 9,
-}  # fmt: skip
+#: Of values whose uncertainty is not known, the last digit shown; and that past which nobody
+#: measures, 0.1 µm and 0.1 µrad: [m], [rad]; [1].
+_LAST, _FINEST = 1e-6, {"1": 1e-9, "m": 1e-7, "rad": 1e-7}
+
+
+@contextmanager
+def reading_in(units: Mapping[str, str]) -> Iterator[None]:
+    """Let all that is printed meanwhile be read in other units, by SI unit: ``{"m": "in"}``."""
+    token = _ASKED.set(units)
+    try:
+        yield
+    finally:
+        _ASKED.reset(token)
+
+
+def per_si(unit: str, units: Mapping[str, str] = SMALL) -> float:
+    """Return how many of the unit in which it is read a number has of one SI unit."""
+    return 1.0 / _factor(units[unit])
 
 
 def shown_in(value: float, unit: str, units: Mapping[str, str] = SMALL) -> float:
     """Return a number of SI units in those in which it is read."""
-    return FACTORS[units[unit]] * value
+    return value / _factor(units[unit])
+
+
+def _factor(read: str) -> float:
+    return UNITS[read or "1"][1]
+
+
+def _digits(read: str, last: float) -> int:
+    """Return how many digits behind the point show what is as small in SI units."""
+    return max(round(log10(_factor(read) / last)), 0)
+
+
+def _finest(read: str) -> int:
+    """Return how many digits behind the point anybody measures."""
+    return _digits(read, _FINEST[UNITS[read or "1"][0]])
 
 
 def decimals(half: float, unit: str = "") -> int:
@@ -41,7 +81,7 @@ def decimals(half: float, unit: str = "") -> int:
 
     No more than anybody measures: to 0.1 µm or µrad, or nine.
     """
-    return min(max(1 - floor(log10(half)), 0), _FINEST[unit])
+    return min(max(1 - floor(log10(half)), 0), _finest(unit))
 
 
 def amount(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
@@ -51,7 +91,7 @@ def amount(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = 
 
 def number(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
     """Return what ``amount`` does, without the unit; less than anybody measures is a bound."""
-    shown, finest = shown_in(value, unit, units), _FINEST[units[unit]]
+    shown, finest = shown_in(value, unit, units), _finest(units[unit])
     if units[unit] and _is_below(abs(value), unit, units):
         return _below(finest)
     return rounded(round(shown, finest) if units[unit] else shown, digits)
@@ -59,7 +99,7 @@ def number(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = 
 
 def _is_below(value: float, unit: str, units: Mapping[str, str]) -> bool:
     """Return whether a size is not zero, and the last digit that anybody measures shows zero."""
-    return 0.0 < shown_in(value, unit, units) < 0.5 * 10.0 ** -_FINEST[units[unit]]
+    return 0.0 < shown_in(value, unit, units) < 0.5 * 10.0 ** -_finest(units[unit])
 
 
 def _below(digits: int) -> str:
@@ -152,7 +192,7 @@ def ends(down: float, up: float, unit: str, units: Mapping[str, str] = VALUES) -
 def uncertainty(half: float, unit: str, units: Mapping[str, str] = VALUES) -> str:
     """Return an uncertainty of SI units to two digits; less than anybody measures is a bound."""
     if _is_below(half, unit, units):
-        return _below(_FINEST[units[unit]])
+        return _below(_finest(units[unit]))
     return fixed(half, half, unit, units)
 
 
@@ -174,5 +214,5 @@ def fixed(
     """
     known = half > 0.0 and isfinite(half)
     read = units[unit]
-    digits = decimals(shown_in(half, unit, units), read) if known else _DIGITS[read]
+    digits = decimals(shown_in(half, unit, units), read) if known else _digits(read, _LAST)
     return f"{shown_in(value, unit, units):{sign}.{digits}f}"

@@ -68,6 +68,15 @@ def _step(found: Finding) -> str:
     )
 
 
+def _moved(found: Finding) -> str:
+    v, rows = found.values, found.rows
+    return (
+        f"the pose {v['pose']!r}, measured {len(rows)} times: {v['quantity']} moved by "
+        f"{amount(v['size'], v['unit'])} from data row {rows[0] + 1} to {rows[-1] + 1} "
+        f"({chance(v['p_value'])})"
+    )
+
+
 ROWS: dict[str, Wording] = {
     "model-lacks": Wording(
         "Residuals follow something",
@@ -95,6 +104,21 @@ ROWS: dict[str, Wording] = {
         "the first after it.",
         "Look for an encoder that slipped, or a target that was hit; name runs in a column run, or "
         "leave the shorter part out",
+    ),
+    "reference-moved": Wording(
+        "A pose moved that was measured again",
+        {
+            "pose": "its name in the column pose",
+            "quantity": "the reading or measured quantity that moved",
+            "size": "by how much, from the first time to the last [m or rad]",
+            "unit": '"m" or "rad"',
+            "p_value": "the probability of the most improbable of all such tests, by chance",
+        },
+        _moved,
+        "What was measured of one pose, four times or more, moved with time, more than readings "
+        "and noise explain. The finding's rows are those of the pose.",
+        "Look for what warms up, a tracker or a base that moves; measure again when warm, or the "
+        "run in parts, named in a column run",
     ),
     "outliers": Wording(
         "Outliers",

@@ -87,6 +87,7 @@ class UnitOf(NamedTuple):
         return units[self.value]
 
 
+_WIDE = 10_000  # columns: as wide as any table is
 Value: TypeAlias = "float | str | Quantity | Uncertainty | Ends | UnitOf | Cell | None"
 
 
@@ -149,7 +150,7 @@ class Table:
     heads: bool = True
     """Whether columns have heads; a list of facts has none."""
     wrap: bool = True
-    """Whether words may be broken over lines where a terminal is narrow."""
+    """Whether words may be broken over lines before a table is as wide as the terminal."""
 
     def only(self, *names: str, caption: str = "") -> Table:
         """Return the table with some of its columns, those that it has, and another caption."""
@@ -157,11 +158,6 @@ class Table:
         rows = [[row[i] for i in kept] for row in self.rows]
         columns = tuple(self.columns[i] for i in kept)
         return replace(self, columns=columns, rows=rows, caption=caption)
-
-    def read_in(self, units: Mapping[str, str]) -> Table:
-        """Return the table with its numbers in other units; those that are not named stay."""
-        columns = tuple(replace(one, units={**one.units, **units}) for one in self.columns)
-        return replace(self, columns=columns)
 
     def cells(self) -> list[list[str]]:
         """Return all cells as text, those of a group's name but once."""
@@ -227,16 +223,21 @@ class Table:
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        style = box.SIMPLE_HEAD if self.heads else None
-        drawn = RichTable(box=style, pad_edge=False, show_header=self.heads)
-        for place, (column, side) in enumerate(zip(self.columns, self.aligned, strict=True)):
-            fold = self.wrap and side == "left" and not (place and self.grouped)
-            drawn.add_column(Text(column.head), justify=side, no_wrap=not fold, overflow="fold")
-        cells = self.cells()
-        for row, after in zip(cells, [*cells[1:], [""]], strict=False):
-            drawn.add_row(*map(Text, row), end_section=self.grouped and bool(after[0]))
+        style, cells = box.SIMPLE_HEAD if self.heads else None, self.cells()
+
+        def drawn(*, wrap: bool) -> RichTable:
+            found = RichTable(box=style, pad_edge=False, show_header=self.heads)
+            for place, (column, side) in enumerate(zip(self.columns, self.aligned, strict=True)):
+                fold = wrap and side == "left" and not (place and self.grouped)
+                found.add_column(Text(column.head), justify=side, no_wrap=not fold, overflow="fold")
+            for row, after in zip(cells, [*cells[1:], [""]], strict=False):
+                found.add_row(*map(Text, row), end_section=self.grouped and bool(after[0]))
+            return found
+
+        whole = drawn(wrap=self.wrap)
+        wide = console.measure(whole, options=options.update(max_width=_WIDE)).maximum
         yield Text(self.title, style="bold")
-        yield drawn
+        yield whole if wide <= options.max_width else drawn(wrap=True)
         if self.caption:
             yield Text(self.caption + "\n")
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.files.tables.units import UNITS
+from pincal.model.units import UNITS
 
 Array = NDArray[np.float64]
 _AXIS = re.compile(r"^\s*(\w+)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*=\s*(.+?)\s*$")

@@ -25,7 +25,7 @@ from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
-from pincal.calibration.promise import UNEXPLAINED
+from pincal.calibration.promise import UNEXPLAINED, point_misses
 from pincal.errors import MeasurementError
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
@@ -57,7 +57,7 @@ class Validation:
     """Probability of such a growth, or a larger one, if the model is right."""
     position: tuple[float, float] | None
     """Root mean square misfit of the platform's position, [m], in the fit and held out; where
-    poses were measured in full."""
+    poses were not measured in full, of the points that were."""
     orientation: tuple[float, float] | None
     """The same of its orientation, [rad]."""
     findings: tuple[Finding, ...]
@@ -134,6 +134,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     sure = np.inf if calibration.noise.known else confidence(whole).least or np.inf
     parts: list[Predicted] = []
     misfits: list[Array] = []
+    pairs: list[tuple[Calibration, Fits]] = []
     chances = []
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
@@ -144,6 +145,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         chances.append(_chance(found, own, total, sure))
         parts += own
         misfits.append(misfit(unseen, found))
+        pairs.append((unseen, found))
     equations = sum(one.equations for one in parts)
     dof = sum(one.fit.degrees_of_freedom for one in whole.fits)
     fit = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
@@ -159,7 +161,8 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
             )
         )
-    fit_misfits = misfit(calibration.rows(calibration.counts), whole)
+    fitted_rows = calibration.rows(calibration.counts)
+    fit_misfits = misfit(fitted_rows, whole)
     lengths = np.array([one == "m" for one in calibration.mechanism.platform.units])
     return Validation(
         folds=count,
@@ -168,7 +171,8 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         held_out=float(held),
         expected=float(expected),
         p_value=p_value,
-        position=_both(fit_misfits, np.concatenate(misfits), lengths),
+        position=_both(fit_misfits, np.concatenate(misfits), lengths)
+        or _sizes([(fitted_rows, whole)], pairs),
         orientation=_both(fit_misfits, np.concatenate(misfits), ~lengths),
         findings=(*drifts(whole), *more),
     )
@@ -218,6 +222,21 @@ def _chance(
     if not own > 0.0:
         return 1.0
     return exceeded(ratio / own, share * equations, min(share * dof, sure))
+
+
+def _points(calibration: Calibration, found: Fits) -> Array:
+    """Return by how much measured points are missed, [m], flat."""
+    machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
+    start = calibration.observation.external.start
+    return point_misses(calibration, machine, found.external or start)
+
+
+def _sizes(*pairs: Sequence[tuple[Calibration, Fits]]) -> tuple[float, float] | None:
+    """Return by how much points are missed in the fit and held out, or None where none are."""
+    fitted, unseen = (np.concatenate([_points(*one) for one in own]) for own in pairs)
+    if not (len(fitted) and len(unseen)):
+        return None
+    return float(np.sqrt(np.mean(fitted**2))), float(np.sqrt(np.mean(unseen**2)))
 
 
 def _both(fitted: Array, held_out: Array, columns: Mask) -> tuple[float, float] | None:

@@ -22,6 +22,7 @@ _FOLLOW = frozenset(
         "many-outliers",
         "model-lacks",
         "step",
+        "reference-moved",
         "noise-in-other-proportion",
         "bad-rows",
         "curved",

@@ -35,7 +35,9 @@ REFLECTIONS = {
     "x": np.diag([-1.0, 1.0, 1.0]),
     "y": np.diag([1.0, -1.0, 1.0]),
     "z": np.diag([1.0, 1.0, -1.0]),
-    "xy": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "xy": np.eye(3)[[1, 0, 2]],
+    "xz": np.eye(3)[[2, 1, 0]],
+    "yz": np.eye(3)[[0, 2, 1]],
 }
 
 
@@ -67,7 +69,7 @@ def single_faults(sample: Sample) -> Iterator[Hypothesis]:
     yield from (one for one in _units(sample) if one.faults == 1)
     yield from mirrored(sample)
     if sample.oriented and "rad" in mechanism.platform.units:
-        yield from _signs_of_angles(mechanism)
+        yield from _angles(sample)
         yield Hypothesis("orientation-inverted", partial(_inverted, False))
         yield Hypothesis("pose-inverted", partial(_inverted, True))
     yield from _exchanged(sample)
@@ -88,6 +90,46 @@ def zeros(offsets: Array) -> Hypothesis:
         {"offsets": tuple(offsets.tolist())},
         by_leg=True,
     )
+
+
+def scales(factors: Array) -> Hypothesis:
+    """Return that readings are numbers times too large, factors of shape (n_readings,)."""
+    return Hypothesis(
+        "scale-of-readings",
+        _scaled_readings(1.0 / factors),
+        {"factors": tuple(factors.tolist())},
+        by_leg=True,
+    )
+
+
+def factors_of(sample: Sample, matrices: Array) -> Array:
+    """Return how many times too large readings are, shape (n_readings,).
+
+    By least absolute values; whole numbers, or parts of one, where it is nearly that: edges that
+    are counted once or four times, a gear that is left out. 1 where none say, and where it is a
+    unit or a sign: hypotheses of their own.
+    """
+    nominal = inverse(sample.mechanism, sample.mechanism.platform.from_matrices(matrices)).readings
+    found, units = np.ones(nominal.shape[1]), sample.mechanism.reading_units
+    for column in range(len(found)):
+        given, own = sample.readings[:, column], nominal[:, column]
+        known = np.isfinite(given * own) & (own != 0.0)
+        if not known.any():
+            continue
+        ratios, weights = given[known] / own[known], np.abs(own[known])
+        order = np.argsort(ratios)
+        sums = np.cumsum(weights[order])
+        factor = float(ratios[order][np.searchsorted(sums, sums[-1] / 2)])
+        if factor > 0.0 and not any(
+            _nearly(factor, 1.0 / by) for by in UNITS[units[column]].values()
+        ):
+            whole = round(factor) if factor > 1.0 else 1.0 / round(1.0 / factor)
+            found[column] = whole if _nearly(factor, whole) else factor
+    return found
+
+
+def _nearly(factor: float, other: float) -> bool:
+    return abs(factor / other - 1.0) < RULE.round
 
 
 def offsets_of(sample: Sample, matrices: Array) -> Array:
@@ -134,7 +176,7 @@ def mirrored(sample: Sample) -> Iterator[Hypothesis]:
     """Yield left-handed frames: r → Q r, R → Q R Qᵀ for a reflection Q; and Q r with R as it is."""
     platform = sample.mechanism.platform
     for axis, Q in REFLECTIONS.items():
-        if platform.space == 2 and Q[2, 2] < 0.0:
+        if platform.space == 2 and Q[2, 2] < 1.0:
             continue
         for turned in (True, False) if sample.oriented and "rad" in platform.units else (True,):
             values = {"axis": axis, "orientations_right": not turned}
@@ -155,19 +197,27 @@ def _inverted(whole: bool, sample: Sample) -> tuple[Array, Array]:
     return sample.moved(back if whole else r, turns), sample.readings
 
 
-def _signs_of_angles(mechanism: Mechanism) -> Iterator[Hypothesis]:
-    """Yield the sign of one of the columns by which a spatial platform's orientation was given."""
-    for way, (names, unit) in WAYS.items() if mechanism.platform.kind == "spatial" else ():
-        for column, name in enumerate(names if unit == "rad" else ()):
-            right = partial(_turned, way, column)
-            yield Hypothesis("sign-of-angle", right, {"column": name})
+def _angles(sample: Sample) -> Iterator[Hypothesis]:
+    """Yield signs and orders of the columns by which a spatial platform's orientation was given."""
+    for way in sample.ways if sample.mechanism.platform.turns == 3 else ():
+        names, unit = WAYS[way]
+        n = len(names)
+        for one in range(n) if unit == "rad" else ():
+            signs = np.where(np.arange(n) == one, -1.0, 1.0)
+            right = partial(_turned, way, np.arange(n), signs)
+            yield Hypothesis("sign-of-angle", right, {"column": names[one]})
+        swaps = [[{i: j, j: i}.get(k, k) for k in range(n)] for i, j in combinations(range(n), 2)]
+        for order in [*swaps, [*range(1, n), 0], [n - 1, *range(n - 1)]]:
+            moved = [(name, names[k]) for name, k in zip(names, order, strict=True)]
+            values = {"order": tuple((name, column) for name, column in moved if name != column)}
+            right = partial(_turned, way, np.array(order), np.ones(n))
+            yield Hypothesis("angles-exchanged", right, values)
 
 
-def _turned(way: str, column: int, sample: Sample) -> tuple[Array, Array]:
+def _turned(way: str, order: NDArray[np.intp], signs: Array, sample: Sample) -> tuple[Array, Array]:
     matrices = sample.matrices()
     angles = columns_of(way, Rotation.from_matrix(matrices[:, :3, :3]))
-    angles[:, column] *= -1.0
-    turns = rotation_of(way, angles).as_matrix()
+    turns = rotation_of(way, angles[:, order] * signs).as_matrix()
     return sample.moved(matrices[:, :3, 3], turns), sample.readings
 
 

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from pincal.calibration.hypotheses.faults import (
     Hypothesis,
+    factors_of,
     offsets_of,
+    scales,
     several_units,
     single_faults,
     zeros,
@@ -133,7 +135,8 @@ def _stages(sample: Sample, given: Judged) -> Iterator[list[Judged]]:
     single = _judged(sample, given, single_faults(sample))
     if alone and not given.plausible:
         single += _judged(framed, given, [replace(AS_MEASURED, code="unknown-frame")])
-    yield single + (_zeros(sample, given) if alone else [])
+    scaled = _judged(sample, given, _scales(sample, given))
+    yield single + scaled + (_zeros(sample, given) if alone else [])
     if not alone:
         yield _zeros(sample, given)
     yield _judged(sample, given, several_units(sample))
@@ -232,6 +235,16 @@ def _zeros(sample: Sample, given: Judged) -> list[Judged]:
     return _likely(sample, [(one, (index,)) for index, one in enumerate(offsets)])
 
 
+def _scales(sample: Sample, given: Judged) -> list[Hypothesis]:
+    """Return that readings have another scale than their header says, such as counts."""
+    if sample.mechanism.by_readings:
+        return []
+    if given.matrices is not None and not sample.free and sample.oriented:
+        return [scales(factors_of(sample, given.matrices))]
+    count = len(sample.mechanism.reading_names)
+    return [scales(np.full(count, factor)) for factor in RULE.scales]
+
+
 def other_side(mechanism: Mechanism, matrices: Array | None) -> float:
     """Return the share of poses on the other side of a type-2 singularity than home."""
     if mechanism.by_readings or matrices is None:
@@ -266,11 +279,11 @@ def as_findings(
 
 
 def _values(mechanism: Mechanism, one: Judged) -> Mapping[str, Any]:
-    """Return the values of a hypothesis; offsets of the legs that it concerns, with names."""
+    """Return the values of a hypothesis; numbers of the legs that it concerns, with names."""
     values = dict(one.hypothesis.values)
-    if "offsets" in values:
-        names, units = mechanism.reading_names, mechanism.reading_units
-        every = list(zip(names, values["offsets"], units, strict=True))
-        legs = one.legs or range(len(mechanism.legs))
-        values["offsets"] = tuple(v for i in legs for v in every[mechanism.reading_columns[i]])
+    names, units = mechanism.reading_names, mechanism.reading_units
+    legs = one.legs or range(len(mechanism.legs))
+    for key in values.keys() & {"offsets", "factors"}:
+        every = list(zip(names, values[key], units, strict=True))
+        values[key] = tuple(v for i in legs for v in every[mechanism.reading_columns[i]])
     return values

@@ -23,6 +23,10 @@ class Rule:
     """What is left of readings that follow the nominal ones, of the stroke."""
     past: float = 0.1
     """Past half a turn from home that a joint may be read, [rad]: readings have their cut there."""
+    round: float = 0.03
+    """Share by which readings may miss a whole multiple of what they should be."""
+    scales: tuple[float, ...] = (2.0, 4.0, 10.0, 100.0, 0.5, 0.25, 0.1, 0.01)
+    """Times that readings may be too large, where poses do not say it."""
     slip: float = 10.0
     """Times the median that a row misses by, if fewer than one row in so many does."""
     shifts: tuple[int, ...] = (1, -1, 2, -2)

@@ -18,6 +18,7 @@ from pincal.kinematics.closure import largest_size
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import WAYS
 from pincal.model.setup import ORIGIN, Setup
 
 Array = NDArray[np.float64]
@@ -43,6 +44,8 @@ class Sample:
     """Whether orientations were measured."""
     free: bool
     """Whether the base is at an unknown place in the frame of the measurements."""
+    ways: tuple[str, ...]
+    """In which orientations may have been written, keys of ``WAYS``."""
 
     def matrices(self) -> Array:
         """Return poses as homogeneous matrices, shape (N, 4, 4)."""
@@ -79,7 +82,8 @@ def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample 
     rows = rows[:: -(-len(rows) // most)]
     poses = np.where(known[rows], data.poses[rows], platform.home)
     readings, offset = data.readings, np.array(target.offset, dtype=float)
-    return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free)
+    ways = _ways(data)
+    return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free, ways)
 
 
 def whole_sample(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample:
@@ -89,7 +93,12 @@ def whole_sample(mechanism: Mechanism, data: Measurements, setup: Setup) -> Samp
     turned = [unit == "rad" for unit in mechanism.platform.units]
     oriented = bool(np.isfinite(data.poses[:, turned]).all(axis=1).any())
     readings, free = data.readings, setup.unknown_frame
-    return Sample(mechanism, poses, readings, readings, every, offset, oriented, free)
+    ways = _ways(data)
+    return Sample(mechanism, poses, readings, readings, every, offset, oriented, free, ways)
+
+
+def _ways(data: Measurements) -> tuple[str, ...]:
+    return (data.written,) if data.written else tuple(WAYS)
 
 
 def placed(samples: Sequence[Sample]) -> list[tuple[Array, Rows] | None]:

@@ -41,17 +41,17 @@ from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurements import read_measurements
-from pincal.files.tables.units import UNITS
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.setup import Setup
+from pincal.model.units import UNITS
 from pincal.show.report.report import report
 from pincal.show.result_tables import calibration_tables
 from pincal.show.results import warnings
 from pincal.show.summary import calibration_summary, verdict_lines, weak_lines
 from pincal.show.workspace_errors import WorkspaceErrors
-from pincal.words.numbers import counted
+from pincal.words.numbers import counted, reading_in
 from pincal.words.table import Table
 
 #: Which parameters were identified at once, as version 0.1 said it.
@@ -246,7 +246,7 @@ def calibrate(
     if how.folds == 1:
         raise MeasurementError("--folds 1: expected 2 or more, or 0 for no held-out validation")
     mechanism = how.load(mech)
-    units = how.written_in(mechanism).read({})
+    units = how.written_in(mechanism)
     refuse_existing(output, force=force, folder=RESULT)
     calibration = how.calibration(mechanism, measurements)
     with working("identifying parameters") as progress:
@@ -261,13 +261,14 @@ def calibrate(
         result, said = checked(found, how.folds, how.by)
         progress("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
-        page = report(result, command=typed(), files=files, notes=said)
+        asked = how.units or ""
+        page = report(result, command=typed(), files=files, notes=said, units=asked)
         progress("drawing the report")
         result.save(output, force=force, report=page)
-    for text in warnings(result):
-        warn(text)
-    tables = [table.read_in(units) for table in calibration_tables(result)] if how.verbose else []
-    _say(result, page.found.errors, said, tables)
+    with reading_in(units.printed):
+        for text in warnings(result):
+            warn(text)
+        _say(result, page.found.errors, said, calibration_tables(result) if how.verbose else [])
     wrote(output)
     answer(as_json(result))
     if not result.converged:

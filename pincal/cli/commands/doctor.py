@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
@@ -17,10 +18,12 @@ from pincal.cli.commands.calibration import GivenNoise
 from pincal.cli.options import CountOptions, SetupOptions
 from pincal.files.output import refuse_existing
 from pincal.files.tables.columns import unknown_columns
+from pincal.files.tables.level import tilt_column
 from pincal.files.tables.measurement_writing import Columns, columns_of
 from pincal.files.tables.measurements import read_measurements
 from pincal.files.tables.table import Table, write_table
 from pincal.files.tables.table_reading import read_table
+from pincal.files.tables.units import COUNTS, scale_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.show.remedies import advice, remedy_table, tried
@@ -72,16 +75,19 @@ def doctor(
     lines: list[str] = []
     if len(works) == 1:
         (one,) = works
-        if one.mends and output is None:
+        counts = _counts(mechanism, table, one)
+        mends = one.mends and not counts
+        if mends and output is None:
             lines.append(f"{typed()} -o MENDED.csv")
-        elif output is not None and one.mends:
-            columns = columns_of(mechanism, one.calibration.measurements, setup=setup)
+        elif output is not None and mends:
+            mended = one.calibration.measurements
+            columns = columns_of(mechanism, mended, mended.written or "tilt-torsion", setup)
             write_table(output, columns | _others(table, mechanism, setup), force=force)
             wrote(output)
         elif output is not None:
             remark(f"options are enough: {output} is not written, take {measurements}")
-        name = str(output or "MENDED.csv") if one.mends else str(measurements)
-        lines.append(_line(mech, name, how, one))
+        name = str(output or "MENDED.csv") if mends else str(measurements)
+        lines.append(_line(mech, name, how, one, counts))
         stdout.print("this works:")
         for line in lines:
             stdout.print(f"  {line}", markup=False, soft_wrap=True)
@@ -114,18 +120,34 @@ def doctor(
 
 def _others(table: Table, mechanism: Mechanism, setup: Setup) -> Columns:
     """Return the columns that mean nothing to pincal, header to cells."""
-    others = unknown_columns(table, mechanism, setup.columns(mechanism))
+    more = setup.columns(mechanism)
+    others = unknown_columns(table, mechanism, more | tilt_column(mechanism, more))
     units = {name: f" [{unit}]" if (unit := table.units[name]) else "" for name in others}
     return {f"{name}{units[name]}": cells for name, cells in others.items()}
 
 
-def _line(mech: str, measurements: str, how: DoctorOptions, works: Remedy) -> str:
+def _counts(mechanism: Mechanism, table: Table, works: Remedy) -> list[str]:
+    """Return ``--counts`` that put readings in counts right; empty if other readings are wrong."""
+    wrong = [one for one in works.findings if one.code == "scale-of-readings"]
+    factors = {name: by for one in wrong for name, by, _ in one.values["factors"]}
+    if any(table.units.get(name) != COUNTS for name in factors):
+        return []
+    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+    scales = {name: by * factors.get(name, 1.0) for name, by in mechanism.counts.items()}
+    found = {name: scale_of(by, units[name]) for name, by in scales.items() if factors}
+    alike = set(found) == set(units) and len(set(found.values())) == 1
+    return list(set(found.values())) if alike else [f"{name}={by}" for name, by in found.items()]
+
+
+def _line(
+    mech: str, measurements: str, how: DoctorOptions, works: Remedy, counts: Sequence[str] = ()
+) -> str:
     """Return the command by which to calibrate."""
     said = ["pincal", "calibrate", mech, measurements]
     for field in ("setup", *(one.name for one in fields(GivenNoise))):
         value = getattr(how, field)
         said += [] if value is None else [f"--{field.replace('_', '-')}", str(value)]
-    for one in how.counts or ():
+    for one in counts or how.counts or ():
         said += ["--counts", one]
     options = works.calibration.options
     said += ["--unknown-frame"] if options.setup.unknown_frame else []

@@ -16,6 +16,7 @@ from pincal.files.tables.measurements import read_poses
 from pincal.kinematics.configurations import check_reached
 from pincal.show.summary import drift_answer, poses_line
 from pincal.show.tables import forecast_table
+from pincal.words.numbers import reading_in
 from pincal.workspace.sampling import sample_configurations
 
 
@@ -54,7 +55,7 @@ def identifiability(
     --unknown-target or --setup say otherwise.
     """
     mechanism = how.load(mech)
-    units = how.written_in(mechanism).read({})
+    units = how.written_in(mechanism)
     noise, setup = how.noise(), how.read()
     measured = how.measured(mechanism, setup)
     if plan is not None:
@@ -70,12 +71,14 @@ def identifiability(
     alone = None if own is None else own.platform_error(over)
     drifts = [drift(found, over, error)]
     drifts += [] if own is None else [drift(own, over, alone)]
-    stdout.print(forecast_table(found, error, found.poses, alone, drifts).read_in(units))
     needed = needed_alone = None
     if accuracy is not None:
         needed = found.poses_for(accuracy, over)
         needed_alone = None if own is None else own.poses_for(accuracy, over)
-        stdout.print(poses_line(accuracy, needed, needed_alone), markup=False)
+    with reading_in(units.printed):
+        stdout.print(forecast_table(found, error, found.poses, alone, drifts))
+        if accuracy is not None and needed is not None:
+            stdout.print(poses_line(accuracy, needed, needed_alone), markup=False)
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
     answer(
         {

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from pincal.cli.app import Force, command, output_option, remark, stdout, warn, wrote
-from pincal.errors import MeasurementError, MechanismError
+from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.mechanism_folders import (
     YAML,
     load_mechanism,
@@ -127,6 +127,12 @@ def import_(
     as probing.csv: readings are the ways of the carriages down from their endstops. Calibrate with
     'pincal calibrate OUT OUT/probing.csv'.
     """
+    if file.is_dir():
+        known = sorted(one.name for one in file.iterdir() if one.suffix.lower() in SUFFIXES)
+        raise FileError(
+            f"{file} is a folder; name the file to read"
+            f"{f', such as {file / known[0]}' if known else ''}"
+        )
     whose = how.form or SUFFIXES.get(file.suffix.lower(), "figaroh")
     for_trees = {"--loops": how.loops, "--platform": how.platform, "--tip": how.tip}
     for_trees["--base"] = how.base

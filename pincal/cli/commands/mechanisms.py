@@ -17,8 +17,10 @@ from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.readers import tips_by_reader
 from pincal.show.symmetry_tables import group_table, near_table, symmetry_table
 from pincal.show.tables import nominal_table
+from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
 from pincal.symmetry.elements import cyclic
+from pincal.words.numbers import reading_in
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
@@ -50,8 +52,8 @@ def check(mech: Mech, how: UnitOptions) -> None:
     Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
     """
     mechanism = load_mechanism(mech)
-    units = how.written_in(mechanism).read({})
-    stdout.print(nominal_table(mechanism).read_in(units))
+    with reading_in(how.written_in(mechanism).printed):
+        stdout.print(nominal_table(mechanism))
     platform, legs = mechanism.platform, []
     home = platform.home_pose.as_matrix()
     for leg in mechanism.legs:
@@ -192,7 +194,7 @@ def _claim(wanted: tuple[int, bool], found: SymmetryGroup) -> None:
     mirrors = sum(element.reflection for element in found.elements)
     if mirrored and mirrors < n:
         missing.append(f"{n - mirrors} of {n} mirrors")
-    why = "; ".join(str(b) for b in found.breaks) or "nothing near suggests it"
+    why = "; ".join(no_symmetries(found.breaks)) or "nothing near suggests it"
     raise SymmetryError(
         f"not the group {name} but {found.name}: {', '.join(missing) or 'elements'} missing ({why})"
     )

@@ -34,6 +34,7 @@ from pincal.files.mechanism_folders import YAML, own_files, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.measuring_sheet import write_sheet
+from pincal.files.tables.units import WRITTEN
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -217,6 +218,6 @@ def _write(output: Path, mechanism: Mechanism, plan: Plan, *, force: bool) -> No
     with writing(output, force=force, folder=YAML, own=own) as scratch:
         write_mechanism(mechanism, scratch)
         picture(mechanism, dimensions=drawn).save(scratch / "picture.svg")
-        write_poses(scratch / "plan.csv", mechanism, plan)
+        write_poses(scratch / "plan.csv", mechanism, plan, units=WRITTEN)
         known = replace(plan, readings=readings)
         write_sheet(scratch / "sheet.csv", scratch / "columns.csv", mechanism, known)

@@ -27,14 +27,12 @@ from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_reference, with_verification
 from pincal.design.select import Protocol, select_poses
 from pincal.design.select_configurations import Goal, select_configurations
-from pincal.errors import MeasurementError, MechanismError, ObservabilityError, SymmetryError
+from pincal.errors import MeasurementError, SymmetryError
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.measurements import read_poses
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import check_reached
-from pincal.kinematics.readers import free_of_collision
+from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.summary import drift_answer, drift_lines
@@ -238,8 +236,6 @@ def _together(
     mechanism: Mechanism, how: SelectOptions, progress: Callable[[str], None]
 ) -> tuple[Plan, Plan, Table, dict[str, Any]]:
     """Choose configurations for the parameters of all legs together, as ``_by_protocol`` does."""
-    if how.collision is not None:
-        _check_arm(mechanism)
     setup, noise = how.read(), how.noise()
     progress("sampling configurations")
     if how.candidates is None:
@@ -248,7 +244,9 @@ def _together(
         offered = read_poses(how.candidates, mechanism)
         check_reached(mechanism, offered, str(how.candidates))
     if how.collision is not None:
-        offered = _free(mechanism, offered, how.collision)
+        every = len(offered)
+        offered = arm_free_of_collision(mechanism, offered, how.collision)
+        remark(f"{every - len(offered)} of {every} candidates collide and were left out")
     chosen = select_configurations(
         mechanism,
         offered,
@@ -270,31 +268,3 @@ def _together(
         "measured": chosen.measured,
     }
     return chosen.plan, offered, choice_table(mechanism, chosen), found
-
-
-def _check_arm(mechanism: Mechanism) -> None:
-    """Raise if a mechanism is no serial arm.
-
-    Raises:
-        MechanismError: it has several legs, or joints that are not read.
-    """
-    if len(mechanism.legs) > 1 or mechanism.legs[0].passive:
-        raise MechanismError(f"{mechanism.name!r} is no serial arm; --collision is for such")
-
-
-def _free(mechanism: Mechanism, offered: Plan, collision: Path) -> Plan:
-    """Return the configurations of a plan at which a serial arm is free of itself.
-
-    Raises:
-        ObservabilityError: none is.
-    """
-    (leg,), readings = mechanism.legs, offered.readings
-    if readings is None:
-        raise MechanismError(f"{mechanism.name!r} is planned by poses; --collision needs readings")
-    law = sensor_law(LegClosure(leg, mechanism.platform))
-    names = [leg.moving[index].name for index in leg.active]
-    free = free_of_collision(collision, names, law.position(readings))
-    if not free.any():
-        raise ObservabilityError(f"no candidate is free of collisions by {collision}")
-    remark(f"{int((~free).sum())} of {len(free)} candidates collide and were left out")
-    return offered.rows(free)

@@ -26,6 +26,7 @@ from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.table import write_table
+from pincal.files.tables.units import WRITTEN
 from pincal.model.mechanism import Mechanism
 from pincal.show.workspace_answers import (
     articular_answer,
@@ -198,7 +199,7 @@ def _poses(mechanism: Mechanism, output: Path, how: WorkspaceOptions, force: boo
     with counting("sampling the workspace", (how.count or _COUNT)) as done:
         plan = sample_configurations(mechanism, (how.count or _COUNT), how.seed, least, done)
     poses = plan.poses
-    write_poses(output, mechanism, plan, force=force)
+    write_poses(output, mechanism, plan, units=WRITTEN, force=force)
     platform = mechanism.platform
     box = zip(
         platform.coordinates, poses.min(axis=0), poses.max(axis=0), platform.units, strict=True

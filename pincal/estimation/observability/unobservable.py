@@ -24,8 +24,10 @@ from pincal.estimation.start import poses_at_rest
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
+from pincal.words.numbers import listed
 
 Array = NDArray[np.float64]
+_NAMED = 8  # parameters in a message
 
 
 @dataclass(frozen=True)
@@ -157,9 +159,12 @@ def check_covariance(
 
 
 def _weak(ids: Sequence[str]) -> ObservabilityError:
+    alone, more = len(ids) == 1, len(ids) - _NAMED
+    named = listed([*ids[:_NAMED], f"{more} more parameters"] if more > 1 else ids)
+    them = "it" if alone else "them"
     return ObservabilityError(
-        f"{', '.join(ids)} are weakly determined by the measured poses: noise moves them farther "
-        "than machines differ from their drawings. Measure poses that differ more (in orientation "
-        "above all), hold them as near to nominal as can be (--hold-undetermined), or say how well "
-        "nominal values are known (--prior)"
+        f"{named} {'is' if alone else 'are'} weakly determined by the measured poses: noise moves "
+        f"{them} farther than machines differ from their drawings. Measure poses that differ more "
+        f"(in orientation above all), hold {them} as near to nominal as can be "
+        "(--hold-undetermined), or say how well nominal values are known (--prior)"
     )

@@ -8,7 +8,7 @@ test without a new fit (C. R. Rao's score test).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,13 +32,16 @@ class Score:
     """Reading or measured quantity, as ``Problem.quantities`` names it; ``"readings"``, all,
     or ``"lengths"`` of the legs."""
     term: str
-    """``"angle"``, ``"pose"``, ``"order"``, ``"approach"`` or ``"step"``."""
+    """``"angle"``, ``"pose"``, ``"order"``, ``"approach"``, ``"step"`` or ``"again"``."""
     p_value: float
     """Of so much of the residuals, or more, in this term; of a step, anywhere."""
     row: int = 0
     """Of a step: the first row after it, among those of the fit."""
     size: float = 0.0
-    """Of a step: by how much the quantity is off after it, [rad] or [m]."""
+    """Of a step: by how much the quantity is off after it, [rad] or [m]; of a pose that was
+    measured again: by how much it moved from the first time to the last."""
+    place: str = ""
+    """Of a pose that was measured again: its name."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,12 @@ class Residuals:
         p_value = float(self.chance(inside, rank))
         return Amplitudes(-back @ along, std, inside / rank / rest, rank, inside, p_value)
 
+    def size(self, w: Array) -> float:
+        """Return how large an error is that has these white rows if it is 1, shape (n_used, m)."""
+        taken = np.einsum("nmi,nm->i", self.Q, w)
+        length = float((w**2).sum() - (taken**2).sum())
+        return float((w * self.left).sum() / length) if length > 0.0 else 0.0
+
     def step(self, w: Array) -> tuple[float, int, float]:
         """Return the probability of the clearest step anywhere, its first row and its size."""
         if len(w) < 2 or self.degrees_of_freedom < 2:
@@ -145,12 +154,17 @@ class Residuals:
         return chance, int(self.used[best + 1]), float(after[best] / length[best])
 
 
-def scores(one: Fit) -> Iterator[Score]:
+def scores(one: Fit, again: Mapping[str, NDArray[np.intp]] | None = None) -> Iterator[Score]:
     """Yield the score tests of a fit.
 
     Each reading by each term, and each quantity by steps. What all motors have in common is
     clearer in all readings together: each term with the same amplitudes in every reading, and
     their own angles also with amplitudes of their own. And all lengths that grow with time.
+
+    Args:
+        one: The fit.
+        again: Rows of poses that were measured again and again, among those of the fit: whether
+            what was measured there moved with time.
     """
     if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
         return
@@ -170,6 +184,10 @@ def scores(one: Fit) -> Iterator[Score]:
                 kind = term, b.shape[1]
                 alike[kind] = alike.get(kind, 0.0) + W
                 angles += [W] if term == "angle" else []
+        for place, rows in (again or {}).items():
+            moved = w * _since(left.used, rows)[:, None]
+            p_value = left.along(moved[:, :, None])
+            yield Score(name, "again", p_value, size=left.size(moved), place=place)
     time = np.linspace(-1.0, 1.0, len(left.used))[:, None]
     yield Score("lengths", "order", left.along((_grown(one, left.used) * time)[:, :, None]))
     for (term, _), W in alike.items():
@@ -194,9 +212,18 @@ def _errors(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
     if problem.latent:
         n_legs = problem.leg_rows[-1].stop
         for column in range(problem.observation.measured.shape[1]):
-            error = np.zeros((*stack.value.shape, 1))
-            error[:, n_legs + column, 0] = problem.observation.measured[:, column]
+            error = np.zeros((*stack.value.shape, 1))  # residuals are predicted less measured
+            error[:, n_legs + column, 0] = -problem.observation.measured[:, column].astype(float)
             yield next(names), one.last.white(error)[used, :, 0]
+
+
+def _since(used: NDArray[np.intp], rows: NDArray[np.intp]) -> Array:
+    """Return the time at rows of one pose about its mean, 1 from first to last; 0 at others."""
+    own = np.flatnonzero(np.isin(used, rows))
+    when = np.zeros(len(used))
+    if len(own) > 1:
+        when[own] = (used[own] - used[own].mean()) / np.ptp(used[own])
+    return when
 
 
 def _grown(one: Fit, used: NDArray[np.intp]) -> Array:

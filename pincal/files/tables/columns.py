@@ -11,10 +11,11 @@ from pincal.errors import MeasurementError, MechanismError
 from pincal.files.tables.covariances import covariance_headers
 from pincal.files.tables.table import Table
 from pincal.files.tables.table_reading import read_table
-from pincal.files.tables.units import COUNTS, UNITS
+from pincal.files.tables.units import COUNTS
 from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
+from pincal.model.units import UNITS
 
 Source = Any  # a path, or a pandas DataFrame
 _log = logging.getLogger(__name__)

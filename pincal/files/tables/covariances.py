@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.files.tables.table import Table
-from pincal.files.tables.units import UNITS
+from pincal.model.units import UNITS
 
 Array = NDArray[np.float64]
 _SQUARE = re.compile(r"(.+?)\s*(?:\^|\*\*)?\s*[2²]")

@@ -14,6 +14,7 @@ from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables.columns import Source, table_for, unknown_columns
 from pincal.files.tables.covariances import read_covariances
+from pincal.files.tables.level import levelled, tilt_column
 from pincal.files.tables.table import Table
 from pincal.model.checks import must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
@@ -81,7 +82,8 @@ def read_measurements(
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
     more = setup.columns(mechanism)
     polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
-    table = table_for(path, mechanism, more | polar, influences)
+    level = tilt_column(mechanism, more)
+    table = table_for(path, mechanism, more | polar | level, influences)
     said = [name for name in ("range", "elevation") if name not in more]
     if not polar and (own := [name for name in said if f"sigma_{name}" in table]):
         raise MeasurementError(
@@ -106,6 +108,8 @@ def read_measurements(
     if not partial:
         _whole(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
+    if level and "z" in table:
+        poses = levelled(table, setup, poses)
     extra = {
         name: table.numbers(name, unit, blank=True)
         for name, unit in more.items()
@@ -131,10 +135,11 @@ def read_measurements(
         },
         covariances=read_covariances(table, seen),
         influences=_influences(table, mechanism)
-        | _numbers(table, unknown_columns(table, mechanism, more | polar), influences),
+        | _numbers(table, unknown_columns(table, mechanism, more | polar | level), influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
+        written=_way(table) if platform.turns == 3 else None,
     )
     measured = [data.poses, *(values[:, None] for values in extra.values())]
     blank = np.isnan(np.column_stack([*measured, data.readings])).all(axis=1)

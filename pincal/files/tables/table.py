@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.files.input import plain_number, why_no_number
 from pincal.files.output import writing
-from pincal.files.tables.units import COUNTS, SI, UNITS, Units, scale_said
+from pincal.files.tables.units import COUNTS, SI, Units, scale_said
 from pincal.model.checks import LARGEST
+from pincal.model.units import UNITS
 
 Array = NDArray[np.float64]
 

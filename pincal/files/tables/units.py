@@ -9,28 +9,12 @@ from typing import TypeAlias
 import numpy as np
 
 from pincal.errors import MeasurementError
+from pincal.model.units import PRINTED, UNITS
 
 Columns: TypeAlias = Mapping[str, Iterable[float] | Iterable[str]]
 
-#: Units as people write them: dimension, and factor to SI.
-UNITS: dict[str, tuple[str, float]] = {
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "µm": ("m", 1e-6),  # micro sign
-    "μm": ("m", 1e-6),  # Greek letter
-    "in": ("m", 0.0254),
-    "1": ("1", 1.0),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", np.pi / 180),
-    "°": ("rad", np.pi / 180),
-    "turn": ("rad", 2 * np.pi),
-}
 COUNTS = "counts"
 """Unit of readings as an encoder counts them; its sensor says how many are in one rad or m."""
-_READ = {"deg": "°", "um": "µm", "μm": "µm"}  # as tables write them
 
 
 @dataclass(frozen=True)
@@ -41,13 +25,15 @@ class Units:
     """A key of ``UNITS`` for each SI unit, ``{"m": "mm"}``."""
     counts: Mapping[str, float] = field(default_factory=dict)
     """Encoder counts of one rad or m, by the column of a reading that is written in counts."""
+    last: float = 0.0
+    """To what values are written, in SI, but for standard deviations; 0 is to the last bit."""
 
     @classmethod
     def of(cls, said: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Units:
         """Return the units that a list such as ``mm,deg,counts`` names.
 
         Args:
-            said: Units with commas between them.
+            said: Units with commas between them; numbers end where those of ``WRITTEN`` do.
             counts: Encoder counts of one rad or m, by reading.
             readings: Names of all readings, each of which needs its counts.
 
@@ -74,7 +60,7 @@ class Units:
                     f"({', '.join(known)}, {COUNTS})"
                 )
             names[dimension] = unit
-        return cls(names, counts if COUNTS in listed else {})
+        return cls(names, counts if COUNTS in listed else {}, WRITTEN.last)
 
     def written(self, columns: Columns) -> Columns:
         """Return columns (header to values, SI) in these units, which their headers say."""
@@ -85,19 +71,25 @@ class Units:
     ) -> tuple[str, Iterable[float] | Iterable[str]]:
         name, bracket, rest = column[0].partition(" [")
         unit = rest.removesuffix("]")
-        own, by = self.names.get(unit), self.counts.get(name.removeprefix("sigma_"))
-        if not bracket or (own is None and by is None):
+        own, by = self.names.get(unit, unit), self.counts.get(name.removeprefix("sigma_"))
+        if not bracket or (own == unit and by is None and not self.last):
             return column
-        scale, shown = (by, COUNTS) if by else (1.0 / UNITS[str(own)][1], own)
-        return f"{name} [{shown}]", np.asarray(column[1], dtype=np.float64) * scale
+        scale, shown = (by, COUNTS) if by else (1.0 / UNITS.get(own, ("", 1.0))[1], own)
+        values = np.asarray(column[1], dtype=np.float64) * scale
+        if self.last and not name.startswith(("sigma_", "cov_")):  # these may be as small
+            values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
+        return f"{name} [{shown}]", values
 
-    def read(self, default: Mapping[str, str]) -> dict[str, str]:
-        """Return in which unit numbers of a table are read, by SI unit."""
-        return {**default, **{k: _READ.get(unit, unit) for k, unit in self.names.items()}}
+    @property
+    def printed(self) -> dict[str, str]:
+        """In which unit numbers are printed, by SI unit, where that was said."""
+        return {dimension: PRINTED.get(unit, unit) for dimension, unit in self.names.items()}
 
 
 SI = Units()
-"""Nothing but SI."""
+"""Nothing but SI, to the last bit."""
+WRITTEN = Units(last=1e-12)
+"""As commands write what was computed: to a picometre or picoradian, far below any noise."""
 
 
 def counts_of(said: Iterable[str], readings: Mapping[str, str]) -> dict[str, float]:
@@ -138,6 +130,12 @@ def counts_of(said: Iterable[str], readings: Mapping[str, str]) -> dict[str, flo
                 raise MeasurementError(f"--counts: {one} is said twice; leave out one of them")
             found[one] = per
     return found
+
+
+def scale_of(per: float, dimension: str) -> str:
+    """Return counts of one rad or m as ``--counts`` takes them: ``4096/turn``, ``12.5/mm``."""
+    unit = "turn" if dimension == "rad" else "mm"
+    return f"{per * UNITS[unit][1]:.9g}/{unit}"
 
 
 def scale_said(column: str, dimension: str) -> str:

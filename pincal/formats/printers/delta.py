@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.tables.units import UNITS
 from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT, LARGEST
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
+from pincal.model.units import UNITS
 from pincal.symmetry.carry import carry
 from pincal.symmetry.elements import Element, wrapped
 from pincal.symmetry.generate import at_home

@@ -18,7 +18,7 @@ from pincal.model.checks import EXACT
 from pincal.model.measurements import EVERY_LEG
 from pincal.show import style
 from pincal.show.pictures.dimension_lines import draw_dimensions, symbol
-from pincal.show.pictures.dimensions import dimensions_of
+from pincal.show.pictures.dimensions import Dimension, dimensions_of
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.painting import paint, placed
 from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 def scene_figure(scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Figure:
     """Return a figure of a scene, the mechanism at one of its poses; all else as of a picture."""
     with drawing():
-        width, height = np.ptp(_extent(scene, row), axis=0)
+        width, height = np.ptp(_extent(scene, row, _dimensions(scene, row, dimensions)), axis=0)
         inches = PICTURE.legend + np.clip(PICTURE.width * height / width, *PICTURE.heights)
         figure = Figure(figsize=(PICTURE.width, float(inches)), layout="constrained")
         draw_scene(figure.subplots(), scene, row, dimensions)
@@ -49,14 +49,13 @@ def _axes_of_view(planar: bool) -> Array:
     return np.stack((right, np.cross(towards, right), towards))
 
 
-def _extent(scene: Scene, row: int) -> Array:
+def _extent(scene: Scene, row: int, found: Sequence[tuple[str, Dimension]] = ()) -> Array:
     """Return the least and largest of what is seen, right and up, shape (2, 2), [m]."""
     V = _axes_of_view(scene.planar)
     tips = np.array([2 * axis.T_link_shape[:3, 3] for axis in frame_axes(scene)])
     T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
-    points = np.concatenate(
-        (scene.points(), tips @ T_base_platform[:3, :3].T + T_base_platform[:3, 3])
-    )
+    tips = tips @ T_base_platform[:3, :3].T + T_base_platform[:3, 3]
+    points = np.concatenate((scene.points(), tips, *(one.line for _, one in found)))
     low, high = np.nanmin(points @ V[:2].T, axis=0), np.nanmax(points @ V[:2].T, axis=0)
     margin = 0.06 * float(np.max(high - low))
     return np.stack((low - margin, high + margin))
@@ -65,7 +64,8 @@ def _extent(scene: Scene, row: int) -> Array:
 def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Axes:
     """Draw a scene, the mechanism at one of its poses; all else as of a picture."""
     V = _axes_of_view(scene.planar)
-    low, high = _extent(scene, row)
+    found = _dimensions(scene, row, dimensions)
+    low, high = _extent(scene, row, found)
     edge = PICTURE.edge * float(np.linalg.norm(high - low))
     axes.add_collection(
         LineCollection(list(ground(scene) @ V[:2].T), colors=GROUND, lw=0.5, zorder=0)
@@ -101,26 +101,43 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
         handlelength=1.2,
         columnspacing=1.4,
     )
-    if dimensions:
-        _dimension(axes, scene, row, dimensions, V)
+    if found:
+        _dimension(axes, scene, row, dimensions, found, V)
     return axes
 
 
-def _dimension(axes: Axes, scene: Scene, row: int, legs: Sequence[str], V: Array) -> None:
-    """Draw the parameters of legs as dimensions, values above: of those that are zero alone."""
+def _dimensions(scene: Scene, row: int, legs: Sequence[str]) -> list[tuple[str, Dimension]]:
+    """Return the parameters of legs as dimensions, each with its leg where they are several."""
     mechanism, poses = scene.mechanism, scene.plan.poses[[row]]
+    if not legs:
+        return []
     joints = joints_at(mechanism, poses).joints
     if not np.isfinite(joints[legs[0]]).all():  # nothing is drawn there, as is said
-        return
+        return []
     T_base_platform = mechanism.platform.matrices(poses)[0]
     size = PICTURE.arc * float(np.linalg.norm(np.ptp(_extent(scene, row), axis=0)))
-    found, values, longest = [], [], 1
+    found = []
     for name in legs:
-        leg = mechanism.leg(name)
-        closure = nominal_legs(mechanism)[mechanism.leg_names.index(leg.name)]
+        closure = nominal_legs(mechanism)[mechanism.leg_names.index(name)]
         own = dimensions_of(closure, joints[name][0], T_base_platform, size)
         index = name if len(legs) > 1 else ""
         found += [(index, one) for one in own if one.extent > EXACT * size]
+    return found
+
+
+def _dimension(
+    axes: Axes,
+    scene: Scene,
+    row: int,
+    legs: Sequence[str],
+    found: Sequence[tuple[str, Dimension]],
+    V: Array,
+) -> None:
+    """Draw dimensions of legs, values above: of those that are zero alone."""
+    mechanism, values, longest = scene.mechanism, [], 1
+    for name in legs:
+        index = name if len(legs) > 1 else ""
+        leg = mechanism.leg(name)
         for key, value in leg.nominal_by_name.items():
             label = clean(mechanism.label(name, key)).replace("$", r"\$")
             text = f" = {_drawn(value, leg.units[key])}" + f" ({label})" * bool(label)

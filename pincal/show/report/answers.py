@@ -44,6 +44,8 @@ class Answers:
             wordings=WORDINGS,
             summary=summary,
             amount=amount,
+            shown_in=shown_in,
+            small=SMALL,
             capital=capital,
             counted=counted,
         )

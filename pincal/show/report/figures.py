@@ -17,18 +17,20 @@ from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
 from pincal.show.plots import (
+    along,
     draw_bars,
     draw_map,
     draw_mechanism,
     draw_poses,
     height_of_names,
+    height_said,
     label,
     name_places,
 )
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, parameters, whose
 from pincal.show.style import COLOURS, PAGE, look
-from pincal.words.numbers import FACTORS, SMALL, shown_in
+from pincal.words.numbers import SMALL, STORED, per_si, shown_in
 
 Array = NDArray[np.float64]
 Drawn = tuple[Figure, str] | None
@@ -67,7 +69,8 @@ def poses_figure(found: Findings) -> Drawn:
         left, axes = drawn.subplots(1, 2)
         draw_mechanism(left, mechanism)
         if found.errors is not None and found.errors.sampled:
-            axes.plot(*found.errors.poses[:, :2].T, ",", color="0.8", zorder=0)
+            sampled = per_si("m", STORED) * found.errors.poses[:, :2]
+            axes.plot(*sampled.T, ",", color="0.8", zorder=0)
         draw_poses(axes, mechanism, plan)
         axes.set_aspect("equal")
         what = "over its workspace (grey), and the mechanism at home"
@@ -78,7 +81,7 @@ def poses_figure(found: Findings) -> Drawn:
         for axes, seen in zip(drawn.subplots(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
             for leg in mechanism.legs:
                 if np.isfinite(home[leg.name]).all():
-                    points = skeleton(leg, home[leg.name][0])[:, seen]
+                    points = per_si("m", STORED) * skeleton(leg, home[leg.name][0])[:, seen]
                     axes.plot(*points.T, "-", color="0.75", lw=1.5, zorder=1)
             draw_poses(axes, mechanism, plan, seen)
             axes.set_aspect("equal", adjustable="datalim")
@@ -95,7 +98,7 @@ def _bars(p: IdentifiedParameter) -> tuple[float, ...]:
 
 @on_page("figure-changes")
 def changes_figure(found: Findings) -> Drawn:
-    """Return the change of each parameter with its interval, in 1e-3 of SI; no fixed ones."""
+    """Return the change of each parameter with its interval; no fixed ones."""
     legs = found.result.legs
     units = {p.name: p.unit for _, p in parameters(found.result) if p.given != "fixed"}
     names, per = list(units), [SMALL[unit] or "10⁻³" for unit in units.values()]
@@ -106,11 +109,12 @@ def changes_figure(found: Findings) -> Drawn:
     for index, leg in enumerate(legs):
         free = [p for p in leg.parameters if p.given != "fixed"]
         shift = (index - (len(legs) - 1) / 2) * step
+        scale = np.array([per_si(p.unit) if SMALL[p.unit] else 1e3 for p in free])
         colour, marker, _ = look(index)
         axes.errorbar(
             np.array([names.index(p.name) for p in free]) + shift,
-            1e3 * np.array([p.change for p in free]),
-            1e3 * np.array([_bars(p) for p in free]).reshape(-1, 2).T,
+            scale * [p.change for p in free],
+            scale * np.array([_bars(p) for p in free]).reshape(-1, 2).T,
             fmt=marker,
             color=colour,
             label=label(leg.name),
@@ -137,9 +141,10 @@ def platform_figure(found: Findings) -> Drawn:
     parts: dict[str, dict[str, Array]] = {}
     caption = "Root mean square errors before and after: "
     if found.result.explained:
-        both = 1e3 * np.array([errors.mean_before(), errors.mean_after()])
-        titles = ("platform:\nposition [mm]", "platform: orien-\ntation [mrad]")[: 1 + found.turns]
-        parts = {title: {errors.where: own} for title, own in zip(titles, both.T, strict=False)}
+        both = np.array([errors.mean_before(), errors.mean_after()]).T
+        heads = ("platform:\nposition", "m"), ("platform: orien-\ntation", "rad")
+        for own, (head, unit) in zip(both, heads[: 1 + found.turns], strict=False):
+            parts[f"{head} [{SMALL[unit]}]"] = {errors.where: per_si(unit) * own}
         caption += f"the platform's {errors.where} (after: as expected), and "
     series = noisy_series(found.result)
     for one in series:
@@ -208,7 +213,7 @@ def residuals_figure(found: Findings) -> Drawn:
             left.sharey(first[0])
             right.sharey(first[1])
         unit = SMALL[one.unit]
-        factor, rows, many = FACTORS[unit], one.rows + 1, len(one.rows) > PAGE.many
+        factor, rows, many = per_si(one.unit), one.rows + 1, len(one.rows) > PAGE.many
         colour, marker, _ = look(index)
         style = {"color": colour, "rasterized": many, "ms": 3}
         left.plot(rows, factor * one.before, marker, mfc="none", **style)
@@ -288,9 +293,9 @@ def maps_figure(found: Findings) -> Drawn:
     """Return the platform's errors over x and y, before and after (3-RRR paper, Figs. 6, 11)."""
     if (maps := found.maps) is None:
         return None
-    quantities = ((0, "position", "mm"), (1, "orientation", "mrad"))[: 1 + found.turns]
+    quantities = ((0, "position", "m"), (1, "orientation", "rad"))[: 1 + found.turns]
     rows = [
-        (f"{what} {when}", unit, 1e3 * values[..., column])
+        (f"{what} {when}", SMALL[unit], per_si(unit) * values[..., column])
         for column, what, unit in quantities
         for when, values in (("before", maps.before), ("after, expected", maps.after))
         if np.isfinite(values[..., column]).any()  # nominal zeros of motors may lead nowhere
@@ -310,13 +315,13 @@ def maps_figure(found: Findings) -> Drawn:
         limits = float(np.nanmin(values)), float(np.nanmax(values))
         for axes, error, height in zip(own, values, maps.heights, strict=True):
             draw_map(axes, (maps.x, maps.y), error, limits)
-            axes.set_title("" if height is None else f"z = {height:.3g} m")
+            axes.set_title(height_said(height))
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
         drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
     for axes in panels:
         axes.set_axis_off()
-    drawn.supxlabel("x [m]", size=8)
-    drawn.supylabel("y [m]", size=8)
+    drawn.supxlabel(along("x"), size=8)
+    drawn.supylabel(along("y"), size=8)
     where = "the workspace at home orientation" if found.turns else "the workspace"
     return drawn, (
         f"Error of the platform over {where}: how far the nominal model is off, and what is "

@@ -13,8 +13,10 @@ from pathlib import Path
 
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
+from pincal.files.tables.units import SI, Units
 from pincal.show.page import Page
 from pincal.show.report.findings import Findings, findings
+from pincal.words.numbers import reading_in
 
 _PACKAGES = ("pincal", "pin", "numpy", "scipy")
 
@@ -35,9 +37,10 @@ class Origin:
 class Report(Page):
     """A report: a page to save, or to see in a notebook."""
 
-    def __init__(self, found: Findings, origin: Origin) -> None:
+    def __init__(self, found: Findings, origin: Origin, units: Units = SI) -> None:
         self.found = found
         self.origin = origin
+        self.units = units
 
     @cached_property
     def _page(self) -> str:
@@ -48,20 +51,21 @@ class Report(Page):
 
         found, origin = self.found, self.origin
         versions = [f"{package} {version(package)}" for package in _PACKAGES]
-        return rendered(
-            "report.html",
-            found=found,
-            result=found.result,
-            origin=origin,
-            facts=facts,
-            figures=figures,
-            results=results,
-            summary=summary,
-            tables=result_tables,
-            warnings=warning_lines(found.result),
-            answers=Answers(found, origin.notes),
-            versions=[*versions, f"Python {platform.python_version()}"],
-        )
+        with reading_in(self.units.printed):
+            return rendered(
+                "report.html",
+                found=found,
+                result=found.result,
+                origin=origin,
+                facts=facts,
+                figures=figures,
+                results=results,
+                summary=summary,
+                tables=result_tables,
+                warnings=warning_lines(found.result),
+                answers=Answers(found, origin.notes),
+                versions=[*versions, f"Python {platform.python_version()}"],
+            )
 
 
 def report(
@@ -71,6 +75,7 @@ def report(
     files: Sequence[str | Path] = (),
     notes: Sequence[str] = (),
     date: str | None = None,
+    units: str = "",
 ) -> Report:
     """Return a report of a calibration: ``html()``, ``save(path)``, or shown by a notebook.
 
@@ -80,15 +85,18 @@ def report(
         files: Files that were read; the report holds their SHA-256.
         notes: Sentences beside those on held-out rows and runs.
         date: When it was made; now if not given. Nothing else differs from one time to the next.
+        units: In which numbers are read, such as ``"in,deg"``; mm and mrad where not said.
 
     Raises:
         FileError: a file that cannot be read.
+        MeasurementError: a unit that is not understood.
     """
     now = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
     kept = [path for path in map(Path, files) if not path.is_fifo()]  # a pipe is read once
     hashes = tuple((path.name, _sha256(path)) for path in kept)
     origin = Origin(command, hashes, tuple(notes), now if date is None else date)
-    return Report(findings(result), origin)
+    nominal = result.nominal
+    return Report(findings(result), origin, Units.of(units, nominal.counts, nominal.reading_names))
 
 
 def _sha256(path: Path) -> str:

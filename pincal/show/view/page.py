@@ -17,7 +17,7 @@ from pincal.show.style import DOMAIN, IDENTIFIED, TOWARDS_VIEWER
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
 from pincal.show.view.scene import Scene, grid_step, set_colour
-from pincal.words.numbers import FACTORS, POSES, SMALL
+from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.pages import rendered
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
         }
         for group, names, units, shown, every in groups
         for name, unit, values in zip(
-            names, units, (every * [FACTORS[shown[u]] for u in units]).round(4).T, strict=True
+            names, units, (every * [per_si(u, shown) for u in units]).round(4).T, strict=True
         )
     ]
 
