@@ -174,7 +174,7 @@ def test_runs_are_compared_as_independent_estimates(noise: pincal.Noise | None) 
     first = found.worst[0]
     spread = amount(found.spread[first], found.units[first])
     assert f"{found.names[first]} most: spread {spread}, predicted " in str(found)
-    n, freedoms = len(mean), sum(one.degrees_of_freedom for one in alone)
+    n, freedoms = len(mean), sum(one.noise_freedoms or np.inf for one in alone)
     assert found.ratio == pytest.approx(np.sqrt(sum(off) / n), rel=1e-6)
     p = chi2.sf(sum(off), n) if noise else f.sf(sum(off) / n, n, freedoms)
     assert found.p_value == pytest.approx(p, rel=1e-5)

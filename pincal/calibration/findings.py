@@ -129,8 +129,9 @@ def _proportion(fits: Fits) -> list[Finding]:
         return []
     unit = noise.noise.reading or assumed_noise(fits.calibration.mechanism, exact=False).reading
     moments = Moments.of([(one.fit, one.fit.problem) for one in fits.fits], unit)
-    exact = not any(one.fit.problem.sigma_readings.any() for one in fits.fits)
-    groups = [g for g in moments.first_pools(exact=exact)[0] if g < 2 or noise.source != "rows"]
+    readings = any(one.fit.problem.sigma_readings.any() for one in fits.fits)
+    asked = np.array([True, True, readings and noise.source != "rows"])
+    groups = np.flatnonzero(asked & (np.diagonal(moments.F) > 0.0))
     F = moments.F[np.ix_(groups, groups)]
     variances, spread = np.linalg.pinv(F) @ moments.q[groups], 2.0 * np.linalg.pinv(F)
     spread += np.diag([2.0 / noise.freedoms[group] for group in groups])

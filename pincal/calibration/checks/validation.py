@@ -134,7 +134,6 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     every = bool((groups >= 0).all())  # rows to verify with are in no fit
     total = sum(one.fit.chi2 for one in whole.fits) if every else None
     count = int(groups.max()) + 1
-    sure = np.inf if calibration.noise.known else confidence(whole).least or np.inf
     parts: list[_Predicted] = []
     misfits: list[Array] = []
     chances = []
@@ -144,7 +143,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         found = _converged(seen, f"fold {fold + 1} of {count}")
         unseen = calibration.rows(groups == fold)
         own = [_Predicted.of(one, linear) for one, linear in _predictions(found, unseen)]
-        chances.append(_chance(found, own, total, sure))
+        chances.append(_chance(found, own, total))
         parts += own
         misfits.append(_misfit(unseen, found))
     equations = sum(one.equations for one in parts)
@@ -191,9 +190,7 @@ def _converged(calibration: Calibration, what: str) -> Fits:
     return found
 
 
-def _chance(
-    found: Fits, parts: Sequence[_Predicted], total: float | None, sure: float = np.inf
-) -> float:
+def _chance(found: Fits, parts: Sequence[_Predicted], total: float | None) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
     χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
@@ -204,8 +201,6 @@ def _chance(
         found: The fits of the rows seen.
         parts: What they predict of the others.
         total: χ² of all rows at this noise; by the first order if not given.
-        sure: Fewest degrees of freedom with which estimated noise is known: the variance of one
-            group may be known less well than the scale of all.
     """
     equations = sum(one.equations for one in parts)
     fits = [one.fit for one in found.fits]
@@ -220,7 +215,7 @@ def _chance(
             return exceeded(ratio, share * equations, known)
     if not own > 0.0:
         return 1.0
-    return exceeded(ratio / own, share * equations, min(share * dof, sure))
+    return exceeded(ratio / own, share * equations, share * dof)
 
 
 @dataclass(frozen=True)
