@@ -60,7 +60,7 @@ def findings_of(
         return (*found, *noise, *far, *_legs(result))
     if fits is not None and result.converged:
         noise += _proportion(fits) if not noise else []
-        noise += _lacking(fits)
+        noise += lacking(fits)
     curved = _curved(fits) if fits is not None and result.converged else []
     return (*found, *noise, *far, *curved, *_open(result), *_rows(result), *_legs(result))
 
@@ -144,7 +144,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     return [finding("noise-in-other-proportion", ratios=ratios, p_value=p_value)]
 
 
-def _lacking(fits: Fits) -> list[Finding]:
+def lacking(fits: Fits) -> list[Finding]:
     """Return what residuals follow that the model lacks: the most improbable of all tests (Holm).
 
     Of the tests of all readings and measured quantities together, one in a hundred sound

@@ -1,4 +1,4 @@
-"""Errors at rows that a fit has not seen, and drift.
+"""Errors at rows that a fit has not seen.
 
 Held-out rows are predicted like those of the fit, whitened by their noise; of them more is
 expected by what the fit does not know: r has the covariance 1 + J C Jᵀ. What then exceeds the
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.drift import UNLIKELY, drifts
 from pincal.calibration.checks.folds import FOLDS, By, folds_of
 from pincal.calibration.checks.least import least_of_folds
 from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
+from pincal.calibration.findings import lacking
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
-from pincal.calibration.promise import UNEXPLAINED, pose_misses
+from pincal.calibration.promise import UNEXPLAINED, UNLIKELY, pose_misses
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
@@ -64,7 +64,7 @@ class Validation:
     orientation: tuple[float, float] | None
     """The same of its orientation, [rad]."""
     findings: tuple[Finding, ...]
-    """What to know first: drift, held-out rows that miss by more than is expected."""
+    """What to know first: what residuals follow, held-out rows that miss by more than expected."""
 
     def __repr__(self) -> str:
         return (
@@ -172,7 +172,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         p_value=p_value,
         position=_both(fit_misfits, np.concatenate(misfits), lengths),
         orientation=_both(fit_misfits, np.concatenate(misfits), ~lengths),
-        findings=(*drifts(whole), *more),
+        findings=(*lacking(whole), *more),
     )
 
 
