@@ -102,7 +102,7 @@ def test_drift_is_found() -> None:
     (found,) = (one for one in moving.findings if one.code in {"model-lacks", "step"})
     assert found.code == "step" or found.values["term"] == "order"
     result = pincal.calibrate(mechanism, data, noise=NOISE, poses="all")
-    assert [one.code for one in result.validated().findings].count(found.code) == 1
+    assert [one.code for one in result.validated(folds=2).findings].count(found.code) == 1
 
 
 def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:

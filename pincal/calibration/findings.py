@@ -55,7 +55,7 @@ def findings_of(
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     found += _zeros(result)
     noise, far = _noise(result), [*_far(result), *_signs(result)]
-    if _rounding(result):
+    if fits is not None and rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
         return (*found, *noise, *far, *_legs(result))
     if fits is not None and result.converged:
@@ -65,10 +65,11 @@ def findings_of(
     return (*found, *noise, *far, *curved, *_open(result), *_rows(result), *_legs(result))
 
 
-def _rounding(result: CalibrationResult) -> bool:
+def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
-    size = largest_size(result.nominal.legs, result.nominal.platform)
-    parts = [leg.residuals for leg in result.legs] + [one.residuals for one in result.observed]
+    mechanism, every = fits.calibration.mechanism, [one.fit for one in fits.fits]
+    size = largest_size(mechanism.legs, mechanism.platform)
+    parts = [one.last.stack.value[one.good] for one in every]
     return all(np.abs(one).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for one in parts)
 
 

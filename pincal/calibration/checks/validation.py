@@ -21,7 +21,7 @@ from pincal.calibration.checks.folds import FOLDS, By, folds_of
 from pincal.calibration.checks.least import least_of_folds
 from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
-from pincal.calibration.findings import lacking
+from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
 from pincal.calibration.promise import UNEXPLAINED, UNLIKELY, pose_misses
@@ -154,8 +154,9 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     held = np.sqrt(sum(one.squares for one in parts) / equations / unit)
     expected = np.sqrt(fit / unit * (1.0 + growth))
     p_value = least_of_folds(min(chances), whole.fits, groups, known=calibration.noise.known)
-    more = []
-    if p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
+    readable = not rounding(whole)
+    more = lacking(whole) if readable else []
+    if readable and p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
         more.append(
             finding(
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
@@ -172,7 +173,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         p_value=p_value,
         position=_both(fit_misfits, np.concatenate(misfits), lengths),
         orientation=_both(fit_misfits, np.concatenate(misfits), ~lengths),
-        findings=(*lacking(whole), *more),
+        findings=tuple(more),
     )
 
 
