@@ -229,3 +229,25 @@ def test_every_end_of_a_well_determined_machine_is_found(size: float) -> None:
         for p in leg.parameters:
             for end in p.ends:
                 assert 0.8 < end / (1.959964 * p.std) < 1.3
+
+
+def test_what_no_residual_shows_is_added_to_profiles() -> None:
+    """1 mm of noise and a scale off by 1 %: roots of sums of squares on both sides, to 1e-9."""
+    one, most = machine("3RRR", 16), pincal.Systematic(scale=1e-2)
+    data = drawn(one, CURVED, 0)
+    free = {"leg_1.l", "leg_1.beta"}
+    held = [p.id for p in one.nominal.parameters if p.id not in free]
+    plain, said = (
+        pincal.calibrate(
+            one.nominal, data, noise=CURVED, setup=setup, intervals="profile", fixed=held
+        )
+        for setup in (pincal.Setup(), pincal.Setup(systematic=most))
+    )
+    assert said.systematic is not None
+    more = QUANTILE * np.sqrt(np.diagonal(said.systematic))
+    assert (more > [p.half for p in of_legs(plain)]).any()
+    for p, q, off in zip(of_legs(plain), of_legs(said), more, strict=True):
+        assert q.identified - q.low == pytest.approx(np.hypot(p.identified - p.low, off), rel=1e-9)
+        assert q.high - q.identified == pytest.approx(
+            np.hypot(p.high - p.identified, off), rel=1e-9
+        )

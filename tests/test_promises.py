@@ -209,4 +209,5 @@ def test_nothing_is_read_in_rounding_errors(name: str) -> None:
         data = pincal.simulate(mechanism, truth, plan, exact).measurements
         result = pincal.calibrate(mechanism, data)
         assert [one.code for one in result.findings] == ["no-noise"]
+        assert seed or result.validated(folds=2).findings == result.findings
         assert not result.promises

@@ -375,7 +375,7 @@ def test_names_are_text() -> None:
     result = pincal.calibrate(mechanism, data, noise=NOISE, poses="all")
     result = replace(
         result,
-        findings=(finding("drift", leg=EVIL, correlation=0.9, p_value=1e-9),),
+        findings=(finding("model-lacks", quantity=EVIL, term="order", p_value=1e-9),),
         gauge=(finding("redundant-parameters", count=1, groups=((EVIL, "k"),)),),
         outliers=(Outlier(3, (names[0],), 9.0, 1.0, EVIL, 9.0),),
     )

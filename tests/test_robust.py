@@ -427,12 +427,14 @@ def test_few_outliers_of_a_loss_contradict_nothing() -> None:
 
 def test_groups_of_noise_that_differ_cost_degrees_of_freedom() -> None:
     """Readings far noisier than positions are a group of their own: fewer freedoms than of χ²."""
-    one = cramer_rao.machine("3RRR", 60)
-    result = pincal.calibrate(one.nominal, drawn(one, pincal.Noise(2e-5, 2e-5, 1e-3), 2))
-    assert result.noise
-    assert result.noise.reading == pytest.approx(1e-3, rel=0.2)
-    assert result.noise_freedoms
-    assert result.noise_freedoms < 0.5 * result.degrees_of_freedom
+    one, readings = cramer_rao.machine("3RRR", 60), []
+    for seed in range(5):
+        result = pincal.calibrate(one.nominal, drawn(one, pincal.Noise(2e-5, 2e-5, 1e-3), seed))
+        assert result.noise
+        readings.append(result.noise.reading)
+        assert result.noise_freedoms
+        assert result.noise_freedoms < 0.5 * result.degrees_of_freedom
+    assert np.median(readings) == pytest.approx(1e-3, rel=0.2)
 
 
 @pytest.mark.slow

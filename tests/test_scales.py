@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from itertools import product
 
+import cramer_rao
 import numpy as np
 import pytest
 from marks import some_slow
-from measured import EXACT, machine
+from measured import machine
 
 import pincal
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.options import Options
-from pincal.estimation.components import Moments
+from pincal.estimation.components import Beforehand, Moments, widened
 from pincal.estimation.fit import Fit
 
 DRAWS = 12
@@ -48,12 +51,13 @@ def test_noise_is_found_within_its_spread(case: str) -> None:
     """Medians over the draws within 15 % of what the measurements were made with, χ² at 1.
 
     Where readings are the noisiest by far, theirs is found; the others share what little is left.
+    Exact ones are found exact in half of the draws, as chance has it: in 2 of 12 at least (0.3 %).
     """
     noise, results = NOISES[case], found(case)
     for name, value in vars(noise).items():
         values = np.array([getattr(one.noise, name) for one in results])
         if noise.reading == value == 0.0:
-            assert (values == 0.0).all()
+            assert (values == 0.0).sum() >= 2
         elif name == "reading" or not noise.reading:
             assert np.median(values) == pytest.approx(value, rel=0.15)
     assert all(one.noise_source == "estimated" for one in results)
@@ -61,17 +65,81 @@ def test_noise_is_found_within_its_spread(case: str) -> None:
     assert all("noise-estimated" in {one.code for one in r.findings} for r in results)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_equal_noise_is_one_component(seed: int) -> None:
-    """Groups whose noise differs by chance only share a variance, per length and radian."""
-    mechanism, _, data = machine("3RRR", 60, EXACT, seed)
-    size = max(leg.size for leg in mechanism.legs)
-    noise = pincal.Noise(1e-4 * size, 1e-4, 0.0)
-    mechanism, _, data = machine("3RRR", 60, noise, seed)
-    result = pincal.calibrate(mechanism, data)
-    assert result.noise is not None
-    assert result.noise.position == pytest.approx(size * result.noise.orientation)
-    assert result.noise.orientation == pytest.approx(1e-4, rel=0.3)
+def test_what_is_assumed_counts_where_residuals_say_little() -> None:
+    """Of no information the assumed proportion is left, of much the unconstrained solution."""
+    noise = NOISES["readings too"]
+    one = fit_at(noise)
+    moments = Moments.of([(one, one.problem)], noise.reading)
+    before = Beforehand(np.array([1.0, 4.0, 9.0]), exact=True, noisy=True)
+    little = replace(moments, F=1e-9 * moments.F, q=1e-9 * moments.q).variances(before)
+    assert little[0] == pytest.approx(4.0 * little[1], rel=1e-6)
+    assert little[2] == pytest.approx(0.0, abs=1e-6)
+    alike = replace(before, exact=False)
+    little = replace(moments, F=1e-9 * moments.F, q=1e-9 * moments.q).variances(alike)
+    assert little[0] == pytest.approx(9.0 * little[2], rel=1e-6)
+    own = np.array([1.0, 2.0, 3.0])
+    much = replace(moments, F=1e9 * moments.F, q=1e9 * moments.F @ own).variances(before)
+    np.testing.assert_allclose(much, own, rtol=1e-6)
+
+
+def test_no_variance_is_below_zero() -> None:
+    """Moments that would have one negative leave it at zero, and the others to the rest of them."""
+    noise = NOISES["readings too"]
+    one = fit_at(noise)
+    moments = Moments.of([(one, one.problem)], noise.reading)
+    before = Beforehand(np.ones(3), exact=True, noisy=True)
+    for negative in range(3):
+        own = np.where(np.arange(3) == negative, -1.0, 1.0)
+        great = replace(moments, F=1e9 * moments.F, q=1e9 * moments.F @ own)
+        found = great.variances(before)
+        assert (found >= 0.0).all()
+        assert (found == 0.0).any()
+
+
+def test_covariances_lack_what_kenward_and_roger_say() -> None:
+    """2 J⁺ (Σ_gh cov(s)_gh V_g M V_h) J⁺ᵀ, M = I − J J⁺, built in full."""
+    noise = NOISES["readings too"]
+    one = fit_at(noise)
+    moments = Moments.of([(one, one.problem)], noise.reading)
+    J = (one.last.jacobian @ one.unknowns.map).reshape(-1, one.unknowns.map.shape[1])
+    back, V, C = np.linalg.pinv(J), whole_parts(one), np.diag([1.0, 2.0, 3.0]) + 0.5
+    M, T = np.eye(len(J)) - J @ back, one.unknowns.map
+    part = sum(C[g, h] * V[g] @ M @ V[h] for g, h in product(range(3), range(3)))
+    wanted = 2.0 * T @ back @ part @ back.T @ T.T
+    found = widened(moments.parts[0], C)
+    np.testing.assert_allclose(found, wanted, atol=1e-8 * np.abs(wanted).max())
+    assert (np.linalg.eigvalsh(found) > -1e-9 * np.abs(found).max()).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [30, 60])
+def test_intervals_hold_where_noise_is_estimated(count: int) -> None:
+    """80 sets of a 3-RRR: coverage within three of its standard errors of 95 %."""
+    one, within = cramer_rao.machine("3RRR", count), []
+    for seed in range(80):
+        result = pincal.calibrate(one.nominal, cramer_rao.drawn(one, cramer_rao.NOISE, seed))
+        _, _, low, high = cramer_rao.values_of(result)
+        within.append(((low <= one.parameters) & (one.parameters <= high)).mean())
+    error = np.std(within) / np.sqrt(len(within))
+    assert np.mean(within) == pytest.approx(0.95, abs=3 * error + 0.005)
+
+
+def whole_parts(one: Fit) -> list[np.ndarray]:
+    """Return V_g of all rows of a 3-RRR, built in full, each of shape (n_rows, n_rows)."""
+    W, units = one.last.white.by_noise, ["m", "m", "rad"]
+    groups = [
+        W[:, :, 3:][:, :, [unit == "m" for unit in units]],
+        W[:, :, 3:][:, :, [unit == "rad" for unit in units]],
+        W[:, :, :3],
+    ]
+    count, m = one.last.value.shape
+    V = []
+    for part in groups:
+        whole = np.zeros((count * m, count * m))
+        for pose, U in enumerate(part):
+            whole[m * pose : m * pose + m, m * pose : m * pose + m] = U @ U.T
+        V.append(whole)
+    return V
 
 
 @pytest.mark.parametrize("case", NOISES)
@@ -93,21 +161,7 @@ def test_moments_are_those_of_the_whole_projection() -> None:
     moments = Moments.of([(one, one.problem)], noise.reading)
     white, T = one.last, one.unknowns.map
     J = (white.jacobian @ T).reshape(-1, T.shape[1])
-    M = np.eye(len(J)) - J @ np.linalg.pinv(J)
-    W = white.white.by_noise
-    units = ["m", "m", "rad"]
-    groups = [
-        W[:, :, 3:][:, :, [unit == "m" for unit in units]],
-        W[:, :, 3:][:, :, [unit == "rad" for unit in units]],
-        W[:, :, :3],
-    ]
-    m = white.value.shape[1]
-    V = []
-    for part in groups:
-        whole = np.zeros((len(J), len(J)))
-        for pose, U in enumerate(part):
-            whole[m * pose : m * pose + m, m * pose : m * pose + m] = U @ U.T
-        V.append(whole)
+    M, V = np.eye(len(J)) - J @ np.linalg.pinv(J), whole_parts(one)
     r = white.value.ravel()
     F = [[np.trace(M @ a @ M @ b) for b in V] for a in V]
     np.testing.assert_allclose(moments.F, F, rtol=1e-8)

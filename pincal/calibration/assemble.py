@@ -48,11 +48,11 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     G = systematic(found)
     n = len(covariance)
     off = G[:n] @ G[:n].T
-    covariance = covariance + off
-    outer = None if outer is None else outer + G[n:] @ G[n:].T
     sizes = [len(leg.parameters) for leg in mechanism.legs]
-    variances = np.split(np.diagonal(covariance), np.cumsum(sizes)[:-1])
-    std = dict(zip(mechanism.leg_names, map(np.sqrt, variances), strict=True))
+    variances = np.stack((np.diagonal(covariance), np.diagonal(off)))
+    parts = np.split(np.sqrt(variances), np.cumsum(sizes)[:-1], axis=1)
+    std = dict(zip(mechanism.leg_names, parts, strict=True))
+    covariance = covariance + off
     by_name = {
         leg.name: leg
         for one, freedoms in zip(found.fits, sure.of_unknowns, strict=True)
@@ -65,7 +65,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         calibration=calibration,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
         legs=legs,
-        external=_external(found, outer, sure),
+        external=_external(found, outer, G[n:], sure),
         covariance=covariance,
         systematic=off if G.size else None,
         noise=_noise(calibration, chi2),
@@ -105,19 +105,27 @@ def _noise(calibration: Calibration, chi2: float) -> Noise | None:
     return Noise(*(scale * value for value in vars(model.noise).values()))
 
 
-def _ends(calibration: Calibration, one: Fit, rows: Array, halves: Array) -> Array:
+def _ends(
+    calibration: Calibration, one: Fit, rows: Array, std: Array, quantile: Array | float
+) -> Array:
     """Return the ends of intervals less the estimates, shape (k, 2).
+
+    By noise as far as the cost or the standard error says; what is off by the same in all rows is
+    in no cost, and is added to both sides (roots of sums of squares).
 
     Args:
         calibration: What was calibrated.
         one: The fit that holds the quantities.
         rows: Derivatives of the quantities by its unknowns, shape (k, n).
-        halves: Half widths by their standard errors, shape (k,).
+        std: Standard errors by noise, and by what is off in all rows, shape (2, k).
+        quantile: How many of them half an interval is, shape (k,).
     """
-    if calibration.options.intervals == "wald" or not one.converged:
-        return np.stack((-halves, halves), axis=1)
-    calibration.options.report("fitting again along the parameters, for their intervals")
-    return profile(one, rows, halves)
+    halves, more = quantile * std
+    ends = np.stack((-halves, halves), axis=1)
+    if calibration.options.intervals == "profile" and one.converged:
+        calibration.options.report("fitting again along the parameters, for their intervals")
+        ends = profile(one, rows, halves)
+    return np.asarray(np.array([-1.0, 1.0]) * np.hypot(ends, more[:, None]))
 
 
 def _identified(
@@ -146,14 +154,14 @@ def _leg_results(
     Args:
         calibration: What was calibrated.
         one: The fit.
-        std: Standard errors, by leg.
+        std: Standard errors by noise, and by what is off in all rows, shape (2, n) of each leg.
         quantile: How many of them half an interval is, of the fit's unknowns, shape (n,).
     """
     found, problem = one.fit, one.fit.problem
     nominal, results = calibration.mechanism.parameters, []
-    errors = np.concatenate([std[leg.name] for leg in problem.legs])
-    rows = np.eye(len(errors), len(quantile))
-    ends = _ends(calibration, found, rows, quantile[: len(errors)] * errors)
+    errors = np.concatenate([std[leg.name] for leg in problem.legs], axis=1)
+    n = errors.shape[1]
+    ends = _ends(calibration, found, np.eye(n, len(quantile)), errors, quantile[:n])
     for index, (leg, columns) in enumerate(zip(problem.legs, problem.columns, strict=True)):
         own = problem.used[:, index] & (found.weights > 0.0)
         before = leg_residuals(problem, found.first, index)
@@ -169,7 +177,7 @@ def _leg_results(
                     for p, value, error, own_ends in zip(
                         parameters,
                         found.parameters[columns],
-                        std[leg.name],
+                        np.hypot(*std[leg.name]),
                         ends[columns],
                         strict=True,
                     )
@@ -203,9 +211,16 @@ def _rms(values: Array) -> float:
 
 
 def _external(
-    found: Fits, outer: Array | None, sure: Confidence
+    found: Fits, outer: Array | None, off: Array, sure: Confidence
 ) -> tuple[IdentifiedParameter, ...]:
-    """Return frame and targets with their intervals, and where the search for them began."""
+    """Return frame and targets with their intervals, and where the search for them began.
+
+    Args:
+        found: The fits.
+        outer: Covariance of their steps by noise, shape (n, n); None if there are none.
+        off: How they follow what is off by the same in all rows, shape (n, q).
+        sure: How well the noise is known.
+    """
     outside, values = found.calibration.observation.external, found.external
     if values is None or outer is None or not len(outside):
         return ()
@@ -215,16 +230,16 @@ def _external(
     D = outside.coordinates_by_step(values)
     freedoms = [one.min(initial=np.inf) for one in sure.of_unknowns]
     quantile = float(quantiles(np.array(min(freedoms))))
-    std = np.sqrt(np.diagonal(D @ outer @ D.T))
+    std = np.stack((np.sqrt(np.diagonal(D @ outer @ D.T)), np.linalg.norm(D @ off, axis=1)))
     one = found.fits[0].fit
     rows = np.zeros((len(D), len(one.covariance)))
     if found.latent:
         rows[:, -len(D) :] = D
-    ends = _ends(found.calibration, one, rows, quantile * std)
+    ends = _ends(found.calibration, one, rows, std, quantile)
     return tuple(
         _identified(_outside(id_, unit, first), value, error, own_ends)
         for id_, unit, first, value, error, own_ends in zip(
-            outside.names, outside.units, start, there, std, ends, strict=True
+            outside.names, outside.units, start, there, np.hypot(*std), ends, strict=True
         )
     )
 

@@ -10,11 +10,10 @@ from scipy.special import chdtrc, chdtri, fdtrc, ndtri, stdtrit
 
 from pincal.calibration.fits import Fits
 from pincal.design.platform_error import CONFIDENCE
-from pincal.estimation.components import Moments, Pools, freedoms
+from pincal.estimation.components import Moments, freedoms
 from pincal.estimation.noise import assumed_noise
 
 Array = NDArray[np.float64]
-_EACH: Pools = ((0,), (1,), (2,))
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ def confidence(found: Fits) -> Confidence:
     calibration, fits = found.calibration, [one.fit for one in found.fits]
     model = calibration.noise
     sizes = [len(one.covariance) for one in fits]
-    if not model.known and not (found.latent and found.pools):
+    if not model.known and not (found.latent and found.variances is not None):
         own = [
             np.full(n, float(one.degrees_of_freedom)) for n, one in zip(sizes, fits, strict=True)
         ]
@@ -51,18 +50,14 @@ def confidence(found: Fits) -> Confidence:
         return Confidence(tuple(np.full(n, np.inf) for n in sizes), np.inf)
     unit = model.noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
     moments = Moments.of([(one, one.problem) for one in fits], unit)
-    pools, spread = found.pools or (), np.zeros((0, 0))
-    of_chi2 = np.inf
-    if model.known:
-        pools = tuple(pool for pool in _EACH if np.isfinite(model.freedoms[pool[0]]))
-        groups = [pool[0] for pool in pools]
-        freedom = np.array([model.freedoms[group] for group in groups])
+    spread, of_chi2 = found.variances, np.inf
+    if spread is None:
+        freedom = np.array(model.freedoms)
         spread = np.diag(2.0 / freedom)
-        shares = moments.F[np.ix_(groups, groups)].sum(axis=1)
+        some = np.isfinite(freedom)
+        shares = np.where(some, moments.F[:, some].sum(axis=1), 0.0)
         of_chi2 = float(shares.sum() ** 2 / (shares**2 / freedom).sum())
-    else:
-        spread = moments.covariance(pools)
-    return Confidence(tuple(freedoms(one, pools, spread) for one in moments.parts), of_chi2)
+    return Confidence(tuple(freedoms(one, spread) for one in moments.parts), of_chi2)
 
 
 def quantiles(degrees_of_freedom: Array) -> Array:

@@ -85,7 +85,7 @@ def chi2_freedoms(fits: Sequence[Robust]) -> float:
     return total**2 / (total + 2.0 * shared) if total else 0.0
 
 
-def nearest_to_nominal(covariance: Array, gauge: Gauge, unknowns: Unknowns) -> tuple[Array, Array]:
+def moved_along_gauge(covariance: Array, gauge: Gauge, unknowns: Unknowns) -> tuple[Array, Array]:
     """Return covariances of parameters that were moved along gauge directions, and of the frames.
 
     Args:
@@ -157,4 +157,4 @@ def covariances(found: Fits) -> tuple[Array, Array | None]:
     covariance = all_legs(mechanism, found.fits)
     if found.gauge is None or found.unknowns is None:
         return covariance, None
-    return nearest_to_nominal(covariance, found.gauge, found.unknowns)
+    return moved_along_gauge(covariance, found.gauge, found.unknowns)

@@ -62,20 +62,21 @@ def findings_of(
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     found += _zeros(result)
     noise, far = _noise(result), [*_far(result), *_signs(result)]
-    if _rounding(result):
+    if fits is not None and rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
         return (*found, *noise, *far, *_legs(result))
     if fits is not None and result.converged:
         noise += _proportion(fits) if not noise else []
-        noise += _lacking(fits)
+        noise += lacking(fits)
     curved = _curved(fits) if fits is not None and result.converged else []
     return (*found, *noise, *far, *curved, *_open(result), *_rows(result), *_legs(result))
 
 
-def _rounding(result: CalibrationResult) -> bool:
+def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
-    size = largest_size(result.nominal.legs, result.nominal.platform)
-    parts = [leg.residuals for leg in result.legs] + [one.residuals for one in result.observed]
+    mechanism, every = fits.calibration.mechanism, [one.fit for one in fits.fits]
+    size = largest_size(mechanism.legs, mechanism.platform)
+    parts = [one.last.stack.value[one.good] for one in every]
     return all(np.abs(one).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for one in parts)
 
 
@@ -136,8 +137,9 @@ def _proportion(fits: Fits) -> list[Finding]:
         return []
     unit = noise.noise.reading or assumed_noise(fits.calibration.mechanism, exact=False).reading
     moments = Moments.of([(one.fit, one.fit.problem) for one in fits.fits], unit)
-    exact = not any(one.fit.problem.sigma_readings.any() for one in fits.fits)
-    groups = [g for g in moments.first_pools(exact=exact)[0] if g < 2 or noise.source != "rows"]
+    readings = any(one.fit.problem.sigma_readings.any() for one in fits.fits)
+    asked = np.array([True, True, readings and noise.source != "rows"])
+    groups = np.flatnonzero(asked & (np.diagonal(moments.F) > 0.0))
     F = moments.F[np.ix_(groups, groups)]
     variances, spread = np.linalg.pinv(F) @ moments.q[groups], 2.0 * np.linalg.pinv(F)
     spread += np.diag([2.0 / noise.freedoms[group] for group in groups])
@@ -150,7 +152,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     return [finding("noise-in-other-proportion", ratios=ratios, p_value=p_value)]
 
 
-def _lacking(fits: Fits) -> list[Finding]:
+def lacking(fits: Fits) -> list[Finding]:
     """Return what residuals follow that the model lacks: the most improbable of all tests.
 
     And of what was measured of one pose again and again. Of all tests together (Bonferroni) one in

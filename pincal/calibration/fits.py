@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.components import Moments, Pools, estimated_noise
+from pincal.estimation.components import Beforehand, Moments, estimated_noise, widened
 from pincal.estimation.conditions.external import External
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
@@ -43,8 +43,6 @@ class Repeats:
     """Of the machine's size, and [rad]: the frame moves no more."""
     off: float = 5e-3
     """Of the scale of the noise that was estimated."""
-    least: float = 1e-3
-    """Of the largest standard deviation, each over its unit: that of the others."""
     alike: float = 1e-3
     """Relative change of a standard deviation, below which noise is estimated."""
 
@@ -67,8 +65,9 @@ class Fits:
     """Of legs and what is outside, of which the gauge speaks."""
     held: Held | None = None
     """What the measurements cannot observe, if that was held."""
-    pools: Pools | None = None
-    """Groups of measured quantities whose noise was estimated, those of one variance together."""
+    variances: Array | None = None
+    """Covariance of the relative variances of positions, orientations and readings, if they were
+    estimated, shape (3, 3)."""
 
     @property
     def latent(self) -> bool:
@@ -106,12 +105,10 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
     ):
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
-    pools: Pools | None = None
     for _ in range(_BY.refits):
-        fits = [robust.fit for robust in one.fits]
-        if not all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits):
+        if not _sound(one):
             break
-        then, pools = _noise_of(one, noise, unit, pools)
+        then = _noise_of(one, noise, unit)
         if _alike(noise, then):
             break
         noise, unit = then, then.reading or unit
@@ -120,48 +117,60 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
         if abs(scale - 1.0) > _BY.off and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
             one = search(calibration.with_noise(noise), tied, one)
-    return replace(one, pools=pools)
+    return _with_variances(one, noise, unit)
 
 
-def _noise_of(
-    one: Fits, noise: Noise, unit: float, pools: Pools | None
-) -> tuple[Noise, Pools | None]:
-    """Return the noise that the residuals of fits show, and which groups share a variance.
+def _sound(one: Fits) -> bool:
+    """Return whether the residuals of fits say something about the noise."""
+    fits = [robust.fit for robust in one.fits]
+    return all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits)
+
+
+def _with_variances(one: Fits, noise: Noise, unit: float) -> Fits:
+    """Return fits at noise that was estimated, with what that adds to their covariances."""
+    if not _sound(one):
+        return one
+    pairs = [(robust.fit, robust.fit.problem) for robust in one.fits]
+    moments = Moments.of(pairs, noise.reading or unit)
+    if moments.rounding:
+        return one
+    information, _ = moments.information(_beforehand(one.calibration, noise))
+    variances: Array = np.asarray(np.linalg.inv(information))
+    fits = []
+    for robust, part in zip(one.fits, moments.parts, strict=True):
+        more = robust.fit.noise_scale**2 * widened(part, variances)
+        fit = replace(robust.fit, covariance=robust.fit.covariance + more)
+        fits.append(replace(robust, fit=fit))
+    return replace(one, fits=fits, variances=variances)
+
+
+def _beforehand(calibration: Calibration, noise: Noise) -> Beforehand:
+    """Return what is assumed of the noise before it is estimated."""
+    mechanism, data = calibration.mechanism, calibration.measurements
+    exact = assumed_noise(mechanism, exact=bool(np.isfinite(data.poses).all())).reading == 0.0
+    return Beforehand.of(noise, assumed_noise(mechanism, exact=False), exact=exact)
+
+
+def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
+    """Return the noise that the residuals of fits show.
 
     Args:
         one: The fits.
         noise: At which they were made.
         unit: Standard deviation of readings to try where they were exact.
-        pools: Groups that shared a variance before; all of them if not given.
     """
     fits, calibration = [robust.fit for robust in one.fits], one.calibration
     for _ in range(_BY.rounds):
         problems = _problems(calibration.with_noise(noise), one)
         moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)
         if moments.rounding:
-            return noise, None
-        pools = pools or moments.first_pools(exact=noise.reading == 0.0)
-        then = _floored(estimated_noise(moments, noise, noise.reading or unit, pools), calibration)
+            return noise
+        before = _beforehand(calibration, noise)
+        then = estimated_noise(moments, noise, noise.reading or unit, before)
         if _alike(noise, then):
-            more = moments.split(pools)
-            if more is None:
-                break
-            pools = more
-            then = estimated_noise(moments, noise, noise.reading or unit, pools)
+            break
         noise = then
-    return noise, pools
-
-
-def _floored(noise: Noise, calibration: Calibration) -> Noise:
-    """Return noise of which no group is all but exact beside the others."""
-    unit = assumed_noise(calibration.mechanism, exact=False)
-    sizes = [getattr(noise, name) / getattr(unit, name) for name in vars(noise)]
-    least = _BY.least * max(sizes)
-    return Noise(
-        max(noise.position, least * unit.position),
-        max(noise.orientation, least * unit.orientation),
-        noise.reading and max(noise.reading, least * unit.reading),
-    )
+    return noise
 
 
 def _alike(noise: Noise, then: Noise) -> bool:

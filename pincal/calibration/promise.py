@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+UNLIKELY = 1e-3  # probability at which fit and held-out rows part, runs differ
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 #: Findings that contradict the model or its noise.
 CONTRADICT = frozenset(
@@ -44,7 +45,6 @@ CONTRADICT = frozenset(
         "many-outliers",
         "tie-contradicted",
         "held-out-worse",
-        "drift",
         "step",
         "reference-moved",
         "runs-differ",

@@ -285,8 +285,9 @@ class CalibrationResult:
         """
         from pincal.calibration.checks.validation import held_out
 
-        found = held_out(self.calibration, folds, by)
-        return replace(self, validation=found, findings=(*self.findings, *found.findings))
+        found, own = held_out(self.calibration, folds, by), {one.code for one in self.findings}
+        more = (one for one in found.findings if one.code not in own)
+        return replace(self, validation=found, findings=(*self.findings, *more))
 
     def compared(self) -> CalibrationResult:
         """Return the result with how well the runs of its measurements agree.

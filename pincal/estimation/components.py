@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Orthonormal
@@ -23,17 +24,19 @@ from pincal.model.measurements import Noise
 
 Array = NDArray[np.float64]
 _P, _O, _R = range(3)  # position, orientation, reading
-Pools = tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True)
 class Steps:
-    """How variances are told apart, and how far they go at once."""
+    """What is taken of variances beforehand, and how far they go at once."""
 
-    clear: float = 3.0
-    """Standard errors from which a component is none of chance."""
+    beforehand: float = 1.0
+    """Of the largest variance, each over its unit: standard deviation of the others about what is
+    assumed of them, which counts where residuals say little."""
     most: float = 10.0
     """Times that a variance changes at once."""
+    least: float = 1e-3
+    """Of the largest standard deviation, each over its unit: that of others that are not exact."""
     rounding: float = 1e-10
     """Standard deviation over the assumed one, below which residuals are rounding."""
 
@@ -53,6 +56,8 @@ class Normal:
     """rᵀ M r."""
     P: Array
     """Qᵀ V_g Q, shape (3, n_free, n_free)."""
+    rest: Array
+    """Qᵀ V_g M V_h Q, shape (3, 3, n_free, n_free)."""
     back: Array
     """R⁻ᵀ Tᵀ: its columns squared are the variances of the unknowns, shape (n_free, n)."""
 
@@ -90,88 +95,109 @@ class Moments:
         """Whether the residuals are rounding errors."""
         return not self.scale > _BY.rounding**2
 
-    def components(self, P: Array) -> tuple[Array, Array]:
-        """Return variances s of V = Σ_g (P s)_g V_g and their standard errors, shape (k,) each."""
-        part = P.T @ self.F @ P
-        size = np.sqrt(np.diagonal(part))
-        inverse = np.linalg.pinv(part / np.outer(size, size), rcond=1e-10, hermitian=True)
-        inverse /= np.outer(size, size)
-        std = self.scale * np.sqrt(2.0 * np.diagonal(inverse))
-        return np.asarray(inverse @ (P.T @ self.q)), std
+    def information(self, beforehand: Beforehand) -> tuple[Array, Array]:
+        """Return what is known of the variances: Λ and Λ s, s their mean, shapes (3, 3) and (3,).
 
-    def covariance(self, pools: Pools) -> Array:
-        """Return that of the pools' variances, relative to these, shape (k, k)."""
-        P = _columns(pools)
-        return np.asarray(2.0 * np.linalg.pinv(P.T @ self.F @ P, rcond=1e-10, hermitian=True))
-
-    def first_pools(self, *, exact: bool) -> Pools:
-        """Return one pool of all groups that were measured; without readings if they are exact."""
-        return (tuple(g for g in range(3) if self.F[g, g] > 0.0 and not (g == _R and exact)),)
-
-    def split(self, pools: Pools) -> Pools | None:
-        """Return pools with the group apart that differs most clearly from its pool.
-
-        Readings may also appear, if they were exact and their variance is clearly above zero. None
-        if no group differs so.
+        From the residuals, and from what is assumed beforehand, for where they say little.
         """
-        pooled = {group: pool for pool in pools for group in pool}
-        best, most = None, _BY.clear
-        for group in (_O, _R):
-            if not self.F[group, group] > 0.0 or len(pooled.get(group, (0, 0))) < 2:
-                continue
-            P = _columns((*pools, (group,)))
-            variance, std = self.components(P)
-            z = variance[-1] / std[-1]
-            if (abs(z) if group in pooled else z) > most:
-                best, most = group, float(abs(z))
-        if best is None:
-            return None
-        rest = (tuple(one for one in pool if one != best) for pool in pools)
-        return (*(pool for pool in rest if pool), (best,))
+        known = 2.0 * max(self.scale, 1e-300) ** 2
+        return self.F / known + beforehand.information(self.scale), self.q / known
+
+    def variances(self, beforehand: Beforehand) -> Array:
+        """Return the likeliest variances of groups, none below zero, relative, shape (3,)."""
+        information, moments = self.information(beforehand)
+        size = 1.0 / np.sqrt(np.diagonal(information))
+        R = np.linalg.cholesky(information * np.outer(size, size)).T
+        return np.asarray(size * nnls(R, np.linalg.solve(R.T, size * moments))[0])
 
 
-def _columns(pools: Pools) -> Array:
-    P = np.zeros((3, len(pools)))
-    for column, pool in enumerate(pools):
-        P[list(pool), column] = 1.0
-    return P
+@dataclass(frozen=True)
+class Beforehand:
+    """What is assumed of variances before residuals are seen.
+
+    Those of positions and orientations are alike, each over its unit; readings are exact, or alike
+    too where they cannot be exact.
+    """
+
+    ratio: Array
+    """Variance over the square of its unit, shape (3,)."""
+    exact: bool
+    """Whether readings may be exact."""
+    noisy: bool
+    """Whether they are not."""
+
+    @classmethod
+    def of(cls, noise: Noise, unit: Noise, *, exact: bool) -> Beforehand:
+        """Return what is assumed beside some noise.
+
+        Args:
+            noise: The noise.
+            unit: Standard deviations that are assumed to be alike.
+            exact: Whether readings may be exact.
+        """
+        sizes = np.array([noise.position, noise.orientation, noise.reading or unit.reading])
+        units = np.array([unit.position, unit.orientation, unit.reading])
+        return cls((sizes / units) ** 2, exact, noise.reading > 0.0)
+
+    def information(self, scale: float) -> Array:
+        """Return the information on relative variances, shape (3, 3).
+
+        Args:
+            scale: χ² over degrees of freedom.
+        """
+        largest = self.ratio[: 3 if self.noisy else 2].max() * max(scale, 1e-300)
+        apart = np.array([[1.0, -1.0, 0.0], [0.0 if self.exact else -1.0, 0.0, 1.0]])
+        rows = apart * self.ratio / (_BY.beforehand * largest)
+        return np.asarray(rows.T @ rows)
 
 
-def freedoms(one: Normal, pools: Pools, covariance: Array) -> Array:
+def freedoms(one: Normal, covariance: Array) -> Array:
     """Return the degrees of freedom of the unknowns' variances (Satterthwaite 1946), shape (n,).
 
-    A variance is v = Σ_g s_g v_g, v_g the part of pool g: 2 v² / var(v), var(v) = vᵀ cov(s) v.
+    A variance is v = Σ_g s_g v_g, v_g the part of group g: 2 v² / var(v), var(v) = vᵀ cov(s) v.
 
     Args:
         one: Of the fit.
-        pools: Which groups share a variance.
-        covariance: Of the pools' relative variances, shape (k, k).
+        covariance: Of the groups' relative variances, shape (3, 3).
     """
-    by_group = np.einsum("in,gij,jn->gn", one.back, one.P, one.back)
-    parts = _columns(pools).T @ by_group
+    parts = np.einsum("in,gij,jn->gn", one.back, one.P, one.back)
     spread = np.einsum("gn,gh,hn->n", parts, covariance, parts)
     total = (one.back**2).sum(axis=0)
     return np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
 
 
-def estimated_noise(moments: Moments, noise: Noise, reading: float, pools: Pools) -> Noise:
+def widened(one: Normal, covariance: Array) -> Array:
+    """Return what the covariance of the unknowns lacks if the noise was estimated, shape (n, n).
+
+    Weights by estimated variances spread the estimate by Λ = Σ_gh cov(s)_gh Qᵀ V_g M V_h Q, and
+    the covariance at the estimate is as much too small: 2 Λ (Kenward and Roger 1997).
+
+    Args:
+        one: Of the fit.
+        covariance: Of the groups' relative variances, shape (3, 3).
+    """
+    more = 2.0 * np.einsum("gh,ghij->ij", covariance, one.rest)
+    return np.asarray(one.back.T @ more @ one.back)
+
+
+def estimated_noise(
+    moments: Moments, noise: Noise, reading: float, beforehand: Beforehand
+) -> Noise:
     """Return the noise that residuals show.
 
     Args:
         moments: Of fits at some noise.
         noise: That noise.
         reading: Standard deviation to which that of readings is relative, [rad] or [m].
-        pools: Which groups share a variance; those in none are exact.
+        beforehand: What was assumed of it.
     """
-    P = _columns(pools)
-    variance, _ = moments.components(P)
-    least, most = moments.scale / _BY.most, moments.scale * _BY.most
-    factors = np.sqrt(P @ np.clip(variance, least, most))
-    return Noise(
-        float(noise.position * (factors[_P] or 1.0)),
-        float(noise.orientation * (factors[_O] or 1.0)),
-        float(reading * factors[_R]),
-    )
+    variance = moments.variances(beforehand)
+    noisy = np.array([True, True, not beforehand.exact or bool(variance[_R] > 0.0)])
+    variance = np.clip(variance, moments.scale / _BY.most, moments.scale * _BY.most)
+    ratio = beforehand.ratio * variance
+    variance = np.maximum(variance, _BY.least**2 * ratio[noisy].max() / beforehand.ratio)
+    p, o, r = np.sqrt(np.where(noisy, variance, 0.0))
+    return Noise(float(noise.position * p), float(noise.orientation * o), float(reading * r))
 
 
 def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
@@ -196,6 +222,7 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
     V = [part @ part.transpose(0, 2, 1) for part in U]
     VQ = [part @ Q for part in V]
     P = [np.einsum("nmi,nmj->ij", Q, part) for part in VQ]
+    both = list(zip(VQ, P, strict=True))
     F = np.array(
         [
             [
@@ -208,5 +235,6 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
         ]
     )
     q = np.array([float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U])
+    rest = [[np.einsum("nmi,nmj->ij", a, b) - A @ B for b, B in both] for a, A in both]
     back = by(one.unknowns.map).T
-    return Normal(F, q, float((left**2).sum()), np.array(P), back)
+    return Normal(F, q, float((left**2).sum()), np.array(P), np.array(rest), back)

@@ -175,14 +175,6 @@ ROWS: dict[str, Wording] = {
         "Rows that a fit has not seen miss by more than is explained (p below 0.001).",
         "Measure more poses, or fix parameters",
     ),
-    "drift": Wording(
-        "Residuals follow the order of the rows",
-        {"leg": "name of the leg", "correlation": "rank correlation", "p_value": "its probability"},
-        "{leg}: residuals follow the order of the rows (rank correlation {correlation:+.2f}, "
-        "{chance}): drift, of temperature or of a reference, is likely",
-        "Drift: of temperature, of a reference, of the tracker.",
-        "Measure in another order, or again when warm; name runs in a column run",
-    ),
     "runs-differ": Wording(
         "Runs differ",
         {"ratio": "spread over the runs, in predicted standard errors", "p_value": P_VALUE},

@@ -27,8 +27,8 @@ def least_of_folds(
 ) -> float:
     """Return the probability that the least of all folds' probabilities is so small, or smaller.
 
-    By draws from what the model would make of noise; never above what independent folds would give
-    (Šidák 1967), which counts where no draw is as small.
+    By draws from what the model would make of noise; where none is as small, what independent folds
+    would give (Šidák 1967) if that is less.
 
     Args:
         least: The least probability of a fold.
@@ -50,7 +50,7 @@ def least_of_folds(
         rest = own.sum(axis=1, keepdims=True) - inside
         chances = fdtrc(equations, dof - equations, inside / equations / rest * (dof - equations))
     below = int((np.asarray(chances).min(axis=1) <= least).sum())
-    return min(bound, (1 + below) / (1 + _DRAWS))
+    return (1 + below) / (1 + _DRAWS) if below else min(bound, 1 / (1 + _DRAWS))
 
 
 def _drawn(

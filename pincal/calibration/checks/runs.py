@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibrate import identify, prepared
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.drift import UNLIKELY
 from pincal.calibration.confidence import exceeded
 from pincal.calibration.options import Options
+from pincal.calibration.promise import UNLIKELY
 from pincal.errors import MeasurementError
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements

@@ -1,4 +1,4 @@
-"""Errors at rows that a fit has not seen, and drift.
+"""Errors at rows that a fit has not seen.
 
 Held-out rows are predicted like those of the fit, whitened by their noise; of them more is
 expected by what the fit does not know: r has the covariance 1 + J C Jᵀ. What then exceeds the
@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.drift import UNLIKELY, drifts
 from pincal.calibration.checks.folds import FOLDS, By, folds_of
 from pincal.calibration.checks.least import least_of_folds
 from pincal.calibration.checks.unseen import Predicted, misfit, predictions
 from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
+from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
-from pincal.calibration.promise import UNEXPLAINED, point_misses
+from pincal.calibration.promise import UNEXPLAINED, UNLIKELY, point_misses
 from pincal.errors import MeasurementError
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
@@ -61,7 +61,7 @@ class Validation:
     orientation: tuple[float, float] | None
     """The same of its orientation, [rad]."""
     findings: tuple[Finding, ...]
-    """What to know first: drift, held-out rows that miss by more than is expected."""
+    """What to know first: what residuals follow, held-out rows that miss by more than expected."""
 
     def __repr__(self) -> str:
         return (
@@ -131,7 +131,6 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     every = bool((groups >= 0).all())  # rows to verify with are in no fit
     total = sum(one.fit.chi2 for one in whole.fits) if every else None
     count = int(groups.max()) + 1
-    sure = np.inf if calibration.noise.known else confidence(whole).least or np.inf
     parts: list[Predicted] = []
     misfits: list[Array] = []
     pairs: list[tuple[Calibration, Fits]] = []
@@ -142,7 +141,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         found = _converged(seen, f"fold {fold + 1} of {count}")
         unseen = calibration.rows(groups == fold)
         own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]
-        chances.append(_chance(found, own, total, sure))
+        chances.append(_chance(found, own, total))
         parts += own
         misfits.append(misfit(unseen, found))
         pairs.append((unseen, found))
@@ -154,8 +153,9 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     held = np.sqrt(sum(one.squares for one in parts) / equations / unit)
     expected = np.sqrt(fit / unit * (1.0 + growth))
     p_value = least_of_folds(min(chances), whole.fits, groups, known=calibration.noise.known)
-    more = []
-    if p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
+    readable = not rounding(whole)
+    more = lacking(whole) if readable else []
+    if readable and p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
         more.append(
             finding(
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
@@ -174,7 +174,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         position=_both(fit_misfits, np.concatenate(misfits), lengths)
         or _sizes([(fitted_rows, whole)], pairs),
         orientation=_both(fit_misfits, np.concatenate(misfits), ~lengths),
-        findings=(*drifts(whole), *more),
+        findings=tuple(more),
     )
 
 
@@ -192,9 +192,7 @@ def _converged(calibration: Calibration, what: str) -> Fits:
     return found
 
 
-def _chance(
-    found: Fits, parts: Sequence[Predicted], total: float | None, sure: float = np.inf
-) -> float:
+def _chance(found: Fits, parts: Sequence[Predicted], total: float | None) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
     χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
@@ -205,8 +203,6 @@ def _chance(
         found: The fits of the rows seen.
         parts: What they predict of the others.
         total: χ² of all rows at this noise; by the first order if not given.
-        sure: Fewest degrees of freedom with which estimated noise is known: the variance of one
-            group may be known less well than the scale of all.
     """
     equations = sum(one.equations for one in parts)
     fits = [one.fit for one in found.fits]
@@ -221,7 +217,7 @@ def _chance(
             return exceeded(ratio, share * equations, known)
     if not own > 0.0:
         return 1.0
-    return exceeded(ratio / own, share * equations, min(share * dof, sure))
+    return exceeded(ratio / own, share * equations, share * dof)
 
 
 def _points(calibration: Calibration, found: Fits) -> Array:
