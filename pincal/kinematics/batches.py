@@ -6,6 +6,8 @@ shape (…, N)): NumPy then does one long loop instead of N short ones.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -39,6 +41,9 @@ def solve(a: Array, b: Array) -> Array:
             (p, q), (r, s) = a.transpose(1, 2, 0)
             adjugate = np.array((s, -q, -r, p)).reshape(2, 2, -1).transpose(2, 0, 1)
             return product(adjugate, b) / (p * s - q * r)[:, None, None]
+    if np.isfinite(a).all():
+        with suppress(np.linalg.LinAlgError):  # hardly ever is one exactly singular
+            return np.linalg.solve(a, b)
     singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
     safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
     return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, b))
