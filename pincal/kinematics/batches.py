@@ -43,7 +43,7 @@ def solve(a: Array, b: Array) -> Array:
             return product(adjugate, b) / (p * s - q * r)[:, None, None]
     if np.isfinite(a).all():
         with suppress(np.linalg.LinAlgError):  # hardly ever is one exactly singular
-            return np.linalg.solve(a, b)
+            return np.asarray(np.linalg.solve(a, b), np.float64)
     singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
     safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
     return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, b))
