@@ -9,6 +9,7 @@ import cramer_rao
 import numpy as np
 import pytest
 from correlated import TRACKER, bound, correlated, pairs, polar_covariance, scaled, slopes
+from marks import quick
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -119,8 +120,10 @@ def test_positions_of_a_stewart_platform_by_a_tracker() -> None:
     assert np.sqrt((off**2).mean()) < 1.5
 
 
-@pytest.mark.parametrize("method", ["all-legs", "per-leg"])
-@pytest.mark.parametrize("unknown", [False, True])
+@pytest.mark.parametrize(
+    ("unknown", "method"),
+    quick(2, [(True, "all-legs"), (False, "per-leg"), (True, "per-leg"), (False, "all-legs")]),
+)
 def test_a_scale_moves_parameters_as_far_as_is_said(method: str, unknown: bool) -> None:
     """One standard uncertainty more of the scale: so far go the parameters; weights stay."""
     one = cramer_rao.machine("3RRR", 24)
@@ -305,7 +308,7 @@ def test_a_result_keeps_them(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_tracker_s_covariances_reach_the_bound() -> None:
-    """Over 60 data sets of a hexapod; taken for independent, errors are larger; they cover."""
+    """Over 60 data sets of a hexapod, and they cover; taken for independent (20), errors grow."""
     one = cramer_rao.machine("6UPS", 40)
     covariance = np.zeros((len(one.positions), 6, 6))
     covariance[:, :3, :3] = polar_covariance(one.positions, TRACKER)
@@ -313,13 +316,14 @@ def test_a_tracker_s_covariances_reach_the_bound() -> None:
     least, known, plain, within = bound(one, covariance, 1e-6), [], [], []
     for seed in range(60):
         data = correlated(one, covariance, 1e-6, seed)
-        alone = pincal.calibrate(one.nominal, data)
         pair = pairs(one.nominal.platform.freedoms, covariance)
         values, _, low, high = cramer_rao.values_of(
             pincal.calibrate(one.nominal, replace(data, covariances=pair))
         )
         known.append((((values - one.parameters) / least) ** 2).mean())
-        plain.append((((cramer_rao.values_of(alone)[0] - one.parameters) / least) ** 2).mean())
+        if seed < 20:
+            alone = cramer_rao.values_of(pincal.calibrate(one.nominal, data))[0]
+            plain.append((((alone - one.parameters) / least) ** 2).mean())
         within.append(((low <= one.parameters) & (one.parameters <= high)).mean())
     ratio, without = np.sqrt(np.mean(known)), np.sqrt(np.mean(plain))
     print(f"over the bound: {ratio:.3f}, independent {without:.3f}; cover {np.mean(within):.3f}")
@@ -330,7 +334,10 @@ def test_a_tracker_s_covariances_reach_the_bound() -> None:
 
 @pytest.mark.slow
 def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
-    """Scales drawn anew for each of 120 data sets: 95 of 100 platforms stay below; else few."""
+    """Scales drawn anew for each of 120 data sets: 95 of 100 platforms stay below; else few.
+
+    What is not said of the scale is tried with the first 60.
+    """
     one = cramer_rao.machine("3RRR", 40)
     A, B = slopes(one)
     gain, poses = np.linalg.solve(B, A), one.coordinates(np.zeros((len(one.positions), 3)))
@@ -339,7 +346,7 @@ def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
     for seed in range(120):
         by = 3e-4 * np.random.default_rng([seed, 1]).standard_normal()
         data = scaled(cramer_rao.drawn(one, cramer_rao.NOISE, seed), by)
-        for said, found in ((setup, kept), (pincal.Setup(), without)):
+        for said, found in ((setup, kept), (pincal.Setup(), without))[: 1 + (seed < 60)]:
             result = pincal.calibrate(one.nominal, data, noise=cramer_rao.NOISE, setup=said)
             values, *_ = cramer_rao.values_of(result)
             off = (gain @ (values - one.parameters))[:, :2]

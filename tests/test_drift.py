@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from command_line import done
+from marks import quick
 from measured import workspace
 
 import pincal
@@ -26,7 +27,7 @@ def leg_after_leg(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
     return mechanism, pincal.Plan(workspace("3RRR", 3 * count), sets)
 
 
-@pytest.mark.parametrize("method", ["all-legs", "per-leg"])
+@pytest.mark.parametrize("method", quick(1, ["all-legs", "per-leg"]))
 def test_the_shift_is_that_of_calibrations(method: Literal["all-legs", "per-leg"]) -> None:
     """Mean of calibrations with a drift less those of the same noise without: as forecast, to 2 %.
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import Outcome, run
+from marks import quick
 from measured import workspace
 from neighbours import joint, urdf, written
 from numpy.typing import NDArray
@@ -182,6 +183,7 @@ def test_cad_urdf_seen_by_a_tracker_that_stands_elsewhere(tmp_path: Path) -> Non
     assert done.code == 0
 
 
+@pytest.mark.slow
 def test_stewart_platform_with_positions_of_one_reflector(tmp_path: Path) -> None:
     """Three commands; frame and reflector are said to be unknown, each by a message's option."""
     own, csv, result = Journey(), tmp_path / "reflector.csv", tmp_path / "result"
@@ -223,7 +225,7 @@ def excel(mechanism: pincal.Mechanism, data: Any) -> list[list[str | float]]:
     return found
 
 
-@pytest.mark.parametrize("kind", ["csv", "xlsx"])
+@pytest.mark.parametrize("kind", quick(1, ["csv", "xlsx"]))
 def test_european_excel(kind: str, tmp_path: Path) -> None:
     """Two commands, no message: semicolons and decimal commas, or the workbook itself."""
     own, result, path = Journey(), tmp_path / "result", tmp_path / f"messung.{kind}"

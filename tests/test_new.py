@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from command_line import Outcome, contents, done, run
 from data_sheets import FORMS, wrapped
+from marks import quick, some_slow
 
 import pincal
 from pincal.architectures.arms import dh_joints
@@ -46,7 +47,7 @@ def sizes(kind: str, seed: int) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", quick(1, range(2)))
 @pytest.mark.parametrize("kind", KINDS)
 def test_readings_are_those_of_the_dimensions(kind: str, seed: int) -> None:
     """Inverse kinematics is the closed form of the dimensions, over the workspace."""
@@ -112,7 +113,7 @@ def made(kind: str, folder: Path, *more: object) -> Outcome:
     return done("new", kind, *more, *counts, "--defaults", "-o", folder)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "hexapod"))
 def test_the_machine_that_was_measured_is_identified(kind: str, tmp_path: Path) -> None:
     """From the folder, with noise of a nanometre: each parameter, within 5 standard errors."""
     folder = pincal.new_mechanism(kind).save(tmp_path / "own")
@@ -162,7 +163,7 @@ def test_what_is_written_can_be_checked_planned_measured_and_calibrated(
     np.testing.assert_allclose(identified, true, atol=2e-7)
 
 
-@pytest.mark.parametrize("stroke", [0.003, 0.02])
+@pytest.mark.parametrize("stroke", quick(1, [0.003, 0.02]))
 def test_strokes_that_are_small_against_the_machine_are_sampled_in_full(stroke: float) -> None:
     """All legs go from end to end of a stroke of a hundredth of their length."""
     hexapod = pincal.new_mechanism("hexapod", shortest=0.399, longest=0.399 + stroke)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 from command_line import done, run
+from marks import some_slow
 
 import pincal
 from pincal.errors import FileError
@@ -292,7 +293,7 @@ def killed(work: Callable[[], object], step: int, folder: Path) -> bool:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("folder", [True, False])
+@pytest.mark.parametrize("folder", some_slow([True, False], True))
 def test_killed_at_every_step(folder: bool, tmp_path: Path) -> None:
     """A kill at any step of replacing: the old is there, or the new, or the old as .bak."""
     for step in range(1000):

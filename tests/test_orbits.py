@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import quick
 from measured import workspace
 from moved import moved, random_motion
 
@@ -173,7 +174,7 @@ def test_offsets_and_gains_do_not_matter() -> None:
     assert search.reached.all()
 
 
-@pytest.mark.parametrize("name", ["3RRR", "6UPS"])
+@pytest.mark.parametrize("name", quick(1, ["3RRR", "6UPS"]))
 def test_moved_machines_are_chosen_for_alike(name: str) -> None:
     """Frames that stand elsewhere: as good a choice, O₁ equal in all legs."""
     mechanism, poses = pincal.load_mechanism(name), workspace(name, 400)

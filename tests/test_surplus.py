@@ -113,10 +113,10 @@ def test_surplus_equations_add_information(mechanism: pincal.Mechanism, plan: pi
 
 @pytest.mark.slow
 def test_standard_errors_are_the_spread(mechanism: pincal.Mechanism, plan: pincal.Plan) -> None:
-    """Over 100 data sets, and equal to the bound that the forecast gives."""
+    """Over 60 data sets, and equal to the bound that the forecast gives."""
     truth = pincal.disturb(mechanism, 1e-3, seed=1)
     errors, std = [], []
-    for seed in range(100):
+    for seed in range(60):
         data = pincal.simulate(mechanism, truth, plan, NOISE, seed=seed).measurements
         result = pincal.calibrate(mechanism, data, noise=NOISE)
         found = np.concatenate([leg.identified for leg in result.legs])

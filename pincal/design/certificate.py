@@ -194,10 +194,9 @@ def _derivatives(rows: Parts, weights: Array) -> tuple[Array, Array]:
     s = len(weights)
     hessian, gradient = np.zeros((s, s)), np.zeros(s)
     for one, M in zip(rows, _inverse(rows, weights), strict=True):
-        r, flat = one.shape[1], one.reshape(-1, one.shape[2])
-        K = (flat @ M @ flat.T).reshape(s, r, s, r)
-        hessian += (K**2).sum(axis=(1, 3))
-        gradient += np.einsum("irir->i", K)
+        P = M @ (one.transpose(0, 2, 1) @ one)  # M⁻¹ Aᵢᵀ Aᵢ, and |Aᵢ M⁻¹ Aⱼᵀ|² = tr Pᵢ Pⱼ
+        hessian += P.reshape(s, -1) @ P.transpose(0, 2, 1).reshape(s, -1).T
+        gradient += np.einsum("saa->s", P)
     return hessian, gradient
 
 

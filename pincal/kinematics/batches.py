@@ -6,6 +6,8 @@ shape (…, N)): NumPy then does one long loop instead of N short ones.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -39,6 +41,9 @@ def solve(a: Array, b: Array) -> Array:
             (p, q), (r, s) = a.transpose(1, 2, 0)
             adjugate = np.array((s, -q, -r, p)).reshape(2, 2, -1).transpose(2, 0, 1)
             return product(adjugate, b) / (p * s - q * r)[:, None, None]
+    if np.isfinite(a).all():
+        with suppress(np.linalg.LinAlgError):  # hardly ever is one exactly singular
+            return np.asarray(np.linalg.solve(a, b), np.float64)
     singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
     safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
     return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, b))
@@ -123,14 +128,35 @@ def turn_between(first: Array, second: Array) -> Array:
         first: Rotation matrices, shape (N, 3, 3).
         second: Rotation matrices, shape (N, 3, 3).
     """
-    return Rotation.from_matrix(first @ second.transpose(0, 2, 1)).as_rotvec()
+    return _rotation_vectors(first @ second.transpose(0, 2, 1))
+
+
+def _rotation_vectors(turns: Array) -> Array:
+    """Return the rotation vectors of rotation matrices, shape (N, 3, 3) to (N, 3), [rad].
+
+    From R − Rᵀ, which is quick; beyond a quarter turn, where that gets small again, SciPy's.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turns.transpose(1, 2, 0)
+    sines = 0.5 * np.array((zy - yz, xz - zx, yx - xy))
+    sine, cosine = np.sqrt((sines * sines).sum(axis=0)), 0.5 * (xx + yy + zz - 1.0)
+    vectors = (sines * (np.arctan2(sine, cosine) / np.where(sine > 0.0, sine, 1.0))).T
+    if (far := cosine < 0.0).any():
+        vectors[far] = Rotation.from_matrix(turns[far]).as_rotvec()
+    return vectors
 
 
 def inverse_left_jacobian(vectors: Array) -> Array:
-    """Return the derivative of a rotation vector by a turn on the left, shape (N, 3, 3)."""
-    angles = np.linalg.norm(vectors, axis=1)
+    """Return the derivative of a rotation vector by a turn on the left, shape (N, 3, 3).
+
+    1 − S/2 + f S², S the matrix of v ×, S² = v vᵀ − |v|² 1.
+    """
+    squares = (vectors * vectors).sum(axis=1)
+    angles = np.sqrt(squares)
     small = angles < _SERIES
     safe = np.where(small, 1.0, angles)
     factor = np.where(small, 1 / 12, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)))
-    S = np.cross(vectors[:, None], np.eye(3)).transpose(0, 2, 1)
-    return np.eye(3) - 0.5 * S + factor[:, None, None] * (S @ S)
+    x, y, z = 0.5 * vectors.T
+    outer = vectors.T[:, None] * vectors.T * factor
+    diagonal = 1.0 - factor * squares
+    rows = ((diagonal, z, -y), (-z, diagonal, x), (y, -x, diagonal))
+    return (outer + np.array(rows)).transpose(2, 0, 1)

@@ -69,7 +69,9 @@ def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:
     turning[3 - len(own) :] = own
     space[:, :m, :-1], space[:, :m, -1] = J, gap
     v, c = space[:, :, :-1], space[:, :, -1]
-    pulled = np.cross(c[:, None], turning.transpose(2, 1, 0))  # c · (ω × v) = (c × ω) · v
+    (x, y, z), (u, w, t) = c.T, turning
+    crossed = np.array((y * t - z * w, z * u - x * t, x * w - y * u))
+    pulled = crossed.transpose(2, 1, 0)  # c · (ω × v) = (c × ω) · v
     bend = np.triu(pulled @ v)
     bend += np.triu(bend, 1).transpose(0, 2, 1)
     transposed = J.transpose(0, 2, 1)

@@ -304,6 +304,8 @@ class Leg:
             for name, value in given.items()
         }
         old = self.nominal_by_name
+        if new == old:
+            return self
 
         def moved(joint: Joint) -> Joint:
             return replace(joint, placement=joint.placement.moved(old, new, self.name))

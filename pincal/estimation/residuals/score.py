@@ -96,10 +96,10 @@ class Residuals:
         Args:
             W: Of each error, shape (n_used, m, f).
         """
-        lengths = np.linalg.norm(W, axis=(0, 1))
-        W = W - self.Q @ np.einsum("nmi,nmf->if", self.Q, W)
-        flat = W.reshape(-1, W.shape[2])
+        flat, Q = W.reshape(-1, W.shape[2]), self.Q.reshape(-1, self.Q.shape[2])
+        lengths = np.linalg.norm(flat, axis=0)
         flat = flat[:, lengths > 0.0] / lengths[lengths > 0.0]
+        flat = flat - Q @ (Q.T @ flat)
         U, s, _ = np.linalg.svd(flat, full_matrices=False)
         U = U[:, s > RANK_TOLERANCE]
         if not 0 < U.shape[1] < self.degrees_of_freedom:

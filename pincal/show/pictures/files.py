@@ -7,6 +7,7 @@ figure of the page could be mistaken for.
 
 from __future__ import annotations
 
+import gc
 import io
 import re
 import warnings
@@ -121,9 +122,10 @@ def on_page(
     def decorate(draw: Callable[..., tuple[Figure, str] | None]) -> Callable[..., SvgFigure | None]:
         def part(*args: Any) -> SvgFigure | None:
             buffer = io.BytesIO()
-            with drawing(svg_hashsalt=name):
+            with drawing(svg_hashsalt=name), _no_collection():
                 if (drawn := draw(*args)) is None:
                     return None
+                _place_no_empty_labels(drawn[0])
                 canvas: Any = FigureCanvasSVG(drawn[0])
                 canvas.print_svg(buffer, metadata={"Date": None})  # savefig would draw twice
             picture = _inline(buffer.getvalue())
@@ -134,6 +136,26 @@ def on_page(
         return part
 
     return decorate
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Make the many objects of a figure without looking for rings among them in between."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _place_no_empty_labels(drawn: Figure) -> None:
+    """Fix where labels without text go, which costs a tenth of all drawing to find out."""
+    for axes in drawn.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if not axis.get_label_text():
+                axis.set_label_coords(0.0, 0.0)
 
 
 def _inline(svg: bytes) -> Any:

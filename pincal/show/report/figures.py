@@ -231,6 +231,8 @@ def residuals_figure(found: Findings) -> Drawn:
         axes.set_title(f"{title} parameters ({'before' if title == 'nominal' else 'after'})")
     for axes in panels[-1]:
         axes.set_xlabel("data row")
+    for axes in panels[:-1].flat:  # ticks are most of what is drawn
+        axes.tick_params(axis="x", bottom=False)
     return drawn, (
         f"Residuals of each {whose(series)} against the row of the measurements, before and "
         "after; the scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: "
