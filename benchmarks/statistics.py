@@ -489,6 +489,24 @@ def chances(sets: int) -> Lines:
             yield f"… held-out rows by {by}", uniform(found)
 
 
+def estimated(sets: int) -> Lines:
+    """3: noise that is not given: intervals."""
+    for kind, count, noise in (
+        ("3RRR", 60, NOISE),
+        ("3RRR", 40, NOISE),
+        ("5R", 60, NOISE),
+        ("6UPS", 40, NOISE),
+        ("3RRR", 60, EXACT_READINGS),
+        ("3RRR", 60, pincal.Noise(2e-5, 2e-5, 1e-3)),
+    ):
+        one = machine(kind, count)
+        cover = [
+            covers(pincal.calibrate(one.nominal, drawn(one, noise, seed)), one.parameters)
+            for seed in range(sets)
+        ]
+        yield f"{kind}, {count} poses, {noise}, estimated: intervals cover", percent(cover)
+
+
 def swapped(sets: int) -> Lines:
     """9: two rows swapped."""
     for loss in ("reject", "none"):
@@ -616,8 +634,8 @@ def steps(sets: int) -> Lines:
 CLAIMS: dict[str, Callable[[int], Lines]] = {
     one.__name__: one
     for one in (
-        repeats, units, promises, chances, held_out, order, shared, sizes, robust, swapped, rows,
-        polar, scale, curved, steps,
+        repeats, units, promises, chances, held_out, order, shared, sizes, robust, estimated,
+        swapped, rows, polar, scale, curved, steps,
     )
 }  # fmt: skip
 
