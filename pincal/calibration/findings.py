@@ -61,15 +61,25 @@ def findings_of(
     if held is not None and (held.groups or held.weak):
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     found += _zeros(result)
+    lacks: list[Finding] = []
     noise, far = _noise(result), [*_far(result), *_signs(result)]
     if fits is not None and rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
         return (*found, *noise, *far, *_legs(result))
     if fits is not None and result.converged:
         noise += _proportion(fits) if not noise else []
-        noise += lacking(fits)
+        lacks = lacking(fits)
+        noise += lacks
     curved = _curved(fits) if fits is not None and result.converged else []
-    return (*found, *noise, *far, *curved, *_open(result), *_rows(result), *_legs(result))
+    return (
+        *found,
+        *noise,
+        *far,
+        *curved,
+        *_open(result),
+        *_rows(result, lacking=bool(lacks)),
+        *_legs(result),
+    )
 
 
 def rounding(fits: Fits) -> bool:
@@ -264,7 +274,8 @@ def unused_options(setup: Setup) -> tuple[str, ...]:
     return tuple(name for name, said in used.items() if not said)
 
 
-def _rows(result: CalibrationResult) -> list[Finding]:
+def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
+    """Return which rows do not fit, and whether residuals follow something besides."""
     outliers, total = result.outliers, len(result.measurements)
     rows = [one.row for one in outliers]
     if len(outliers) > QUESTIONS.much * total:
@@ -273,7 +284,7 @@ def _rows(result: CalibrationResult) -> list[Finding]:
         return []
     worst = outliers[0]
     values: dict[str, Any] = {name: getattr(worst, name) for name in ("sigma", "quantity", "off")}
-    return [finding("outliers", rows, total=total, **values)]
+    return [finding("outliers", rows, total=total, lacking=lacking, **values)]
 
 
 def _legs(result: CalibrationResult) -> list[Finding]:

@@ -25,7 +25,6 @@ from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.terms import OF_JOINTS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -76,7 +75,7 @@ def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
     if not mechanism.influences:
         return None
     readings = plan.readings
-    if readings is None and any(name.startswith(OF_JOINTS) for name in mechanism.influences):
+    if readings is None and mechanism.followed & set(mechanism.influences):
         readings = inverse(mechanism, plan.poses, influences_of(mechanism, plan)).readings
     guess = plan.poses if np.isfinite(plan.poses).all() else None
     found = influences_of(mechanism, plan, readings)

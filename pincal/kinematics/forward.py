@@ -139,9 +139,6 @@ def with_loads(
         influences: Shape (N, n_influences), None if no term depends on any.
         readings: Shape (N, n_readings), [rad] or [m].
         guess: N poses near those of the readings; found from home if not given.
-
-    Raises:
-        MechanismError: readings that take the machine as drawn nowhere.
     """
     if influences is None or not needs_loads(mechanism, influences):
         return influences
@@ -152,21 +149,21 @@ def with_loads(
     found = influences.copy()
     for name in mechanism.loaded:
         reading = mechanism.reading_names.index(name.removeprefix(f"{LOAD}_"))
-        found[:, mechanism.influences.index(name)] = loads[:, reading]
+        own = found[:, mechanism.influences.index(name)]
+        own[:] = np.where(np.isnan(own), loads[:, reading], own)
     return found
 
 
 def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
-    """Return whether terms depend on loads of joints, and no row gives any."""
+    """Return whether terms depend on loads of joints that are not given."""
     places = [mechanism.influences.index(name) for name in mechanism.loaded]
-    return bool(places) and not np.isfinite(influences[:, places]).any()
+    return bool(np.isnan(influences[:, places]).any())
 
 
 def _reached(drawing: Mechanism, readings: Array, guess: Poses | None) -> Array:
     """Return the poses of readings, from a guess or on the way from home, shape (N, dof).
 
-    Raises:
-        MechanismError: readings that take the machine nowhere.
+    Where the machine as drawn cannot go so far, the farthest pose on the way.
     """
     platform = drawing.platform
     near = np.tile(platform.home, (len(readings), 1))
@@ -182,14 +179,7 @@ def _reached(drawing: Mechanism, readings: Array, guess: Poses | None) -> Array:
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
         solution = forward(drawing, home + share * (readings - home), near)
         near = np.where(solution.converged[:, None], solution.poses, near)
-    if not solution.converged.all():
-        row = int(np.argmin(solution.converged))
-        raise MechanismError(
-            f"the load of joints cannot be found: the readings {readings[row].tolist()} take "
-            f"{drawing.name!r}, as drawn, to no pose ({solution.reasons[row]}); give the loads as "
-            f"columns ({', '.join(f'{LOAD}_{name}' for name in drawing.reading_names)})"
-        )
-    return solution.poses
+    return np.asarray(np.where(solution.converged[:, None], solution.poses, near))
 
 
 def _solve(

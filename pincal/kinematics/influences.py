@@ -18,6 +18,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.terms import APPROACH
 
 Array = NDArray[np.float64]
+_STILL = 1e-3  # of the range of a reading: it has not moved
 Influences = Mapping[str, Array | float] | Array
 
 
@@ -48,8 +49,11 @@ def influence_columns(mechanism: Mechanism, given: Influences | None, count: int
     columns = np.full((count, len(mechanism.influences)), np.nan)
     for place, name in enumerate(mechanism.influences):
         if name in given:
-            values = np.broadcast_to(np.asarray(given[name]), (count,))
+            values = np.asarray(given[name])
+            values = np.full(count, values) if values.ndim == 0 else values
             columns[:, place] = array_of(values, (count,), f"influence {name!r}", MeasurementError)
+    if np.isinf(columns).any():
+        raise MeasurementError("an influence is infinite; expected numbers, or NaN where not known")
     return columns
 
 
@@ -80,15 +84,22 @@ def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = Non
 def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
     """Return from which side readings were come to, +1 from below, -1 from above, shape (N,).
 
-    A reading that stays keeps its side; NaN until it first moves, in each run.
+    A reading that stays keeps its side: one that moves by less than a thousandth of its range,
+    which is noise. NaN until it first moves, in each run, and where it was not read.
 
     Args:
         readings: In order of time, shape (N,).
         runs: Run of each row, if there were several.
     """
-    moved = np.sign(np.diff(readings, prepend=np.nan))
-    if runs is not None:
-        moved[1:][np.array(runs[1:]) != np.array(runs[:-1])] = np.nan
-    # A run's first row and one that is not known have no side; where nothing moved, the last one's.
+    found = np.full(len(readings), np.nan)
+    read = np.flatnonzero(np.isfinite(readings))
+    if not len(read):
+        return found
+    own, names = readings[read], None if runs is None else np.array(runs)[read]
+    moved = np.diff(own, prepend=np.nan)
+    moved[np.abs(moved) <= _STILL * np.ptp(own)] = 0.0
+    if names is not None:
+        moved[1:][names[1:] != names[:-1]] = np.nan
     at = np.where(moved == 0.0, 0, np.arange(len(moved)))
-    return np.asarray(moved[np.maximum.accumulate(at)])
+    found[read] = np.sign(moved[np.maximum.accumulate(at)])
+    return found

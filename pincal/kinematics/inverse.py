@@ -112,7 +112,7 @@ def _inverse(
             own = None if columns is None else mechanism.influences_at(index, columns[rows])
             at = law.reading(one.joints[:, leg.active], own)
             readings[rows, mechanism.reading_columns[index]] = at
-            reached[rows, index] = one.reached
+            reached[rows, index] = one.reached & np.isfinite(at).all(axis=1)
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
 
 

@@ -17,6 +17,7 @@ from pincal.model.overview import counted, one_line, triple
 from pincal.model.parameter import listed
 from pincal.model.placement import Placement
 from pincal.model.sensor import Sensor
+from pincal.model.terms import Term
 
 Array = NDArray[np.float64]
 JointKind = Literal["revolute", "prismatic", "fixed"]
@@ -232,9 +233,25 @@ class Leg:
     @cached_property
     def without_terms(self) -> Leg:
         """The leg with sensors of gain and offset alone, and without amplitudes of terms."""
-        sensors = tuple(replace(sensor, terms=()) for sensor in self.sensors)
-        geometry = {n for j in (*self.joints, self.point) for n in j.placement.parameter_units}
-        kept = geometry | {name for one in sensors for name in (one.gain, one.offset)}
+        return self._with_terms([()] * len(self.sensors))
+
+    @cached_property
+    def at_reference(self) -> Leg:
+        """The leg without terms that depend on influences, which are zero at their reference."""
+        return self._with_terms([tuple(t for t in one.terms if not t.of) for one in self.sensors])
+
+    @cached_property
+    def amplitudes(self) -> frozenset[str]:
+        """Names of the parameters that are amplitudes of terms."""
+        return frozenset(term.parameter for sensor in self.sensors for term in sensor.terms)
+
+    def _with_terms(self, terms: Sequence[tuple[Term, ...]]) -> Leg:
+        """Return the leg with these of its terms, for each sensor, and what they need."""
+        pairs = zip(self.sensors, terms, strict=True)
+        sensors = tuple(replace(sensor, terms=own) for sensor, own in pairs)
+        kept = {n for j in (*self.joints, self.point) for n in j.placement.parameter_units}
+        kept |= {str(one) for sensor in sensors for one in (sensor.gain, sensor.offset)}
+        kept |= {term.parameter for own in terms for term in own}
         own = tuple((name, value) for name, value in self.parameters if name in kept)
         return replace(self, sensors=sensors, parameters=own)
 

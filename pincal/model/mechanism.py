@@ -21,7 +21,7 @@ from pincal.model.overview import ROWS, counted, one_line
 from pincal.model.parameter import Parameter, Parameters, labels_of
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
-from pincal.model.terms import LOAD
+from pincal.model.terms import LOAD, OF_JOINTS
 
 Array = NDArray[np.float64]
 #: Columns of tables that mean something else than a reading.
@@ -63,6 +63,12 @@ class Mechanism:
             raise MechanismError(
                 f"mechanism {self.name!r}: a term depends on {taken[0]!r}, which is another column "
                 "of tables; name the influence otherwise"
+            )
+        known = {one.id for one in self.parameters}
+        drawn = () if self.load is None else self.load.drawn
+        if odd := [name for name, _ in drawn if name not in known]:
+            raise MechanismError(
+                f"mechanism {self.name!r}: the load's drawing has {odd[0]!r}, which is no parameter"
             )
         if self.load is None and self.loaded:
             raise MechanismError(
@@ -131,7 +137,18 @@ class Mechanism:
     @cached_property
     def loaded(self) -> tuple[str, ...]:
         """Those of the influences that are loads of joints."""
-        return tuple(name for name in self.influences if name.startswith(LOAD))
+        own = {f"{LOAD}_{name}" for name in self.reading_names}
+        return tuple(name for name in self.influences if name in own)
+
+    @cached_property
+    def followed(self) -> frozenset[str]:
+        """Columns that follow from the rows where they are not given: sides of approach, loads."""
+        return frozenset(f"{of}_{name}" for of in OF_JOINTS for name in self.reading_names)
+
+    @cached_property
+    def at_reference(self) -> Mechanism:
+        """The machine without terms that depend on influences: all of them at their reference."""
+        return replace(self, legs=tuple(leg.at_reference for leg in self.legs))
 
     @cached_property
     def drawing(self) -> Mechanism:

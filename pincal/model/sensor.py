@@ -19,6 +19,7 @@ from pincal.model.terms import Term
 
 Array = NDArray[np.float64]
 _STEPS = 50
+_FAR = 1e-9  # steps of Newton's method that are no rounding
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class SensorLaw:
     def reading(self, joints: Array, influences: Array | None = None) -> Array:
         """Return the readings ψ of active joints' positions, shape (N, n_active), [rad] or [m].
 
-        By Newton's method where there are terms.
+        By Newton's method where there are terms; NaN where it finds none.
 
         Args:
             joints: Shape (N, n_active), [rad] or [m].
@@ -70,8 +71,12 @@ class SensorLaw:
             step = (joints - self.position(known)) / self.slopes(known)
             readings = readings + step
             size = np.maximum(1.0, np.abs(readings))
-            if not (np.abs(step) > 4.0 * np.finfo(float).eps * size).any():
+            going = np.abs(step) > 4.0 * np.finfo(float).eps * size
+            if not going.any():
                 break
+        else:
+            if self.terms:  # that are not small: q(ψ) is not monotonic
+                readings = np.where(going & (np.abs(step) > _FAR * size), np.nan, readings)
         return readings
 
     def position(self, known: Array) -> Array:

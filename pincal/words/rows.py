@@ -40,6 +40,8 @@ def _wrong_rows_remedy(found: Finding) -> str:
 
 def _outliers_remedy(found: Finding) -> str:
     them = "it" if len(found.rows) == 1 else "them"
+    if found.values["lacking"]:
+        return f"First model what residuals follow: that may be why; then look at {them}"
     return f"Look at {them}, or use a robust loss (--robust reject)"
 
 
@@ -89,7 +91,8 @@ ROWS: dict[str, Wording] = {
         _lacks,
         "Residuals follow what the model lacks, more than chance explains (p below 0.01, all tests "
         "together): intervals and platform errors are too small by nobody knows how much.",
-        "Model it or remove its cause; measure in a mixed order",
+        "Model it (pincal explain says which term pays) or remove its cause; measure in a mixed "
+        "order",
     ),
     "step": Wording(
         "A step",
@@ -127,6 +130,7 @@ ROWS: dict[str, Wording] = {
             "sigma": "residual of the worst row [standard deviations]",
             "quantity": "which of its residuals is largest, such as x or leg_1",
             "off": "size of that residual [standard deviations]",
+            "lacking": "whether residuals follow what the model lacks, which may be why",
         },
         _outliers,
         "Rows miss by more than chance explains, however many there are (one sound calibration in "
