@@ -6,7 +6,7 @@ from .calibration.checks.validation import validate
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
-from .calibration.terms.explain import explain
+from .calibration.terms.explain import Explanation, explain
 from .design.forecast import forecast
 from .design.select import Selection, select_poses
 from .design.select_configurations import select_configurations
@@ -30,6 +30,7 @@ from .kinematics.readers import free_of_collision
 from .kinematics.singularity import margins
 from .model.instrument import Condition, Instrument
 from .model.leg import Joint, Leg
+from .model.load import Load
 from .model.measurements import Measurements, Noise, Plan
 from .model.mechanism import Mechanism
 from .model.parameter import Parameter
@@ -58,6 +59,7 @@ __all__ = [
     "Condition",
     "Distance",
     "Element",
+    "Explanation",
     "FileError",
     "Grid",
     "Harmonic",
@@ -66,6 +68,7 @@ __all__ = [
     "Joint",
     "Knot",
     "Leg",
+    "Load",
     "Loss",
     "Margins",
     "MeasurementError",

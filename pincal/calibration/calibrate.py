@@ -100,12 +100,13 @@ def _with_terms(calibration: Calibration) -> Calibration:
         return calibration
     plain = replace(calibration, options=replace(calibration.options, terms=()))
     mechanism = plain.mechanism
-    if AUTO in terms:
-        choice = choose(started(plain), kinds_of(mechanism, data))
-        mechanism, _ = with_terms(mechanism, data, choice.model.added)
     named = said_terms([one for one in terms if one != AUTO], mechanism)
-    mechanism, _ = with_terms(mechanism, data, named)
-    return replace(plain, mechanism=mechanism)
+    plain = replace(plain, mechanism=with_terms(mechanism, data, named)[0])
+    if AUTO not in terms:
+        return plain
+    every = [(name, kind) for kind in kinds_of(mechanism, data) for name in mechanism.reading_names]
+    choice = choose(started(plain), every)
+    return replace(plain, mechanism=with_terms(plain.mechanism, data, choice.model.added)[0])
 
 
 def identify(calibration: Calibration) -> CalibrationResult:

@@ -47,6 +47,7 @@ class Calibration:
 
     def __post_init__(self) -> None:
         _check_shapes(self.mechanism, self.measurements)
+        _check_influences(self.mechanism, self.measurements)
         if set(self.mechanism.influences) - set(self.measurements.influences):
             self._follow_influences()
         if self.options.residual == "joint" and self.mechanism.by_readings:
@@ -129,7 +130,8 @@ class Calibration:
         """
         by_unit = self.options.tolerance
         every = self.mechanism.parameters
-        own = {one.id: by_unit[one.unit] for one in every if one.unit in by_unit}
+        terms = {f"{leg.name}.{name}" for leg in self.mechanism.legs for name in leg.amplitudes}
+        own = {p.id: by_unit[p.unit] for p in every if p.unit in by_unit and p.id not in terms}
         return {**own, **self.options.priors}
 
     @cached_property
@@ -342,6 +344,21 @@ def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:
         )
     if np.isinf(data.poses).any() or np.isinf(data.readings).any():
         raise MeasurementError("a measured pose or reading is infinite")
+
+
+def _check_influences(mechanism: Mechanism, data: Measurements) -> None:
+    """Raise if something on which terms depend is not known in a row.
+
+    Raises:
+        MeasurementError: naming the column and the row.
+    """
+    for name in mechanism.influences:
+        values = data.influences.get(name, np.full(len(data), np.nan))
+        if name not in mechanism.followed and np.isnan(values).any():
+            raise MeasurementError(
+                f"data row {int(np.argmax(np.isnan(values))) + 1}: {name!r} is not known, on which "
+                "terms of sensors depend; fill it in, or leave the row out"
+            )
 
 
 def _check_equations(problem: Problem) -> None:

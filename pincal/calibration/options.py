@@ -51,7 +51,7 @@ class Options:
     tolerance: Mapping[str, float] = field(default_factory=dict)
     """How far machines of this drawing differ from it, by unit: ``{"m": 5e-4, "rad": 5e-3}``, a
     standard deviation for each parameter of that unit (``"1"``: gains) that has no prior of its
-    own. With few poses it predicts better than parameters that are free."""
+    own and is no amplitude of a term. With few poses it predicts better than free parameters."""
     terms: tuple[str, ...] = ()
     """What sensors lack, added to the mechanism: ``"gravity"`` or ``"harmonics:1,2"`` of every
     reading, ``"leg_1=backlash"`` of one, or a column such as ``"temperature"``; ``"auto"`` takes

@@ -149,7 +149,7 @@ def select_poses(
         SymmetryError: the mechanism lacks the symmetry that ``symmetric`` or ``orbits`` needs.
         MeasurementError: a residual without noise.
     """
-    mechanism = as_mechanism(mechanism)
+    mechanism = as_mechanism(mechanism).at_reference
     count_of(count, "count", MeasurementError)
     if not isinstance(protocol, str) or protocol not in get_args(Protocol):
         known = ", ".join(get_args(Protocol))

@@ -93,7 +93,7 @@ def select_configurations(
         MeasurementError: unknown freedoms or goal, or measurements without noise or equations, or
             no candidate in reach.
     """
-    mechanism = as_mechanism(mechanism)
+    mechanism = as_mechanism(mechanism).at_reference
     count_of(count, "count", MeasurementError, 1)
     how = SelectionOptions(**options)
     if goal not in get_args(Goal):

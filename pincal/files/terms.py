@@ -10,12 +10,12 @@ play: {of: approach}
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from pincal.errors import MechanismError
-from pincal.files.strict import Name, Number, Strict
+from pincal.files.strict import Number, Strict
 from pincal.model.terms import Harmonic, Knot, Power, Share, Term
 
 _OWN = {
@@ -39,7 +39,7 @@ class TermSpec(Strict):
     knots: list[Number] | None = Field(default=None, max_length=1000)
     knot: int | None = None
     periodic: bool | None = None
-    of: Name | None = None
+    of: Annotated[str, Field(min_length=1, max_length=100)] | None = None
     per: Number | None = None
     reference: Number | None = None
 

@@ -155,8 +155,7 @@ class Mechanism:
         """The machine whose loads count: at parameters as drawn, its sensors without terms."""
         drawn = {} if self.load is None else dict(self.load.drawn)
         plain = replace(self, legs=tuple(leg.without_terms for leg in self.legs))
-        kept = {one.id for one in plain.parameters}
-        return plain.with_parameters({name: drawn[name] for name in drawn if name in kept})
+        return plain.with_parameters(drawn)
 
     def known(self, leg: int, readings: Array, influences: Array | None = None) -> Array:
         """Return what is known of rows for a leg's sensors: its readings, then its influences.
@@ -278,7 +277,8 @@ class Mechanism:
         legs = (leg.with_parameters(new[leg.name]) if leg.name in new else leg for leg in self.legs)
         load = self.load
         if load is not None and self.loaded and not load.drawn:
-            own = tuple((one.id, one.nominal) for one in self.parameters)
+            terms = {f"{leg.name}.{name}" for leg in self.legs for name in leg.amplitudes}
+            own = tuple((p.id, p.nominal) for p in self.parameters if p.id not in terms)
             load = replace(load, drawn=own)
         return replace(self, legs=tuple(legs), load=load)
 

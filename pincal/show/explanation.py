@@ -15,6 +15,7 @@ from pincal.words.terms import (
     CAUSES,
     COLUMN,
     HELD_OUT,
+    NO_LOAD,
     NO_TERM,
     NOTHING,
     SEEN,
@@ -50,7 +51,14 @@ def _row(one: Candidate) -> tuple[Value, ...]:
         f"{name} {size.text(SMALL)} {SMALL[one.unit]}"
         for name, size in zip(names, sizes, strict=True)
     )
-    return (one.reading, str(one.kind), said, 100.0 * one.share, one.F, chance(one.corrected))
+    return (
+        one.reading,
+        str(one.kind),
+        said or "unclear",
+        100.0 * one.share,
+        one.F,
+        chance(one.corrected),
+    )
 
 
 def models_table(found: Explanation) -> Table:
@@ -58,11 +66,12 @@ def models_table(found: Explanation) -> Table:
     shown = [name for name in ("position", "orientation") if _known(found, name)]
     units = {"position": "m", "orientation": "rad"}
     misses = [Column(name, units[name], ".3g") for name in shown]
-    heads = columns("", "model", "parameters", "held out [σ]:.3f", "±:.3f")
+    heads = columns("", "model", "chance", "free", "held out [σ]:.3f", "±:.3f")
     rows = [
         (
             "→" if index == found.choice.chosen else "",
             one.name if index < 2 else f"+ {one.name}",
+            chance(one.chance) if index > 1 else "",
             one.parameters,
             one.held_out,
             one.spread if one.spread else None,
@@ -98,6 +107,8 @@ def explanation_lines(found: Explanation) -> list[str]:
         lines.append(NOTHING.format(count=len(tried), least=f"{least:.2g}"))
     if any(one.kind.name == ORDER for one in seen):
         lines.append(NO_TERM)
+    if found.result.nominal.load is None and found.result.nominal.platform.space == 3:
+        lines.append(NO_LOAD)
     models = found.choice.models
     lines.append(
         VERDICTS[found.verdict].format(

@@ -30,7 +30,14 @@ NO_TERM = (
     "a drift in the order of rows is no term that can be commanded: find what moves, measure "
     "reference poses (pincal select --reference), or give what drifts as a column"
 )
+NO_LOAD = (
+    "gravity was not tried: mechanism.yaml does not say what weighs on the mechanism "
+    "(load: {mass: …, centre: […]})"
+)
 AMPLITUDES = (
     "amplitude: as one step of the fit would find it, at the scale in which the term is added"
 )
-HELD_OUT = "held out: white residuals of rows that the fit has not seen; ±: against the best"
+HELD_OUT = (
+    "chance: when the term was added; free: parameters; held out: white residuals of rows that the "
+    "fit has not seen; ±: against the best"
+)

@@ -28,10 +28,9 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> NDArray[np.intp
         if len(names) < 2:
             raise MeasurementError("runs are left out by a column 'run' with at least two in it")
         return np.array([names.index(one) for one in data.runs or ()])
-    places = [row.tobytes() for row in data.readings] if data.places is None else data.places
-    places = [place or str(row) for row, place in enumerate(places)]  # an empty one is its own
+    places = clusters(data)
     sets = data.sets or ("",) * len(data)
-    groups: dict[str, dict[str | bytes, list[int]]] = {}
+    groups: dict[str, dict[str, list[int]]] = {}
     for row, (chosen, place) in enumerate(zip(sets, places, strict=True)):
         groups.setdefault(chosen, {}).setdefault(place, []).append(row)
     most = max(len(one) for one in groups.values())
@@ -49,6 +48,13 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> NDArray[np.intp
         for rows, fold in zip(poses.values(), own, strict=True):
             found[rows] = fold
     return found
+
+
+def clusters(data: Measurements) -> list[str]:
+    """Return the pose of each row: by its name, or by equal readings; length N."""
+    if data.places is None:
+        return [row.tobytes().hex() for row in data.readings]
+    return [place or str(row) for row, place in enumerate(data.places)]  # an empty one is its own
 
 
 def _scaled(readings: Array) -> Array:

@@ -6,6 +6,7 @@ the name of a column of the measurements, such as ``temperature``.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,7 @@ AUTO = "auto"
 ORDER = "order"
 """The order of rows, from -1 to 1: no term, since no command has it, but a sign of drift."""
 _OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
+_KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY, ORDER)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
 
 
@@ -68,9 +70,10 @@ class Kind:
 def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ...]:
     """Return the kinds of term that measurements can show: gravity where the load is known."""
     angles = "rad" in mechanism.reading_units
-    names = [HARMONICS] * angles + [POLYNOMIAL, BACKLASH]
+    names = [HARMONICS] * angles + [POLYNOMIAL, BACKLASH, ORDER]
     names += [GRAVITY] if mechanism.load is not None else []
-    own = [name for name in measurements.influences if not name.startswith((APPROACH, LOAD))]
+    other = {*mechanism.followed, *_KINDS}
+    own = [name for name in measurements.influences if name not in other]
     return tuple(Kind.of(name) for name in dict.fromkeys((*names, *own)))
 
 
@@ -91,8 +94,8 @@ def with_terms(
     Raises:
         MeasurementError: an unknown reading, or a column that was not measured.
     """
-    wanted: dict[str, list[Kind]] = {}
     pairs = list(kinds)
+    wanted: dict[str, list[Kind]] = {}
     for reading, kind in pairs:
         if reading not in mechanism.reading_names:
             raise MeasurementError(
@@ -103,26 +106,36 @@ def with_terms(
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
     legs, labels, ids, column = [], [], {}, 0
     for leg in mechanism.legs:
-        sensors, parameters = [], list(leg.parameters)
+        sensors, parameters = [], dict(leg.parameters)
         for index, sensor in enumerate(leg.sensors):
             reading, terms = leg.reading_names[index], list(sensor.terms)
-            has = {(one.basis, one.of) for one in terms}
             for kind in wanted.get(reading, ()):
-                values = data.readings[:, column]
-                more = [
-                    one
-                    for one in _terms(leg, index, kind, values, data)
-                    if (one.basis, one.of) not in has
-                ]
-                terms += more
-                parameters += [(one.parameter, 0.0) for one in more]
-                unit = leg.reading_units[index]
-                labels += [(f"{leg.name}.{one.parameter}", _label(one, unit)) for one in more]
-                ids[reading, kind] = tuple(f"{leg.name}.{one.parameter}" for one in more)
+                added = []
+                for one in _terms(leg, index, kind, data.readings[:, column], data):
+                    if _what(one) in map(_what, terms):
+                        continue
+                    name = one.parameter
+                    while name in parameters:
+                        name += "_term"
+                    added.append(term := replace(one, parameter=name))
+                    terms.append(term)
+                    parameters[name] = 0.0
+                    labels.append((f"{leg.name}.{name}", _label(one, leg.reading_units[index])))
+                ids[reading, kind] = tuple(f"{leg.name}.{one.parameter}" for one in added)
             sensors.append(replace(sensor, terms=tuple(terms)))
             column += 1
-        legs.append(replace(leg, sensors=tuple(sensors), parameters=tuple(parameters)))
+        legs.append(replace(leg, sensors=tuple(sensors), parameters=tuple(parameters.items())))
     return replace(mechanism, legs=tuple(legs), labels=(*mechanism.labels, *labels)), ids
+
+
+def _what(term: Term) -> tuple[object, ...]:
+    """Return what a term is, whatever its scale: two of one kind are the same but for that."""
+    basis = term.basis
+    if isinstance(basis, Harmonic):
+        return (term.of, basis.phase, round(basis.rate, 9))
+    if isinstance(basis, Power):
+        return (term.of, basis.power)
+    return (term.of, Share) if isinstance(basis, Share) else (term.of, basis)
 
 
 def _terms(
@@ -132,7 +145,7 @@ def _terms(
     stem = "" if len(leg.sensors) == 1 else f"{leg.reading_names[index]}_"
 
     def named(name: str) -> str:
-        return f"{stem}{name}".replace(".", "_").replace("-", "_")
+        return re.sub(r"\W", "_", f"{stem}{name}", flags=re.ASCII)
 
     if kind.name == HARMONICS:
         if leg.reading_units[index] != "rad":
@@ -161,7 +174,8 @@ def _terms(
             f"with numbers: {known})"
         )
     centre, half = _range(measurements.influences[kind.name])
-    return [Term(named(kind.name), Share(half, centre), of=kind.name)]
+    name = named(kind.name)
+    return [Term(f"_{name}" if name[0].isdigit() else name, Share(half, centre), of=kind.name)]
 
 
 def _label(term: Term, unit: str) -> str:
@@ -242,13 +256,16 @@ def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
     """Return readings and kinds that texts name: ``backlash`` of all, ``leg_1=backlash`` of one.
 
     Raises:
-        MeasurementError: a text that is not understood.
+        MeasurementError: a text that is not understood, or an unknown reading.
     """
     pairs = []
     for text in terms:
-        reading, equals, kind = text.rpartition("=")
-        readings = [reading.strip()] if equals else mechanism.reading_names
-        pairs += [(one, Kind.of(kind)) for one in readings]
+        reading, kind = _parts(text)
+        if reading and reading not in mechanism.reading_names:
+            raise MeasurementError(
+                f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
+            )
+        pairs += [(one, kind) for one in ([reading] if reading else mechanism.reading_names)]
     return pairs
 
 
@@ -256,5 +273,11 @@ def columns_said(terms: Sequence[str]) -> tuple[str, ...] | None:
     """Return the columns of measurements that terms name; None if all columns may be tried."""
     if AUTO in terms:
         return None
-    names = (Kind.of(text.rpartition("=")[2]).name for text in terms)
-    return tuple(name for name in names if name not in (*_NUMBERS, *_OF_ONES_OWN))
+    names = (_parts(text)[1].name for text in terms)
+    return tuple(name for name in names if name not in _KINDS)
+
+
+def _parts(text: str) -> tuple[str, Kind]:
+    """Return the reading that a text names, empty if it is all, and the kind."""
+    reading, _, kind = text.rpartition("=")
+    return reading.strip(), Kind.of(kind)

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.folds import FOLDS, folds_of
+from pincal.calibration.checks.folds import FOLDS, clusters, folds_of
 from pincal.calibration.checks.unseen import misfit, predictions
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.terms.candidates import ORDER, Kind, with_influences, with_terms
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import PincalError
+from pincal.model.measurements import Measurements
 
 Array = NDArray[np.float64]
 LEVEL = 0.01
@@ -40,6 +41,8 @@ class Model:
     """``"as drawn"``, ``"geometry"``, or what was added last."""
     added: tuple[tuple[str, Kind], ...]
     """All terms that it has beyond the mechanism given: reading and kind."""
+    chance: float
+    """Of the last term, when it was added: by the screen, the number of tests taken in."""
     parameters: int
     """Free parameters."""
     held_out: float
@@ -52,7 +55,7 @@ class Model:
     orientation: float
     """The same of its orientation, [rad]."""
     bic: float
-    """Schwarz's criterion of all rows, χ² + k ln n, at the noise of the geometry's fit."""
+    """Schwarz's criterion, χ² + k ln n of n residuals, at the noise of the geometry's fit."""
 
 
 @dataclass(frozen=True)
@@ -74,45 +77,51 @@ class Choice:
         return self.models[self.chosen]
 
 
-def choose(calibration: Calibration, kinds: Sequence[Kind], folds: int = FOLDS) -> Choice:
+def choose(
+    calibration: Calibration, pairs: Sequence[tuple[str, Kind]], folds: int = FOLDS
+) -> Choice:
     """Return which terms of sensors pay, of some kinds.
+
+    Rows whose ``set`` is ``verify`` have no part in the choice.
 
     Args:
         calibration: Of the mechanism, its measurements looked at (see ``started``).
-        kinds: What sensors may lack.
+        pairs: Readings, and kinds of term that they may lack.
         folds: How many times a share of the poses is held out.
 
     Raises:
-        PincalError: the geometry itself cannot be identified.
+        PincalError: the geometry itself cannot be identified, by all rows or without a fold.
     """
-    data = with_influences(calibration.mechanism, calibration.measurements, kinds)
+    data, kinds = calibration.measurements, [kind for _, kind in pairs]
+    data = with_influences(calibration.mechanism, data, kinds)
     calibration = replace(calibration, measurements=data)
+    if data.verifying.any():
+        calibration = calibration.rows(~data.verifying)
+        data = calibration.measurements
     found = fitted(calibration)
     first = found.calibration.at_this_noise()
-    screened = screen(found, kinds)
-    path = [_Step((), first, found), *_path(first, screened, kinds)]
-    drawn = first.with_options(
-        priors=dict.fromkeys((one.id for one in calibration.mechanism.parameters), _PINNED)
-    )
-    tried = [_Step((), drawn, fitted(drawn)), *path]
-    groups = folds_of(calibration.measurements, folds, "turn")
-    count = len(calibration.measurements)
-    squares = np.full((len(tried), count), np.nan)
-    twists = np.full((len(tried), *calibration.measurements.poses.shape), np.nan)
+    screened = screen(found, pairs)
+    path = [_Step((), 1.0, first, found), *_path(first, screened, pairs)]
+    pinned = dict.fromkeys((one.id for one in calibration.mechanism.parameters), _PINNED)
+    drawn = first.with_options(priors=pinned)
+    tried = [_Step((), 1.0, drawn, fitted(drawn)), *path]
+    groups = folds_of(data, folds, "turn")
+    squares = np.full((len(tried), len(data), 2), np.nan)
+    twists = np.full((len(tried), *data.poses.shape), np.nan)
     for fold in range(int(groups.max()) + 1):
         first.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
-        rows, out = groups != fold, np.flatnonzero(groups == fold)
-        geometry = first.rows(rows).at_this_noise()
+        out = np.flatnonzero(groups == fold)
+        geometry, at_rest = (one.rows(groups != fold).at_this_noise() for one in (first, drawn))
         at = fitted(geometry)
-        own = [_Step((), geometry, at), *_path(geometry, screen(at, kinds), kinds, len(path) - 1)]
-        pinned = drawn.rows(rows).at_this_noise()
-        steps = [_Step((), pinned, fitted(pinned)), *own]
+        more = _path(geometry, screen(at, pairs), pairs, len(path) - 1)
+        own = _Step((), 1.0, geometry, at)
+        steps = [_Step((), 1.0, at_rest, fitted(at_rest)), own, *more]
         for place in range(len(tried)):
             one = steps[min(place, len(steps) - 1)]  # a path that ended stays where it is
             unseen = replace(first.rows(out), mechanism=one.calibration.mechanism)
             squares[place, out] = _squares(one.found, unseen)
             twists[place, out] = misfit(unseen, one.found)
-    models, chosen = _compared(tried, squares, twists, calibration.measurements.places)
+    models, chosen = _compared(tried, squares, twists, data)
     return Choice(models, chosen, tuple(screened), tried[max(chosen, 1)].calibration)
 
 
@@ -121,6 +130,8 @@ class _Step:
     """A model and its fit."""
 
     added: tuple[tuple[str, Kind], ...]
+    chance: float
+    """Of the last term, when it was added: by the screen, the number of tests taken in."""
     calibration: Calibration
     found: Fits
 
@@ -128,7 +139,13 @@ class _Step:
     def parameters(self) -> int:
         """Free parameters: not those that are as drawn."""
         unknowns = [robust.fit.unknowns for robust in self.found.fits]
-        return sum(one.map.shape[1] - int(np.isfinite(one.priors).sum()) for one in unknowns)
+        return sum(one.map.shape[1] - int((one.priors <= _PINNED).sum()) for one in unknowns)
+
+    @property
+    def equations(self) -> int:
+        """Residuals that the fits follow."""
+        fits = [robust.fit for robust in self.found.fits]
+        return int(sum(one.last.equations[one.weights > 0.0].sum() for one in fits))
 
     @property
     def chi2(self) -> float:
@@ -138,7 +155,7 @@ class _Step:
 def _path(
     calibration: Calibration,
     screened: Sequence[Candidate],
-    kinds: Sequence[Kind],
+    pairs: Sequence[tuple[str, Kind]],
     most: int = _MOST,
 ) -> list[_Step]:
     """Return models that grow by the likeliest term each time, until none is likely.
@@ -146,7 +163,7 @@ def _path(
     Args:
         calibration: Of the geometry, its noise as it is.
         screened: The screen of its residuals.
-        kinds: What sensors may lack.
+        pairs: Readings, and kinds of term that they may lack.
         most: How many at most.
     """
     steps: list[_Step] = []
@@ -162,39 +179,43 @@ def _path(
             found = fitted(more)
         except PincalError:  # what the rows do not determine
             break
-        steps.append(_Step(added, more, found))
-        screened = screen(found, kinds)
+        steps.append(_Step(added, likely[0].corrected, more, found))
+        screened = screen(found, pairs)
     return steps
 
 
 def _squares(seen: Fits, unseen: Calibration) -> Array:
-    """Return squared white residuals at rows that fits have not seen, shape (N,)."""
-    total = np.zeros(len(unseen.measurements))
+    """Return squared white residuals at rows not seen, and how many they are, shape (N, 2)."""
+    total = np.zeros((len(unseen.measurements), 2))
     for one, linear in predictions(seen, unseen):
-        rows = unseen.used[:, [unseen.mechanism.leg_names.index(x.name) for x in one.problem.legs]]
-        total[np.flatnonzero(rows.any(axis=1))] += linear.squares
+        legs = [unseen.mechanism.leg_names.index(leg.name) for leg in one.problem.legs]
+        rows = np.flatnonzero(unseen.used[:, legs].any(axis=1))
+        if seen.latent:
+            rows = np.arange(len(total))
+        total[rows, 0] += linear.squares
+        total[rows, 1] += linear.equations
     return total
 
 
 def _compared(
-    tried: Sequence[_Step], squares: Array, twists: Array, places: tuple[str, ...] | None
+    tried: Sequence[_Step], squares: Array, twists: Array, data: Measurements
 ) -> tuple[tuple[Model, ...], int]:
     """Return models, and the index of the simplest within one standard error of the best.
 
     Args:
         tried: Models by their size, the machine as drawn first, then its geometry.
-        squares: Squared white residuals of rows, held out, shape (n_models, N).
+        squares: Sums of squared white residuals of rows, held out, and how many they are, shape
+            (n_models, N, 2).
         twists: Misfits of the platform there, shape (n_models, N, dof).
-        places: Pose of each row, if rows repeat poses.
+        data: The rows, of which those of one pose go together.
     """
-    known = np.isfinite(squares).all(axis=0)
-    names = np.arange(squares.shape[1]).astype(str)
-    names = np.array([place or name for place, name in zip(places or names, names, strict=True)])
-    _, cluster = np.unique(names[known], return_inverse=True)
-    sums = np.stack([np.bincount(cluster, weights=one[known]) for one in squares])
-    means = sums.sum(axis=1) / known.sum()
+    _, cluster = np.unique(clusters(data), return_inverse=True)
+    count = float(squares[0, :, 1].sum())
+    sums = np.stack([np.bincount(cluster, weights=one[:, 0]) for one in squares])
+    means = sums.sum(axis=1) / count
     best = int(np.argmin(means))
-    spread = (sums - sums[best]).std(axis=1, ddof=1) * np.sqrt(sums.shape[1]) / known.sum()
+    several = sums.shape[1] > 1
+    spread = (sums - sums[best]).std(axis=1, ddof=int(several)) * np.sqrt(sums.shape[1]) / count
     chosen = int(np.flatnonzero(means - means[best] <= spread)[0])
     units = tried[0].calibration.mechanism.platform.units
     models = []
@@ -202,14 +223,15 @@ def _compared(
         position, orientation = root_mean_squares(sizes(units, twists[index]))
         models.append(
             Model(
-                name=_NAMES[index] if index < 2 else "{}: {}".format(*one.added[-1]),
+                name=_NAMES[index] if index < 2 else "{} {}".format(*one.added[-1]),
                 added=one.added,
+                chance=one.chance,
                 parameters=one.parameters,
                 held_out=float(np.sqrt(mean)),
                 spread=float(wide / (2.0 * np.sqrt(mean))) if mean else 0.0,
                 position=position,
                 orientation=orientation,
-                bic=float(one.chi2 + one.parameters * np.log(known.sum())),
+                bic=float(one.chi2 + one.parameters * np.log(one.equations)),
             )
         )
     return tuple(models), chosen

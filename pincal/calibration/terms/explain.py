@@ -11,7 +11,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import FOLDS
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.terms.candidates import Kind, kinds_of
+from pincal.calibration.terms.candidates import AUTO, kinds_of, said
 from pincal.calibration.terms.choice import Choice, choose
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -26,8 +26,6 @@ class Explanation:
 
     result: CalibrationResult
     """The calibration of the geometry."""
-    kinds: tuple[Kind, ...]
-    """Kinds of term that were tried."""
     choice: Choice
     """Candidates of the screen, and the models compared."""
 
@@ -40,6 +38,12 @@ class Explanation:
     def terms(self) -> tuple[str, ...]:
         """The terms that pay, as options say them: ``leg_2=harmonics:1``."""
         return tuple(f"{reading}={kind}" for reading, kind in self.choice.model.added)
+
+    def __str__(self) -> str:
+        """Return a page: what residuals follow, the models compared, and what to do."""
+        from pincal.show.explanation import explanation_page
+
+        return explanation_page(self)
 
     def __repr__(self) -> str:
         found = ", ".join(self.terms) or self.verdict
@@ -69,7 +73,7 @@ def explain(
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
     """
     chosen = Options.of(options, **more)
-    asked = replace(chosen, terms=chosen.terms or ("auto",))
+    asked = replace(chosen, terms=chosen.terms or (AUTO,))
     return explained(prepared(mechanism, measurements, asked), folds)
 
 
@@ -77,7 +81,8 @@ def explained(calibration: Calibration, folds: int = FOLDS) -> Explanation:
     """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
     asked = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
-    named = tuple(dict.fromkeys(Kind.of(one.rpartition("=")[2]) for one in asked if one != "auto"))
-    kinds = named or kinds_of(plain.mechanism, plain.measurements)
+    named = said([one for one in asked if one != AUTO], plain.mechanism)
+    kinds = kinds_of(plain.mechanism, plain.measurements)
+    pairs = named or [(name, one) for one in kinds for name in plain.mechanism.reading_names]
     result = identify(plain)
-    return Explanation(result, kinds, choose(started(plain), kinds, folds))
+    return Explanation(result, choose(started(plain), pairs, folds))

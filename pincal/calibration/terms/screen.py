@@ -50,15 +50,15 @@ class Candidate:
     """The same with the number of tests (Holm 1979)."""
 
 
-def screen(found: Fits, kinds: Sequence[Kind]) -> list[Candidate]:
-    """Return all kinds of term of all readings, the most improbable by chance first.
+def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
+    """Return what readings may lack, the most improbable by chance first.
 
     Args:
         found: The fits whose residuals are looked at.
-        kinds: What sensors may lack.
+        pairs: Readings, and kinds of term that they may lack.
     """
     calibration = found.calibration
-    pairs = [(name, kind) for kind in kinds for name in calibration.mechanism.reading_names]
+    kinds = [kind for _, kind in pairs]
     data = with_influences(calibration.mechanism, calibration.measurements, kinds)
     order = {ORDER: np.linspace(-1.0, 1.0, len(data))}
     data = replace(data, influences={**order, **data.influences})

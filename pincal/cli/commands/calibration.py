@@ -161,7 +161,8 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
         str | None,
         typer.Option(
             metavar="0.5mm,5mrad",
-            help="How far machines differ from the drawing: a prior for all parameters, by unit.",
+            help="How far machines differ from the drawing: a prior for all parameters, by unit "
+            "(a third number: gains).",
         ),
     ] = None
     rough: Annotated[
@@ -318,6 +319,11 @@ def _tolerance(said: str) -> dict[str, float]:
             raise MeasurementError(
                 f"--tolerance {said}: {text!r} is not understood; expected one number for lengths, "
                 "one for angles, and one without a unit for gains, such as 0.5mm,5mrad,0.001"
+            )
+        if not unit and not found:
+            raise MeasurementError(
+                f"--tolerance {said}: {text!r} has no unit; say 0.5mm, 5mrad, and after them a "
+                "number for gains"
             )
         found[dimension] = in_si(text, dimension) if unit else plain_number(text)
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -58,7 +58,10 @@ def inverse(
     lost = np.atleast_1d(~solution.reached.all(axis=1))
     reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
     values = np.where(lost[:, None], np.nan, solution.readings)
-    write_readings(output, mechanism, values, reasons=reasons, units=units, force=force)
+    write_readings(
+        output, mechanism, values, plan.influences, reasons=reasons, units=units, force=force
+    )
+    _say_reference(mechanism, plan.influences)
     wrote(output)
     _warn_of_limits(poses, [plan.place(row) for row in range(len(lost))], mechanism, solution)
     read = mechanism.reading_names, mechanism.reading_units
@@ -91,6 +94,7 @@ def forward(
     tree = KDTree(solve_inverse(mechanism, samples).readings)
     guess = samples[np.minimum(tree.query(values)[1], len(samples) - 1)]
     solution = solve_forward(mechanism, values, guess, influences)
+    _say_reference(mechanism, influences)
     lost = ~solution.converged
     reasons = [solution.reasons[row] if lost[row] else "" for row in range(len(lost))]
     found = np.where(lost[:, None], np.nan, solution.poses)
@@ -114,6 +118,12 @@ def forward(
         }
     )
     _leave_if_lost(readings, [f"row {row + 1}" for row in range(len(lost))], reasons, "reading")
+
+
+def _say_reference(mechanism: Mechanism, given: Mapping[str, object]) -> None:
+    """Say which influences were not given."""
+    if missing := [n for n in mechanism.influences if n not in given and n not in mechanism.loaded]:
+        remark(f"{', '.join(missing)} not given: the machine is taken at their reference")
 
 
 def _columns(

@@ -154,6 +154,12 @@ def select(
     every N rows; in the column 'pose' its rows have one name, 'reference'.
     """
     mechanism = how.load(mech)
+    if mechanism.influences:
+        remark(
+            f"planned with {', '.join(mechanism.influences)} at their reference: their terms need "
+            "rows in which they differ"
+        )
+        mechanism = mechanism.at_reference
     units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     part = how.measure is not None or not how.read().plain or how.goal == "platform"

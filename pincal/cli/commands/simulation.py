@@ -76,7 +76,6 @@ def simulate(
     units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     truth, disturb = how.truth, how.disturb
-    planned = read_poses(plan, mechanism)
     parts = np.random.SeedSequence(how.seed).spawn(2)
     given = truth is not None and disturb is None and truth.is_dir()
     if truth is not None and given:
@@ -89,6 +88,7 @@ def simulate(
                     f"{truth} is named for both the true mechanism and the measurements"
                 )
         true_mechanism = disturbed(mechanism, disturb, np.random.default_rng(parts[0]))
+    planned = read_poses(plan, true_mechanism)
     with working("simulating measurements"):
         rng = np.random.default_rng(parts[1])
         simulation = simulated(mechanism, true_mechanism, planned, how.noise(), rng)

@@ -92,7 +92,7 @@ def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
     units |= more
     units |= {f"sigma_{name}": unit for name, unit in units.items()}
     pairs = covariance_headers(dict.fromkeys((*platform.freedoms, *more), ""))
-    named = ("set", "run", "pose", *pairs, *mechanism.influences)
+    named = ("set", "run", "pose", *pairs, *mechanism.influences, *mechanism.followed)
     return {**dict.fromkeys(named, ""), **units}
 
 

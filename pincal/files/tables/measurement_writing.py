@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,7 @@ def write_readings(
     path: str | Path,
     mechanism: GivenMechanism,
     readings: Array,
+    influences: Mapping[str, Array] | None = None,
     *,
     reasons: Sequence[str] = (),
     units: Units = SI,
@@ -57,6 +58,7 @@ def write_readings(
         path: The file.
         mechanism: The mechanism.
         readings: Readings; NaN becomes an empty cell.
+        influences: What the readings depend on, by column, each of shape (N,).
         reasons: Why a row has none, a text for each; a column only if there is one.
         units: In which units they are written.
         force: Whether to replace the file if it exists.
@@ -65,7 +67,8 @@ def write_readings(
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
     mechanism = as_mechanism(mechanism)
-    columns = _reading_columns(mechanism, readings) | reason_column(reasons)
+    columns = _reading_columns(mechanism, readings) | dict(influences or {})
+    columns |= reason_column(reasons)
     write_table(path, columns, units=units, force=force)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping
 
 import numpy as np
@@ -21,7 +20,6 @@ from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
-from pincal.model.terms import OF_JOINTS
 
 Array = NDArray[np.float64]
 
@@ -92,7 +90,7 @@ def read_measurements(
             "(--setup), or leave the column out"
         )
     for name in mechanism.influences:
-        if name not in table and not name.startswith(OF_JOINTS):
+        if name not in table and name not in mechanism.followed:
             raise MeasurementError(
                 f"{table.path}: no column {name!r}, on which terms of sensors depend; add it, or "
                 "leave these terms out of the mechanism"
@@ -246,7 +244,8 @@ def _readings(table: Table, mechanism: Mechanism) -> Array:
 
 def _influences(table: Table, mechanism: Mechanism) -> dict[str, Array]:
     """Return the columns on which terms of sensors depend, numbers as they stand."""
-    return {name: table.plain(name, blank=True) for name in mechanism.influences if name in table}
+    names = (*mechanism.influences, *sorted(mechanism.followed - set(mechanism.influences)))
+    return {name: table.plain(name, blank=True) for name in names if name in table}
 
 
 def _numbers(
@@ -267,8 +266,8 @@ def _numbers(
     found = {}
     for name in columns:
         values = np.array([plain_number(cell) for cell in table.text[name]])
-        named = re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) and not name.startswith("planned_")
-        if named and name != "row" and np.isfinite(values).all() and np.ptp(values) > 0.0:
+        own = name != "row" and not name.startswith("planned_")
+        if own and np.isfinite(values).all() and np.ptp(values) > 0.0:
             found[name] = values
     return found
 
