@@ -336,9 +336,8 @@ def test_noise_scale_does_not_change_the_estimate(
     again = pincal.calibrate(mechanism, data, noise=unknown.noise)
     for c, d in zip(unknown.legs, again.legs, strict=True):
         np.testing.assert_allclose(c.identified, d.identified, atol=1e-10)
-    if kind == "5R":  # positions alone: there are no ratios to be found
-        for a, c in zip(one.legs, unknown.legs, strict=True):
-            np.testing.assert_allclose(c.identified, a.identified, atol=1e-10)
+    for a, c in zip(one.legs, unknown.legs, strict=True):  # whatever of it readings are given
+        assert (np.abs(c.identified - a.identified) < 0.5 * a.std).all()
     assert "not given" in unknown.warnings[0]
     assert not one.warnings
     assert any("smaller than given" in text for text in ten.warnings)

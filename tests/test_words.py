@@ -212,7 +212,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "curved": ({"curvature": 2.1, "intervals": "wald"}, (), (), "the curved part of the residuals' change is 2.1 of the straight one"),
     "interval-open": ({}, (), ("leg_1.l", "leg_2.l"), "the 95 % intervals of leg_1.l, leg_2.l have no end on one side or both"),
     "step": ({"quantity": "reading of leg_2", "size": 1e-3, "unit": "rad", "p_value": 1e-5}, (29,), (), "reading of leg_2 is off by 1 mrad from data row 30 on (p = 1e-05)"),
-    "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
+    "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5, "lacking": False}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
     "wrong-rows": ({"total": 72, "chi2": 217.0, "without": 1.02, "sigma": 152.0, "quantity": "measured x", "off": 150.0}, (7,), (), "data row 8 does not fit the others, by 152 standard deviations (measured x off by 150 σ): reduced χ² is 217 with it, 1.02 without, and what follows is with. Mend or remove it"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit the others, data row 2 least. Correct the noise"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: 8 poses for 8 parameters"),

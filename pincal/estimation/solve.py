@@ -259,5 +259,5 @@ def rounding(system: System, linear: Linear) -> float:
         return 0.0
     size = largest_size(system.problem.legs, system.problem.platform)
     rows = max(linear.value.size, 1)
-    noise = np.finfo(float).eps * size * np.linalg.norm(linear.white.whitener)
+    noise = 2.0 * np.finfo(float).eps * size * np.linalg.norm(linear.white.whitener)  # of a chain
     return float(noise * np.sqrt(system.unknowns.map.shape[1] / rows))
