@@ -336,8 +336,8 @@ def test_noise_scale_does_not_change_the_estimate(
     again = pincal.calibrate(mechanism, data, noise=unknown.noise)
     for c, d in zip(unknown.legs, again.legs, strict=True):
         np.testing.assert_allclose(c.identified, d.identified, atol=1e-10)
-    for a, c in zip(one.legs, unknown.legs, strict=True):  # whatever of it readings are given
-        assert (np.abs(c.identified - a.identified) < 0.5 * a.std).all()
+    for a, c in zip(one.legs, unknown.legs, strict=True):  # some of it may be given to readings
+        assert (np.abs(c.identified - a.identified) < a.std).all()
     assert "not given" in unknown.warnings[0]
     assert not one.warnings
     assert any("smaller than given" in text for text in ten.warnings)
@@ -507,7 +507,9 @@ def test_a_tolerance_predicts_better_than_few_poses(tmp_path: Path) -> None:
     data.to_csv(tmp_path / "d.csv", plain)
     given = ("--noise-position", "1mm", "--noise-orientation", "1mrad", "--folds", 0)
     wide = ("--tolerance", "0.5mm,0.5mrad,5e-4")
-    done("calibrate", "3RRR", tmp_path / "d.csv", *given, *wide, "-o", tmp_path / "r")
+    done(
+        "calibrate", "--no-report", "3RRR", tmp_path / "d.csv", *given, *wide, "-o", tmp_path / "r"
+    )
     again = pincal.load_result(tmp_path / "r")
     assert again["leg_1.l"].identified == pytest.approx(both[1]["leg_1.l"].identified, abs=1e-9)
     assert again["leg_1.l"].given == "prior"

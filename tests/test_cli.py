@@ -211,7 +211,7 @@ def test_existing_truth_is_measured_again(work: Path) -> None:
     before = contents(work / "truth")
     done("simulate", "3RRR", "plan.csv", "--truth", "truth", *NOISE, "--seed", 7, "-o", "more.csv")
     assert contents(work / "truth") == before
-    done("calibrate", "truth", "more.csv", *NOISE, "-o", "check")
+    done("calibrate", "--no-report", "truth", "more.csv", *NOISE, "-o", "check")
     result = json.loads((work / "check" / "result.json").read_text(encoding="utf-8"))
     for leg in result["legs"]:
         for p in leg["parameters"]:
@@ -229,7 +229,7 @@ def test_tables_in_other_units_give_the_same_result(work: Path) -> None:
     for i in (1, 2, 3):
         text = text.replace(f"leg_{i} [rad]", f"leg_{i} [deg]")
     Path("units.csv").write_text(text)
-    done("calibrate", "3RRR", "units.csv", *NOISE, "-o", "units")
+    done("calibrate", "--no-report", "3RRR", "units.csv", *NOISE, "-o", "units")
     for leg, other in zip(
         pincal.load_mechanism("result/mechanism").legs,
         pincal.load_mechanism("units/mechanism").legs,
@@ -244,7 +244,7 @@ def test_tables_on_stdout_name_what_was_found(kind: str, chains: Chains, tmp_pat
     """With --verbose each leg and parameter is printed on stdout, and the file on stderr."""
     output = tmp_path / "result"
     noise = [*NOISE, *READ.get(kind, [])]
-    line = ["calibrate", kind, chains[kind] / "measured.csv", *noise, "--verbose"]
+    line = ["calibrate", "--no-report", kind, chains[kind] / "measured.csv", *noise, "--verbose"]
     outcome = done(*line, "-o", output)
     for leg in pincal.load_mechanism(kind).legs:
         assert leg.name in outcome.out
@@ -551,7 +551,7 @@ def test_bad_input_is_named_and_harms_nothing(case: str, work: Path) -> None:
 def test_one_orientation_is_seen_through_noise(work: Path) -> None:
     """Poses of one orientation, measured with noise, are refused or warned of by parameter."""
     one_orientation(1e-5)
-    outcome = run("calibrate", "3RRR", "t.csv", *NOISE, "-o", "output")
+    outcome = run("calibrate", "--no-report", "3RRR", "t.csv", *NOISE, "-o", "output")
     text = outcome.trouble if outcome.code == 2 else outcome.err
     assert unnamed(PHI, text) == [], outcome.err
 
@@ -670,9 +670,9 @@ def test_output_in_a_missing_folder_is_refused(command: str, readings: Path) -> 
 def test_rows_not_held_out_by_choice_are_said(work: Path) -> None:
     """--folds 0: the report says that this was why, however quiet; and what was printed too."""
     given = [*NOISE, "--folds", 0, "-o", work / "unfolded"]
-    outcome = done("calibrate", "3RRR", work / "measured.csv", *given)
+    outcome = done("calibrate", "--no-report", "3RRR", work / "measured.csv", *given)
     assert "no rows were held out (--folds 0)" in outcome.out
-    done("calibrate", "3RRR", work / "measured.csv", *given, "--force", "--quiet")
+    done("calibrate", "--no-report", "3RRR", work / "measured.csv", *given, "--force", "--quiet")
     assert "no rows were held out (--folds 0)" in (work / "unfolded/report.html").read_text("utf-8")
 
 
@@ -771,7 +771,7 @@ def test_ctrl_c_ends_without_a_traceback(name: str) -> None:
 def test_a_prior_said_twice_is_refused(work: Path) -> None:
     """Which of two standard deviations of one name holds, nobody knows: neither is taken."""
     twice = ["--prior", "l=1e-3", "--prior", "l = 1e-4"]
-    outcome = run("calibrate", "3RRR", "measured.csv", *NOISE, *twice, "-o", "other")
+    outcome = run("calibrate", "--no-report", "3RRR", "measured.csv", *NOISE, *twice, "-o", "other")
     assert outcome.code == 2
     assert "--prior l is said twice" in outcome.trouble
     assert not Path("other").exists()
@@ -825,7 +825,7 @@ def test_no_export_holds_what_is_no_number(
 def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
     """Noise given far too small: all files are written, exit code 1; --accept makes it 0."""
     small = ["--noise-position", 1e-7, "--noise-orientation", 1e-7, "--folds", 0]
-    line = ["calibrate", "3RRR", "measured.csv", *small]
+    line = ["calibrate", "--no-report", "3RRR", "measured.csv", *small]
     outcome = run(*line, "-o", "doubted")
     assert outcome.code == 1
     assert "exit code 1, since χ² contradicts the noise; --accept" in outcome.err
@@ -836,7 +836,7 @@ def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
 def test_the_verdict_comes_first(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the platform's error is, in the first of about ten lines of 80 characters."""
     monkeypatch.setattr(pincal.cli.app.stdout, "width", 80)
-    line = ["calibrate", "3RRR", "measured.csv", *NOISE, "--folds", 0]
+    line = ["calibrate", "--no-report", "3RRR", "measured.csv", *NOISE, "--folds", 0]
     said = done(*line, "-o", "short").out.splitlines()
     assert said[0].startswith("platform, root mean square")
     assert len(said) <= 14
@@ -846,7 +846,7 @@ def test_the_verdict_comes_first(work: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_nothing_is_lost_at_80_columns(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Names and numbers that do not fit go on in the next line: none ends in dots."""
     monkeypatch.setattr(pincal.cli.app.stdout, "width", 80)
-    line = ["calibrate", "3RRR", "measured.csv", *NOISE, "--folds", 0, "--verbose"]
+    line = ["calibrate", "--no-report", "3RRR", "measured.csv", *NOISE, "--folds", 0, "--verbose"]
     said = done(*line, "-o", "long").out
     assert said.startswith("platform, root mean square")
     assert "…" not in said

@@ -403,7 +403,7 @@ def test_a_printer_is_calibrated_from_its_configuration(tmp_path: Path) -> None:
     assert "41 probed points" in said.err
     assert pincal.load_mechanism(printer).leg_names == ("tower_a", "tower_b", "tower_c")
     said = done(
-        *("calibrate", printer, printer / "probing.csv", "-o", result),
+        *("calibrate", "--no-report", printer, printer / "probing.csv", "-o", result),
         *("--noise-position", 5e-6, "--folds", 0, "--verbose"),
     )
     flat = " ".join(said.out.split())

@@ -36,7 +36,9 @@ class Journey:
 
     def types(self, *arguments: object) -> Outcome:
         """Type a command; rows are not held out, which takes its time and changes no answer."""
-        outcome = run(*arguments, *(("--folds", 0) if arguments[0] == "calibrate" else ()))
+        outcome = run(
+            *arguments, *(("--folds", 0, "--no-report") if arguments[0] == "calibrate" else ())
+        )
         self.commands += 1
         said = ("warning: ", "pincal: ")
         lines = [line for line in outcome.err.splitlines() if line.startswith(said)]

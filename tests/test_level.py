@@ -51,12 +51,12 @@ def test_a_tilted_plane_is_turned_flat(kind: str, tmp_path: Path) -> None:
 def test_the_calibrated_machine_has_the_right_size(tmp_path: Path) -> None:
     """Lengths within 5 standard errors, by the command that the refusal names; it is said."""
     truth = seen(20.0, tmp_path / "m.csv")
-    outcome = run("calibrate", "3RRR", tmp_path / "m.csv", "-o", tmp_path / "r")
+    outcome = run("calibrate", "--no-report", "3RRR", tmp_path / "m.csv", "-o", tmp_path / "r")
     assert outcome.code == 2
     assert "a plane that is tilted by 20° to x-y" in outcome.trouble
     assert "--unknown-frame" in outcome.trouble
     said = ("--unknown-frame", "--folds", 0, "-o", tmp_path / "r")
-    outcome = done("calibrate", "3RRR", tmp_path / "m.csv", *said)
+    outcome = done("calibrate", "--no-report", "3RRR", tmp_path / "m.csv", *said)
     assert "they were turned into their plane" in outcome.err
     result = pincal.load_result(tmp_path / "r")
     for leg in truth.legs:

@@ -156,7 +156,7 @@ def test_what_is_written_can_be_checked_planned_measured_and_calibrated(
     data, result = tmp_path / "measured.csv", tmp_path / "result"
     error = ("--disturb", 1e-4, "--truth", truth)
     done("simulate", folder, folder / "plan.csv", "-o", data, *error, *NOISE)
-    done("calibrate", folder, data, *NOISE, "-o", result)
+    done("calibrate", "--no-report", folder, data, *NOISE, "-o", result)
     true = pincal.load_mechanism(truth).parameters.values
     identified = pincal.load_mechanism(result).parameters.values
     assert np.abs(true - mechanism.parameters.values).max() > 1e-5
@@ -223,7 +223,7 @@ def test_an_arm_of_a_table_is_calibrated(tmp_path: Path) -> None:
     truth, result = tmp_path / "truth", tmp_path / "result"
     error = ("--disturb", 1e-4, "--truth", truth)
     done("simulate", folder, folder / "plan.csv", "-o", data, *error, *NOISE)
-    done("calibrate", folder, data, "--hold-undetermined", *NOISE, "-o", result)
+    done("calibrate", "--no-report", folder, data, "--hold-undetermined", *NOISE, "-o", result)
     q = np.random.default_rng(1).uniform(-1.0, 1.0, (10, 6))
     models = [pincal.load_mechanism(one) for one in (folder, truth, result)]
     nominal, true, found = (m.platform.matrices(pincal.forward(m, q).poses) for m in models)
@@ -253,7 +253,7 @@ def bar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_sheet_that_is_filled_in_is_calibrated_as_it_is(bar: Path, tmp_path: Path) -> None:
-    outcome = done("calibrate", bar, filled(bar), "-o", tmp_path / "result")
+    outcome = done("calibrate", "--no-report", bar, filled(bar), "-o", tmp_path / "result")
     result = pincal.load_result(tmp_path / "result")
     np.testing.assert_allclose(
         result.parameters.values, [p.identified for p in result.parameters], atol=1e-5

@@ -286,7 +286,7 @@ def test_the_term_that_is_there_is_named_first_and_pays(tmp_path: Path) -> None:
     command = next(line for line in out.splitlines() if "pincal calibrate" in line)
     assert "--terms leg_3=temperature -o RESULT" in command
     words = shlex.split(command)[1:-1]
-    outcome = done(*words, tmp_path / "r", "--folds", 0)
+    outcome = done(*words, tmp_path / "r", "--folds", 0, "--no-report")
     assert "columns not used" not in outcome.err
     found = pincal.load_result(tmp_path / "r")
     assert found["leg_3.temperature"].identified == pytest.approx(1.5e-4, abs=2e-5)

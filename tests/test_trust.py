@@ -222,7 +222,9 @@ def test_the_command_holds_runs_out(tmp_path: Path) -> None:
     parts = [pincal.simulate(mechanism, truth, plan, NOISE, run).measurements for run in range(3)]
     data = joined(parts)
     data.to_csv(tmp_path / "m.csv", mechanism)
-    said = done("calibrate", "5R", tmp_path / "m.csv", "--by", "run", "-o", tmp_path / "r").out
+    said = done(
+        "calibrate", "--no-report", "5R", tmp_path / "m.csv", "--by", "run", "-o", tmp_path / "r"
+    ).out
     found = pincal.load_result(tmp_path / "r").validation
     expected = pincal.validate(mechanism, data, by="run")
     assert found.folds == expected.folds == 3

@@ -59,7 +59,7 @@ def test_standard_deviations_are_in_counts_too(tmp_path: Path) -> None:
 
 def test_counts_without_a_scale_are_refused_with_what_to_say(counted: Path, tmp_path: Path) -> None:
     """The message names the option, and the key of mechanism.yaml."""
-    outcome = run("calibrate", "3RRR", counted, "-o", tmp_path / "r")
+    outcome = run("calibrate", "--no-report", "3RRR", counted, "-o", tmp_path / "r")
     assert outcome.code == 2
     assert "column 'leg_1' is in counts; say how many are in one rad" in outcome.trouble
     assert "--counts leg_1=NUMBER/turn" in outcome.trouble
@@ -81,7 +81,9 @@ def test_counts_that_mean_nothing_are_refused(
     said: str, why: str, counted: Path, tmp_path: Path
 ) -> None:
     """A reading that is none, a number without unit, a negative one, a length of an angle."""
-    outcome = run("calibrate", "3RRR", counted, "-o", tmp_path / "r", "--counts", said)
+    outcome = run(
+        "calibrate", "--no-report", "3RRR", counted, "-o", tmp_path / "r", "--counts", said
+    )
     assert outcome.code == 2
     assert why in outcome.trouble
 
@@ -110,7 +112,7 @@ def test_from_counts_to_a_commanded_pose_in_counts(counted: Path, tmp_path: Path
     """Calibrated from counts, the result knows its encoders: poses to counts, and back in mm."""
     said = ("--counts", "leg_1=4096/turn", "--counts", "leg_2=651.8986469044033/rad")
     result, poses = tmp_path / "result", tmp_path / "poses.csv"
-    done("calibrate", "3RRR", counted, *GIVEN, *said, "--folds", 0, "-o", result)
+    done("calibrate", "--no-report", "3RRR", counted, *GIVEN, *said, "--folds", 0, "-o", result)
     outcome = run("inverse", result, counted, "--units", "counts", "-o", tmp_path / "i.csv")
     assert outcome.code == 2
     assert "how many counts one rad or m of leg_3 has is not said" in outcome.trouble
@@ -157,7 +159,7 @@ def test_tables_in_mm_and_degrees_on_request(counted: Path, tmp_path: Path) -> N
     mechanism = pincal.load_mechanism("3RRR").with_counts(dict.fromkeys(LEGS, COUNTS))
     pincal.calibrate(mechanism, counted, noise=NOISE).save(tmp_path / "si")
     said = (*GIVEN, "--counts", "4096/turn", "--folds", 0, "--verbose", "--units", "cm,deg")
-    out = done("calibrate", "3RRR", counted, *said, "-o", tmp_path / "cm").out
+    out = done("calibrate", "--no-report", "3RRR", counted, *said, "-o", tmp_path / "cm").out
     assert " cm " in out
     assert " ° " in out
     assert " mm " not in out.split("all legs together")[0].split("parameters, nominal")[1]

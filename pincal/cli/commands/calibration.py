@@ -189,6 +189,9 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             "--accept", help="Exit code 0 even if residuals are larger than the noise given."
         ),
     ] = False
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Draw no report.html: a second less.")
+    ] = False
     folds: Annotated[int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")] = FOLDS
     by: Annotated[
         By, typer.Option(help="What is held out together: regions, rows in turn, or runs.")
@@ -264,12 +267,14 @@ def calibrate(
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
         asked = how.units or ""
         page = report(result, command=typed(), files=files, notes=said, units=asked)
-        progress("drawing the report")
-        result.save(output, force=force, report=page)
+        if not how.no_report:
+            progress("drawing the report")
+        result.save(output, force=force, report=None if how.no_report else page)
     with reading_in(units.printed):
         for text in warnings(result):
             warn(text)
-        _say(result, page.found.errors, said, calibration_tables(result) if how.verbose else [])
+        tables = calibration_tables(result) if how.verbose else []
+        _say(result, page.found.errors, said, tables, drawn=not how.no_report)
     wrote(output)
     answer(as_json(result))
     if not result.converged:
@@ -284,6 +289,8 @@ def _say(
     errors: WorkspaceErrors | None,
     said: list[str],
     tables: Sequence[Table],
+    *,
+    drawn: bool,
 ) -> None:
     """Print what was found, the accuracy first; with tables all of it."""
     first = verdict_lines(result, errors)
@@ -301,7 +308,8 @@ def _say(
     for line in (*more, *said):
         stdout.print(line, markup=False)
     if not tables:
-        stdout.print("parameters and residuals: report.html in the result's folder, or --verbose")
+        where = "report.html in the result's folder, or --verbose" if drawn else "--verbose"
+        stdout.print(f"parameters and residuals: {where}")
 
 
 def _tolerance(said: str) -> dict[str, float]:
