@@ -20,9 +20,9 @@ import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import Kind, kinds_of, with_terms
-from pincal.calibration.terms.choice import LEVEL
+from pincal.calibration.terms.choice import RULES
 from pincal.calibration.terms.screen import screen
-from pincal.model.load import Load
+from pincal.model.sensors.load import Load
 from pincal.workspace.sampling import sample_workspace
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
@@ -82,13 +82,13 @@ def tried(name: str, kind: Kind, sizes: tuple[float, ...], sets: int) -> None:
             again.__dict__.pop("observation", None)
             first = screen(fitted(again), kinds)[0]
             named[place] += (first.reading, first.kind) == (reading, kind)
-            seen[place] += first.corrected < LEVEL
+            seen[place] += first.corrected < RULES.level
         result = pincal.calibrate(mechanism, data, noise=NOISE, terms=(f"{reading}={kind}",))
         for name_, value in zip(ids[reading, kind], scale * direction, strict=True):
             covered += result[name_].low <= value <= result[name_].high
             count += 1
     shares = ", ".join(
-        f"{size:g} SE {100 * n / sets:.0f} % ({100 * s / sets:.0f} % below {LEVEL})"
+        f"{size:g} SE {100 * n / sets:.0f} % ({100 * s / sets:.0f} % below {RULES.level})"
         for size, n, s in zip(sizes, named, seen, strict=True)
     )
     cover = 100 * covered / max(count, 1)
@@ -106,7 +106,7 @@ def alarms(name: str, sets: int) -> None:
         data = measured(mechanism, truth, rows, seed)
         calibration = started(prepared(mechanism, data, noise=NOISE))
         found = screen(fitted(calibration), kinds_of(mechanism, rows))
-        false += min(one.corrected for one in found) < LEVEL
+        false += min(one.corrected for one in found) < RULES.level
         chances += [one.p_value for one in found if one.rank]
     print(f"{name}: false alarms {100 * false / sets:.1f} %, mean chance {np.mean(chances):.3f}")
 

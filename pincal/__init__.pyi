@@ -30,16 +30,16 @@ from .kinematics.readers import free_of_collision
 from .kinematics.singularity import margins
 from .model.instrument import Condition, Instrument
 from .model.leg import Joint, Leg
-from .model.load import Load
 from .model.measurements import Measurements, Noise, Plan
 from .model.mechanism import Mechanism
 from .model.parameter import Parameter
 from .model.placement import Placement
 from .model.platform import Platform
 from .model.platform_kind import PlatformKind
-from .model.sensor import Sensor
+from .model.sensors.load import Load
+from .model.sensors.sensor import Sensor
+from .model.sensors.terms import Harmonic, Knot, Power, Share, Term
 from .model.setup import Distance, Setup, Target
-from .model.terms import Harmonic, Knot, Power, Share, Term
 from .model.uncertainty import Systematic, Tracker
 from .show.pictures.picture import picture
 from .show.view.view import view

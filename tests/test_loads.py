@@ -11,8 +11,8 @@ from arms import ARMS, loaded, urdf
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.kinematics.loads import gravity_loads
-from pincal.model.load import Load
+from pincal.kinematics.influences.loads import gravity_loads
+from pincal.model.sensors.load import Load
 from pincal.workspace.sampling import sample_workspace
 
 PAYLOAD = Load(5.0, (0.02, 0.01, 0.07), (0.3, -1.0, -9.81))

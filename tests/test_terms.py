@@ -15,8 +15,8 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import said, with_terms
 from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.configurations import planned_influences
-from pincal.kinematics.influences import influences_of, sides
-from pincal.model.load import Load
+from pincal.kinematics.influences.columns import influences_of, sides
+from pincal.model.sensors.load import Load
 from pincal.workspace.sampling import sample_workspace
 
 EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)

@@ -17,7 +17,7 @@ from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
+from pincal.model.sensors.sensor import Sensor
 
 Array = NDArray[np.float64]
 _LABELS = {

@@ -21,7 +21,7 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import Unknowns, unknowns
 from pincal.kinematics.configurations import planned_influences
-from pincal.kinematics.influences import influence_columns
+from pincal.kinematics.influences.columns import influence_columns
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN

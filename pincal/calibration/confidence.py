@@ -70,7 +70,7 @@ def quantiles(degrees_of_freedom: Array) -> Array:
 def unseen(chi2: float, degrees_of_freedom: float) -> float:
     """Return how many times larger than the noise residuals may be by their χ², at 95 %; 1 or more.
 
-    Errors of the model of that size cannot be told from noise.
+    Errors of the model of that size cannot be distinguished from noise.
 
     Args:
         chi2: Over its degrees of freedom.

@@ -19,12 +19,12 @@ from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.model.checks import must_be
 from pincal.model.home import check_home
 from pincal.model.leg import Joint, Leg
-from pincal.model.load import Load
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
 from pincal.model.platform_kind import KINDS, PlatformKind
-from pincal.model.sensor import Sensor
+from pincal.model.sensors.load import Load
+from pincal.model.sensors.sensor import Sensor
 
 YAML = "mechanism.yaml"
 

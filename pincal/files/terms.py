@@ -16,7 +16,7 @@ from pydantic import Field
 
 from pincal.errors import MechanismError
 from pincal.files.strict import Number, Strict
-from pincal.model.terms import Harmonic, Knot, Power, Share, Term
+from pincal.model.sensors.terms import Harmonic, Knot, Power, Share, Term
 
 _OWN = {
     "sine": ("period",),

@@ -21,7 +21,7 @@ from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
+from pincal.model.sensors.sensor import Sensor
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 TOOL = "tool"

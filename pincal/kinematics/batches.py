@@ -134,7 +134,7 @@ def turn_between(first: Array, second: Array) -> Array:
 def _rotation_vectors(turns: Array) -> Array:
     """Return the rotation vectors of rotation matrices, shape (N, 3, 3) to (N, 3), [rad].
 
-    From R − Rᵀ, which is quick; beyond a quarter turn, where that gets small again, SciPy's.
+    From R − Rᵀ, which is quick; farther than a quarter turn, where that gets small again, SciPy's.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turns.transpose(1, 2, 0)
     sines = 0.5 * np.array((zy - yz, xz - zx, yx - xy))

@@ -22,7 +22,7 @@ from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.checks import ROUNDING
 from pincal.model.mechanism import Mechanism
-from pincal.model.sensor import SensorLaw, sensor_laws
+from pincal.model.sensors.sensor import SensorLaw, sensor_laws
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

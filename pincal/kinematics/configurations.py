@@ -19,7 +19,7 @@ from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demand
 from pincal.kinematics.forward import forward, with_loads
-from pincal.kinematics.influences import influences_of
+from pincal.kinematics.influences.columns import influences_of
 from pincal.kinematics.inverse import InverseSolution, inverse
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.checks import numbers_of

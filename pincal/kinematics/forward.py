@@ -21,15 +21,15 @@ from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closing import CHUNK, close, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
-from pincal.kinematics.influences import Influences, influence_columns
-from pincal.kinematics.loads import gravity_loads
+from pincal.kinematics.influences.columns import Influences, influence_columns
+from pincal.kinematics.influences.loads import gravity_loads
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.checks import numbers_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.model.terms import LOAD
+from pincal.model.sensors.terms import LOAD
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

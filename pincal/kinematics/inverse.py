@@ -14,9 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, close_chunks, matrix_chunks, sensor_law
-from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.closure import Newton, largest_size, nominal_legs
 from pincal.kinematics.forward import needs_loads, with_loads
-from pincal.kinematics.influences import Influences, influence_columns
+from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.starts import start_joints
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
@@ -26,7 +26,7 @@ from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_LOADS = 20  # times that loads are found again, at most
+_LOADS = Newton(steps=20, small=ROUNDING)  # loads found again
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,12 +87,12 @@ def inverse(
     reached = found.reached.all(axis=1)
     matrices = placed.as_matrix() if isinstance(placed, RigidTransform) else placed
     near = mechanism.platform.from_matrices(matrices[reached])
-    for _ in range(_LOADS):  # loads follow from readings, and bend them little
+    for _ in range(_LOADS.steps):  # loads follow from readings, and bend them little
         loaded, before = columns.copy(), found.readings[reached]
         loaded[reached] = with_loads(mechanism, columns[reached], before, near)
         found = _inverse(mechanism, placed, loaded)
         change = np.abs(found.readings[reached] - before).max(initial=0.0)
-        if change <= ROUNDING * max(1.0, largest_size(mechanism.legs)):
+        if change <= _LOADS.small * max(1.0, largest_size(mechanism.legs)):
             break
     return found
 

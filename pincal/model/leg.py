@@ -16,8 +16,8 @@ from pincal.model.checks import LARGEST, must_be, number_of
 from pincal.model.overview import counted, one_line, triple
 from pincal.model.parameter import listed
 from pincal.model.placement import Placement
-from pincal.model.sensor import Sensor
-from pincal.model.terms import Term
+from pincal.model.sensors.sensor import Sensor
+from pincal.model.sensors.terms import Term
 
 Array = NDArray[np.float64]
 JointKind = Literal["revolute", "prismatic", "fixed"]

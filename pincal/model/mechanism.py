@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from pincal.errors import MechanismError
 from pincal.model.checks import must_be
 from pincal.model.leg import Leg
-from pincal.model.load import Load
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.overview import ROWS, counted, one_line
 from pincal.model.parameter import Parameter, Parameters, labels_of
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform
-from pincal.model.terms import LOAD, OF_JOINTS
+from pincal.model.sensors.load import Load
+from pincal.model.sensors.terms import LOAD, OF_JOINTS
 
 Array = NDArray[np.float64]
 #: Columns of tables that mean something else than a reading.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.calibration.terms.candidates import ORDER
-from pincal.calibration.terms.choice import LEVEL
+from pincal.calibration.terms.choice import RULES
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.screen import Candidate
 from pincal.words.numbers import SMALL, chance
@@ -23,7 +23,6 @@ from pincal.words.terms import (
 )
 
 _SHOWN = 12  # candidates
-_CLEAR = 2.0  # standard errors, above which an amplitude is shown
 
 
 def screen_table(found: Explanation) -> Table:
@@ -31,7 +30,7 @@ def screen_table(found: Explanation) -> Table:
     rows = [_row(one) for one in found.choice.candidates[:_SHOWN]]
     more = len(found.choice.candidates) - len(rows)
     return Table(
-        f"{found.result.nominal.name}: what residuals follow beyond geometry",
+        f"{found.result.nominal.name}: what geometry does not explain",
         columns("reading", "term", "amplitudes", "off χ² [%]:.1f", "F:.3g", "chance"),
         rows,
         "; ".join(filter(None, (AMPLITUDES, f"{more} more are less clear" * bool(more)))),
@@ -41,7 +40,7 @@ def screen_table(found: Explanation) -> Table:
 def _row(one: Candidate) -> tuple[Value, ...]:
     if not one.rank:
         return (one.reading, str(one.kind), Cell(None, "taken up by geometry"), None, None, None)
-    clear = np.abs(one.amplitudes) > _CLEAR * one.std
+    clear = np.abs(one.amplitudes) > 2.0 * one.std
     sizes = [
         Quantity(float(value), one.unit, float(std))
         for value, std in zip(one.amplitudes[clear], one.std[clear], strict=True)
@@ -91,7 +90,7 @@ def _known(found: Explanation, name: str) -> bool:
 def explanation_lines(found: Explanation) -> list[str]:
     """Return what is seen, and the verdict."""
     tried = found.choice.candidates
-    seen = [one for one in tried if one.corrected < LEVEL]
+    seen = [one for one in tried if one.corrected < RULES.level]
     lines = [
         SEEN.format(
             reading=one.reading,

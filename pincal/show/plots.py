@@ -169,7 +169,7 @@ def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
 def draw_poses(
     axes: Axes, mechanism: Mechanism, plan: Plan, seen: tuple[int, int] = (0, 1)
 ) -> None:
-    """Draw poses of a plan by set, hollow if no fit follows them; strokes show orientations.
+    """Draw poses of a plan by set, unfilled if no fit follows them; strokes show orientations.
 
     Args:
         axes: Where to draw.
@@ -188,10 +188,10 @@ def draw_poses(
             continue
         said = {EVERY_LEG: "every leg", VERIFY: "verify (not fitted)"}.get(name, f"set {name}")
         many, at = len(own) > PAGE.many, scale * own[:, seen]
-        hollow: dict[str, Any] = (
+        unfilled: dict[str, Any] = (
             {"mfc": "none", "color": EVERY} if name == VERIFY else {"color": colour}
         )
-        axes.plot(*at.T, marker, **hollow, ms=4, label=said, zorder=2, rasterized=many)
+        axes.plot(*at.T, marker, **unfilled, ms=4, label=said, zorder=2, rasterized=many)
         if turns:
             end = at + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
             strokes = list(np.stack((at, end), axis=1))

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.model.leg import Joint, Leg
 from pincal.model.placement import Placement, Value
-from pincal.model.sensor import Sensor
+from pincal.model.sensors.sensor import Sensor
 from pincal.symmetry.elements import Element, wrapped
 from pincal.symmetry.placements import LOCAL_MIRROR, mirror_coordinate, on_body
 

@@ -71,7 +71,7 @@ def _angles(found: Finding) -> str:
     order = found.values["order"]
     if len(order) == 2:
         return f"{order[0][0]} and {order[1][0]} are exchanged"
-    below = (f"{name} stands below {column}" for name, column in order)
+    below = (f"{name} is below {column}" for name, column in order)
     return f"columns of the orientation are exchanged: {', '.join(below)}"
 
 

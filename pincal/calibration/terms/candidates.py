@@ -18,7 +18,7 @@ from pincal.kinematics.configurations import planned_influences
 from pincal.model.leg import Leg
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
+from pincal.model.sensors.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
 
 Array = NDArray[np.float64]
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"

@@ -26,11 +26,22 @@ from pincal.errors import PincalError
 from pincal.model.measurements import Measurements
 
 Array = NDArray[np.float64]
-LEVEL = 0.01
-"""Probability by chance, of all tests of a screen, below which a term is tried."""
-_MOST = 8  # terms one after the other
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When terms are tried, and how many."""
+
+    level: float = 0.01
+    """Probability by chance, of all tests of a screen, below which a term is tried."""
+    most: int = 8
+    """Terms one after the other."""
+    pinned: float = 1e-12
+    """How well a parameter that is as drawn is known, [m], [rad] or [1]."""
+
+
+RULES = Rules()
 _NAMES = ("as drawn", "geometry")
-_PINNED = 1e-12  # [m], [rad] or [1]: how well a parameter that is as drawn is known
 
 
 @dataclass(frozen=True)
@@ -40,7 +51,7 @@ class Model:
     name: str
     """``"as drawn"``, ``"geometry"``, or what was added last."""
     added: tuple[tuple[str, Kind], ...]
-    """All terms that it has beyond the mechanism given: reading and kind."""
+    """All terms that the mechanism given has not: reading and kind."""
     chance: float
     """Of the last term, when it was added: by the screen, the number of tests taken in."""
     parameters: int
@@ -102,7 +113,7 @@ def choose(
     first = found.calibration.at_this_noise()
     screened = screen(found, pairs)
     path = [_Step((), 1.0, first, found), *_path(first, screened, pairs)]
-    pinned = dict.fromkeys((one.id for one in calibration.mechanism.parameters), _PINNED)
+    pinned = dict.fromkeys((one.id for one in calibration.mechanism.parameters), RULES.pinned)
     drawn = first.with_options(priors=pinned)
     tried = [_Step((), 1.0, drawn, fitted(drawn)), *path]
     groups = folds_of(data, folds, "turn")
@@ -139,7 +150,7 @@ class _Step:
     def parameters(self) -> int:
         """Free parameters: not those that are as drawn."""
         unknowns = [robust.fit.unknowns for robust in self.found.fits]
-        return sum(one.map.shape[1] - int((one.priors <= _PINNED).sum()) for one in unknowns)
+        return sum(one.map.shape[1] - int((one.priors <= RULES.pinned).sum()) for one in unknowns)
 
     @property
     def equations(self) -> int:
@@ -156,7 +167,7 @@ def _path(
     calibration: Calibration,
     screened: Sequence[Candidate],
     pairs: Sequence[tuple[str, Kind]],
-    most: int = _MOST,
+    most: int = RULES.most,
 ) -> list[_Step]:
     """Return models that grow by the likeliest term each time, until none is likely.
 
@@ -169,7 +180,7 @@ def _path(
     steps: list[_Step] = []
     added: tuple[tuple[str, Kind], ...] = ()
     while len(steps) < most:
-        likely = [one for one in screened if one.corrected < LEVEL and one.kind.name != ORDER]
+        likely = [one for one in screened if one.corrected < RULES.level and one.kind.name != ORDER]
         if not likely:
             break
         added = (*added, (likely[0].reading, likely[0].kind))

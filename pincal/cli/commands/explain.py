@@ -64,11 +64,11 @@ def _line(terms: tuple[str, ...]) -> str:
     """Return the command that calibrates with terms, empty if there are none."""
     if not terms:
         return ""
-    words = shlex.split(typed())
-    words[words.index("explain")] = "calibrate"
-    while "--terms" in words:  # those that were tried
-        place = words.index("--terms")
-        del words[place : place + 2]
-    words = [word for word in words if not word.startswith("--terms=")]
+    typed_in = shlex.split(typed())
+    typed_in[typed_in.index("explain")] = "calibrate"
+    while "--terms" in typed_in:  # those that were tried
+        place = typed_in.index("--terms")
+        del typed_in[place : place + 2]
+    typed_in = [word for word in typed_in if not word.startswith("--terms=")]
     added = [word for one in terms for word in ("--terms", one)]
-    return shlex.join([*words, *added, "-o", "RESULT"])
+    return shlex.join([*typed_in, *added, "-o", "RESULT"])

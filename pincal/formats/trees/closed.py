@@ -26,7 +26,7 @@ from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement, placement_of
 from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
+from pincal.model.sensors.sensor import Sensor
 
 Array = NDArray[np.float64]
 _FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3): "spatial"}

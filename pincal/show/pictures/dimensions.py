@@ -21,7 +21,7 @@ from pincal.model.checks import EXACT
 from pincal.model.leg import Joint
 from pincal.model.links import link_placements
 from pincal.model.placement import Coordinate, Step
-from pincal.model.sensor import Sensor
+from pincal.model.sensors.sensor import Sensor
 
 Array = NDArray[np.float64]
 _ARC = np.linspace(0.0, 1.0, 41)

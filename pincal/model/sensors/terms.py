@@ -92,7 +92,7 @@ class Power:
 class Knot:
     """One knot of a table of errors, cubic between knots: 1 at its own, 0 at all others.
 
-    Beyond the first and last knot the table goes on straight; if ``periodic``, the last knot is
+    Outside the first and last knot the table goes on straight; if ``periodic``, the last knot is
     the first again, and has no amplitude of its own.
     """
 

@@ -15,7 +15,7 @@ from pincal.errors import MeasurementError
 from pincal.model.checks import array_of
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.terms import APPROACH
+from pincal.model.sensors.terms import APPROACH
 
 Array = NDArray[np.float64]
 _STILL = 1e-3  # of the range of a reading: it has not moved

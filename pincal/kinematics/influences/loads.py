@@ -14,8 +14,8 @@ from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.chain import body_chain
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.nearest_closure import nearest_closure
-from pincal.model.load import Load
 from pincal.model.mechanism import Mechanism
+from pincal.model.sensors.load import Load
 
 Array = NDArray[np.float64]
 

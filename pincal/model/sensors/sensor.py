@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.terms import Term
+from pincal.model.sensors.terms import Term
 
 Array = NDArray[np.float64]
 _STEPS = 50
-_FAR = 1e-9  # steps of Newton's method that are no rounding
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,9 @@ class SensorLaw:
                 break
         else:
             if self.terms:  # that are not small: q(ψ) is not monotonic
-                readings = np.where(going & (np.abs(step) > _FAR * size), np.nan, readings)
+                readings = np.where(
+                    going & (np.abs(step) > np.sqrt(np.finfo(float).eps) * size), np.nan, readings
+                )
         return readings
 
     def position(self, known: Array) -> Array:
