@@ -672,7 +672,7 @@ def test_rows_not_held_out_by_choice_are_said(work: Path) -> None:
     given = [*NOISE, "--folds", 0, "-o", work / "unfolded"]
     outcome = done("calibrate", "--no-report", "3RRR", work / "measured.csv", *given)
     assert "no rows were held out (--folds 0)" in outcome.out
-    done("calibrate", "--no-report", "3RRR", work / "measured.csv", *given, "--force", "--quiet")
+    done("calibrate", "3RRR", work / "measured.csv", *given, "--force", "--quiet")
     assert "no rows were held out (--folds 0)" in (work / "unfolded/report.html").read_text("utf-8")
 
 
