@@ -201,6 +201,7 @@ def test_counts_of_another_scale_are_said_as_the_option_that_is_right(tmp_path: 
     assert not (tmp_path / "mended.csv").exists()
 
 
+@pytest.mark.slow
 def test_exchanged_columns_of_the_orientation_are_mended_as_they_were_written(
     tmp_path: Path,
 ) -> None:

@@ -48,6 +48,7 @@ def test_a_tilted_plane_is_turned_flat(kind: str, tmp_path: Path) -> None:
     assert np.abs(apart[2] - apart[0]).max() > 5e-4
 
 
+@pytest.mark.slow
 def test_the_calibrated_machine_has_the_right_size(tmp_path: Path) -> None:
     """Lengths within 5 standard errors, by the command that the refusal names; it is said."""
     truth = seen(20.0, tmp_path / "m.csv")

@@ -273,7 +273,7 @@ def test_noise_given_too_small_is_no_matter_of_held_out_rows() -> None:
     assert "held-out-worse" not in [one.code for one in found.findings]
 
 
-@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("several", some_slow([False, True], True))
 def test_held_out_points_are_missed_in_mm(several: bool) -> None:
     """Of positions alone, or of two targets: what the true machine's noise and errors make.
 
