@@ -24,7 +24,7 @@ from pincal.calibration.hypotheses.plausibility import (
 from pincal.calibration.hypotheses.zeros import zeros_found, zeros_measured
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.terms.candidates import AUTO, columns_said, kinds_of, with_terms
+from pincal.calibration.terms.candidates import AUTO, columns_said, every_pair, with_terms
 from pincal.calibration.terms.candidates import said as said_terms
 from pincal.calibration.terms.choice import choose
 from pincal.errors import MisfitError, ObservabilityError, PincalError
@@ -104,8 +104,7 @@ def _with_terms(calibration: Calibration) -> Calibration:
     plain = replace(plain, mechanism=with_terms(mechanism, data, named)[0])
     if AUTO not in terms:
         return plain
-    every = [(name, kind) for kind in kinds_of(mechanism, data) for name in mechanism.reading_names]
-    choice = choose(started(plain), every)
+    choice = choose(started(plain), every_pair(mechanism, data))
     return replace(plain, mechanism=with_terms(plain.mechanism, data, choice.model.added)[0])
 
 

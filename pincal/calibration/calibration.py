@@ -21,7 +21,7 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import Unknowns, unknowns
 from pincal.kinematics.configurations import planned_influences
-from pincal.kinematics.influences.columns import influence_columns
+from pincal.kinematics.influences.columns import by_name, influence_columns
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
@@ -59,8 +59,7 @@ class Calibration:
     def _follow_influences(self) -> None:
         """Add columns of influences that follow from all rows in order, which parts do not know."""
         columns = planned_influences(self.mechanism, self.measurements)
-        names = self.mechanism.influences
-        own = {} if columns is None else dict(zip(names, columns.T, strict=True))
+        own = by_name(self.mechanism, columns)
         data = replace(self.measurements, influences={**self.measurements.influences, **own})
         object.__setattr__(self, "measurements", data)
 
@@ -130,8 +129,8 @@ class Calibration:
         """
         by_unit = self.options.tolerance
         every = self.mechanism.parameters
-        terms = {f"{leg.name}.{name}" for leg in self.mechanism.legs for name in leg.amplitudes}
-        own = {p.id: by_unit[p.unit] for p in every if p.unit in by_unit and p.id not in terms}
+        kept = [p for p in every if p.unit in by_unit and p.id not in self.mechanism.amplitudes]
+        own = {p.id: by_unit[p.unit] for p in kept}
         return {**own, **self.options.priors}
 
     @cached_property

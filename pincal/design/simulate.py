@@ -20,6 +20,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward
+from pincal.kinematics.influences.columns import by_name
 from pincal.kinematics.inverse import inverse
 from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
@@ -157,8 +158,7 @@ def _taken(
 
 def _columns(truth: Mechanism, planned: Plan, influences: Array | None) -> dict[str, Array]:
     """Return the influences of rows by column: those of the plan, and those that worked."""
-    own = {} if influences is None else dict(zip(truth.influences, influences.T, strict=True))
-    return {**planned.influences, **own}
+    return {**planned.influences, **by_name(truth, influences)}
 
 
 @dataclass(frozen=True, repr=False)

@@ -135,6 +135,11 @@ class Mechanism:
         return tuple(dict.fromkeys(name for leg in self.legs for name in leg.influences))
 
     @cached_property
+    def amplitudes(self) -> frozenset[str]:
+        """Ids of the parameters that are amplitudes of terms."""
+        return frozenset(f"{leg.name}.{name}" for leg in self.legs for name in leg.amplitudes)
+
+    @cached_property
     def loaded(self) -> tuple[str, ...]:
         """Those of the influences that are loads of joints."""
         own = {f"{LOAD}_{name}" for name in self.reading_names}
@@ -277,8 +282,7 @@ class Mechanism:
         legs = (leg.with_parameters(new[leg.name]) if leg.name in new else leg for leg in self.legs)
         load = self.load
         if load is not None and self.loaded and not load.drawn:
-            terms = {f"{leg.name}.{name}" for leg in self.legs for name in leg.amplitudes}
-            own = tuple((p.id, p.nominal) for p in self.parameters if p.id not in terms)
+            own = tuple((p.id, p.nominal) for p in self.parameters if p.id not in self.amplitudes)
             load = replace(load, drawn=own)
         return replace(self, legs=tuple(legs), load=load)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import planned_influences
+from pincal.kinematics.influences.columns import by_name
 from pincal.model.leg import Leg
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -75,6 +76,12 @@ def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ..
     other = {*mechanism.followed, *_KINDS}
     own = [name for name in measurements.influences if name not in other]
     return tuple(Kind.of(name) for name in dict.fromkeys((*names, *own)))
+
+
+def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[str, Kind]]:
+    """Return all readings with all kinds of term that measurements can show."""
+    kinds = kinds_of(mechanism, measurements)
+    return [(name, kind) for kind in kinds for name in mechanism.reading_names]
 
 
 def with_terms(
@@ -209,12 +216,14 @@ def with_influences(
     Raises:
         MeasurementError: what weighs on the mechanism is not known.
     """
-    own = sorted({_OF_ONES_OWN[kind.name] for kind in kinds if kind.name in _OF_ONES_OWN})
-    if LOAD in own and mechanism.load is None:
+    asked_for = {_OF_ONES_OWN[kind.name] for kind in kinds if kind.name in _OF_ONES_OWN}
+    if LOAD in asked_for and mechanism.load is None:
         raise MeasurementError(
             f"terms 'gravity': what weighs on {mechanism.name!r} is not known; say it in "
             "mechanism.yaml: 'load: {mass: …, centre: […], gravity: […]}'"
         )
+    names, given = mechanism.reading_names, measurements.influences
+    own = sorted(of for of in asked_for if any(f"{of}_{name}" not in given for name in names))
     if not own:
         return measurements
     drawing = mechanism.drawing
@@ -234,8 +243,7 @@ def with_influences(
     )
     asked = replace(drawing, legs=legs)
     columns = planned_influences(asked, replace(measurements, influences={}))
-    found = {} if columns is None else dict(zip(asked.influences, columns.T, strict=True))
-    return replace(measurements, influences={**found, **measurements.influences})
+    return replace(measurements, influences={**by_name(asked, columns), **given})
 
 
 def _range(values: Array) -> tuple[float, float]:

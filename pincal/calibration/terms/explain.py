@@ -11,7 +11,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import FOLDS
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.terms.candidates import AUTO, kinds_of, said
+from pincal.calibration.terms.candidates import AUTO, every_pair, said
 from pincal.calibration.terms.choice import Choice, choose
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -82,7 +82,6 @@ def explained(calibration: Calibration, folds: int = FOLDS) -> Explanation:
     asked = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
     named = said([one for one in asked if one != AUTO], plain.mechanism)
-    kinds = kinds_of(plain.mechanism, plain.measurements)
-    pairs = named or [(name, one) for one in kinds for name in plain.mechanism.reading_names]
+    pairs = named or every_pair(plain.mechanism, plain.measurements)
     result = identify(plain)
     return Explanation(result, choose(started(plain), pairs, folds))

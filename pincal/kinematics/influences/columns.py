@@ -81,6 +81,11 @@ def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = Non
     return columns
 
 
+def by_name(mechanism: Mechanism, columns: Array | None) -> dict[str, Array]:
+    """Return columns of a mechanism's influences by name, each of shape (N,); none if None."""
+    return {} if columns is None else dict(zip(mechanism.influences, columns.T, strict=True))
+
+
 def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
     """Return from which side readings were come to, +1 from below, -1 from above, shape (N,).
 
