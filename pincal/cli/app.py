@@ -93,6 +93,9 @@ def _main(
 
 
 Mech = Annotated[str, typer.Argument(metavar="MECH", help="Bundled mechanism or folder.")]
+Measured = Annotated[
+    Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random choices.")]
 

@@ -22,6 +22,7 @@ from pincal.calibration.result_files import RESULT, as_json
 from pincal.calibration.terms.candidates import columns_said
 from pincal.cli.app import (
     Force,
+    Measured,
     Mech,
     answer,
     command,
@@ -231,9 +232,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
 @command(answers=True)
 def calibrate(
     mech: Mech,
-    measurements: Annotated[
-        Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
-    ],
+    measurements: Measured,
     output: Annotated[Path, output_option("RESULT", "Folder for result and calibrated mechanism.")],
     how: CalibrateOptions,
     force: Force = False,

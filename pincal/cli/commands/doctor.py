@@ -13,7 +13,18 @@ import typer
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.doctor import Remedy, remedies
 from pincal.calibration.options import Options
-from pincal.cli.app import Force, Mech, answer, command, remark, stdout, typed, working, wrote
+from pincal.cli.app import (
+    Force,
+    Measured,
+    Mech,
+    answer,
+    command,
+    remark,
+    stdout,
+    typed,
+    working,
+    wrote,
+)
 from pincal.cli.commands.calibration import GivenNoise
 from pincal.cli.options import CountOptions, SetupOptions
 from pincal.files.output import refuse_existing
@@ -37,9 +48,7 @@ class DoctorOptions(CountOptions, SetupOptions, GivenNoise):
 @command(answers=True)
 def doctor(
     mech: Mech,
-    measurements: Annotated[
-        Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
-    ],
+    measurements: Measured,
     how: DoctorOptions,
     output: Annotated[
         Path | None,

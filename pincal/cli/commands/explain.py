@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
-from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from pincal.calibration.terms.candidates import AUTO
 from pincal.calibration.terms.explain import explained
-from pincal.cli.app import Mech, answer, command, stdout, typed, warn, working
+from pincal.cli.app import Measured, Mech, answer, command, stdout, typed, warn, working
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError
 from pincal.show.explanation import explanation_lines, models_table, screen_table
@@ -21,9 +17,7 @@ from pincal.show.results import warnings
 @command(answers=True)
 def explain(
     mech: Mech,
-    measurements: Annotated[
-        Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
-    ],
+    measurements: Measured,
     how: CalibrateOptions,
 ) -> None:
     """Say what geometry does not explain, and which terms pay.
