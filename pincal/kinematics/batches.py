@@ -73,12 +73,17 @@ def left_null(matrix: Array) -> Array:
         else:
             normal = cross(matrix[:, :, 0], matrix[:, :, 1])
         with np.errstate(divide="ignore", invalid="ignore"):
-            return (normal / np.linalg.norm(normal, axis=1)[:, None])[:, :, None]
+            return (normal / lengths(normal)[:, None])[:, :, None]
     q, _ = np.linalg.qr(matrix, mode="complete")
     both = np.concatenate((matrix, q[:, :, p:]), axis=2)
     with np.errstate(invalid="ignore"):
         q[np.linalg.det(both) < 0.0, :, -1] *= -1.0
     return q[:, :, p:]
+
+
+def lengths(vectors: Array) -> Array:
+    """Return |v| of shape (N, k), shape (N,); NumPy's own is several times slower."""
+    return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
 
 
 def applied(matrices: Array, vectors: Array) -> Array:

@@ -7,14 +7,14 @@ what follows, is a row of S with several entries.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.forest import Elementary, Forest, Motion, forest
+from pincal.kinematics.forest import Base, Elementary, Forest, Motion, forest
 from pincal.model.leg import Joint, Leg
 from pincal.model.placement import Placement
 
@@ -44,20 +44,35 @@ class Chain:
             parameters: Parameter values, shape (n_params,).
             joints: Joint positions of the leg, shape (N, n_joints), [rad] or [m].
         """
-        values = self.from_parameters @ parameters
-        s, base = self.still.width, None
-        if s:
-            base = self.still.begin(values[:s], self._rates[:, :s])
-        q = np.empty((len(joints), len(values) - s))
-        q[:] = values[s:]
-        for column, row in enumerate(self._rows):
-            q[:, row - s] += self.from_joints[row, column] * joints[:, column]
+        values, base = self._begun(parameters.tobytes())
+        q = np.empty((len(joints), len(values)))
+        q[:] = values
+        for column, (row, sign) in enumerate(self._rows):
+            q[:, row] += sign * joints[:, column]
         return self.forest.motion(q, self._wanted, base)
 
     @cached_property
-    def _rows(self) -> list[int]:
-        """Elementary joint of each leg joint."""
-        return [int(np.flatnonzero(entries)[0]) for entries in self.from_joints.T]
+    def _begun(self) -> Callable[[bytes], tuple[Array, Base | None]]:
+        """Returns what parameters put into the moving joints, and where these begin; kept."""
+        s = self.still.width
+
+        @lru_cache(maxsize=8)  # the same parameters are asked for several times in turn
+        def begun(parameters: bytes) -> tuple[Array, Base | None]:
+            values = self.from_parameters @ np.frombuffer(parameters)
+            return values[s:], self.still.begin(values[:s], self._rates[:, :s]) if s else None
+
+        return begun
+
+    @cached_property
+    def _rows(self) -> list[tuple[int, float]]:
+        """Moving elementary joint of each leg joint, and its sign."""
+        rows = [int(np.flatnonzero(entries)[0]) for entries in self.from_joints.T]
+        return [(row - self.still.width, self.from_joints[row, i]) for i, row in enumerate(rows)]
+
+    @cached_property
+    def moving(self) -> NDArray[np.intp]:
+        """Parameters that move the tip, in order."""
+        return np.flatnonzero(self.from_parameters.any(axis=0))
 
     @cached_property
     def _rates(self) -> Array:

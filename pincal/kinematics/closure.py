@@ -147,12 +147,9 @@ class LegClosure:
         self._chain = leg_chain(leg, platform.space == 3 or self._turns)
         self._key = (leg, platform, self.parameters.tobytes())
         self._hash = hash(self._key)
-        point = point_chain(leg)
-        own = point.from_parameters.any(axis=0)
-        self._b, self._turn, self._db = _point(leg, (self.parameters * own).tobytes())
-        self._by_point = np.flatnonzero(own)
-        self._place, self._arm = np.append(self._b, 1.0)[:, None], np.append(self._b, 0.0)[:, None]
-        self._speeds = np.concatenate((self._db[:3], np.zeros((1, len(self._by_point)))))
+        self._by_point = point_chain(leg).moving
+        point = _point(leg, self.parameters[self._by_point].tobytes())
+        self._b, self._turn, self._db, self._place, self._arm, self._speeds = point
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, LegClosure) and self._key == other._key
@@ -289,17 +286,23 @@ class LegClosure:
 
 
 @lru_cache(maxsize=1024)
-def _point(leg: Leg, parameters: bytes) -> tuple[Array, Array, Array]:
-    """Return a platform point (3,), its frame's turn (3, 3), and its twists by its parameters.
+def _point(leg: Leg, own: bytes) -> tuple[Array, ...]:
+    """Return a platform point b (3,), its frame's turn (3, 3), and its twists by its parameters.
+
+    And what poses are applied to: b as a place and as an arm, (4, 1), and its speeds by its
+    parameters, (4, n).
 
     Args:
         leg: The leg.
-        parameters: Values of all its parameters, zero where the point has no part in them.
+        own: Values of the parameters that move the point.
     """
     chain = point_chain(leg)
-    motion = chain.motion(np.frombuffer(parameters), np.zeros((1, 0)))
-    own = np.flatnonzero(chain.from_parameters.any(axis=0))
-    return motion.tips[:, 0], motion.turns[0], motion.twists()[:, own, 0]
+    parameters = np.zeros(len(leg.parameters))
+    parameters[chain.moving] = np.frombuffer(own)
+    motion = chain.motion(parameters, np.zeros((1, 0)))
+    b, twists = motion.tips[:, 0], motion.twists()[:, chain.moving, 0]
+    places = [np.append(b, one)[:, None] for one in (1.0, 0.0)]
+    return b, motion.turns[0], twists, *places, np.pad(twists[:3], ((0, 1), (0, 0)))
 
 
 def _padded(rows: Array) -> Array:

@@ -93,6 +93,7 @@ class Forest:
         self._roots = range(1, 1 + copies * self.width, max(self.width, 1))
         self._turn = Lock()  # Pinocchio's data are one thread's at a time
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
+        self._base: Base | None = None  # where the copies begin now
 
     def begin(self, configuration: Array, wanted: Array) -> Base:
         """Return where the first copy ends, and how it moves: where another chain may begin.
@@ -126,10 +127,12 @@ class Forest:
             wanted: Motions of the chain, from ``wanted``.
             base: Where the chain begins, if not at the base's origin.
         """
-        placement = self._first if base is None else base.placement * self._first
         with self._turn:
-            for root in self._roots:
-                self._model.jointPlacements[root] = placement
+            if base is not self._base:
+                placement = self._first if base is None else base.placement * self._first
+                for root in self._roots:
+                    self._model.jointPlacements[root] = placement
+                self._base = base
             joints = self._columns(configurations)
         rows = (0, 1, 2, 3, 4, 5) if self.spatial else (0, 1, 5)  # others are zero in the plane
         twists = np.empty((len(rows), len(wanted), len(configurations)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.batches import product
+from pincal.kinematics.batches import lengths, product
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton
 from pincal.kinematics.starts import start_joints
@@ -46,7 +46,7 @@ def nearest_closure(
     for _ in range(steps):
         closed = leg.evaluate(joints, matrices)
         step = closed.passive_step()
-        far = np.linalg.norm(closed.gap, axis=1) > _FAR * leg.size
+        far = lengths(closed.gap) > _FAR * leg.size
         if far.any() and passive and closed.gap.shape[1] <= 3:  # of points
             step[far] = _curved_step(closed, far)
         joints[:, passive] += step

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -167,8 +168,7 @@ class Sensor:
             parameters: Values of the leg's parameters by name, in order.
         """
         gain, offset = self.constants(parameters)
-        by_gain = np.array([float(name == self.gain) for name in parameters])
-        by_offset = np.array([float(name == self.offset) for name in parameters])
+        by_gain, by_offset = (_unit(tuple(parameters), one) for one in (self.gain, self.offset))
         if self.form == "joint":
             slope, start = gain, offset
             slopes, starts = self.direction * by_gain, by_offset
@@ -177,6 +177,12 @@ class Sensor:
             slopes = -self.direction * slope**2 * by_gain
             starts = -slope * by_offset + offset * self.direction * slope**2 * by_gain
         return slope, start, slopes, starts
+
+
+@lru_cache(maxsize=256)
+def _unit(names: tuple[str, ...], own: str | float) -> Array:
+    """Return 1 where a parameter's name is one's own, else 0, shape (n_params,)."""
+    return np.array([float(name == own) for name in names])
 
 
 def sensor_laws(
