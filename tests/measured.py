@@ -58,6 +58,16 @@ def machine(
     return mechanism, truth, pincal.simulate(mechanism, truth, plan, noise, seed).measurements
 
 
+def shaken(
+    mechanism: pincal.Mechanism, clean: pincal.Measurements, noise: pincal.Noise, seed: int
+) -> pincal.Measurements:
+    """Return measurements with noise on poses and readings: driving a machine once is enough."""
+    rng = np.random.default_rng(seed)
+    twists = noise.of_poses(mechanism) * rng.standard_normal(clean.poses.shape)
+    readings = clean.readings + noise.reading * rng.standard_normal(clean.readings.shape)
+    return replace(clean, poses=mechanism.platform.moved(clean.poses, twists), readings=readings)
+
+
 def seen_from_elsewhere(
     mechanism: pincal.Mechanism,
     data: pincal.Measurements,

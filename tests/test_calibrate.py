@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ import pytest
 from closed_forms import angles, closure, near, reading
 from command_line import done, run
 from differences import differentiated
+from measured import shaken
 from scipy.optimize import least_squares
 
 import pincal
@@ -158,24 +157,27 @@ def test_joint_optimum_equals_an_independent_solver(
         assert np.abs(other - result.legs[index].identified).max() < 1e-9
 
 
-CASES: dict[str, dict[str, Any]] = {
-    "per-leg": {"method": "per-leg"},
-    "all-legs": {},
-    "joint": {"method": "per-leg", "residual": "joint"},
-    "scale": {"noise": None},
+#: Options, and how many data sets: all legs together reach the bound (tests/test_statistics.py).
+CASES: dict[tuple[str, str], tuple[dict[str, Any], int]] = {
+    ("3RRR", "per-leg"): ({"method": "per-leg"}, 300),
+    ("5R", "per-leg"): ({"method": "per-leg"}, 300),
+    ("5R", "joint"): ({"method": "per-leg", "residual": "joint"}, 300),
+    ("5R", "scale"): ({"noise": None}, 150),
 }
 
 
 def many_fits(kind: str, case: str, plan: pincal.Plan) -> tuple[np.ndarray, ...]:
-    """Return errors, standard errors and interval hits (300, n), and χ² (300,), of noisy fits."""
+    """Return errors, standard errors and interval hits (N, n), and χ² (N,), of N noisy fits."""
     noise = pincal.Noise(1e-4, 1e-4, 5e-5)
     mechanism = pincal.load_mechanism(kind)
     truth = pincal.disturb(mechanism, 2e-3, seed=11)
     true = np.concatenate([leg.nominal for leg in truth.legs])
+    clean = pincal.simulate(mechanism, truth, plan, EXACT).measurements
+    options, sets = CASES[kind, case]
     fits = []
-    for seed in range(300):
-        data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
-        result = pincal.calibrate(mechanism, data, **({"noise": noise} | CASES[case]))
+    for seed in range(sets):
+        data = shaken(mechanism, clean, noise, seed)
+        result = pincal.calibrate(mechanism, data, **({"noise": noise} | options))
         parameters = [p for leg in result.legs for p in leg.parameters]
         errors = np.array([p.identified for p in parameters]) - true
         hits = [p.low <= t <= p.high for p, t in zip(parameters, true, strict=True)]
@@ -185,33 +187,21 @@ def many_fits(kind: str, case: str, plan: pincal.Plan) -> tuple[np.ndarray, ...]
 
 @pytest.fixture(scope="module")
 def statistics(selections: dict[str, pincal.Selection]) -> dict[tuple[str, str], tuple]:
-    """300 noisy fits by mechanism and case, on two cores."""
-    keys = [("3RRR", case) for case in ("per-leg", "all-legs")]
-    keys += [("5R", case) for case in ("per-leg", "joint", "scale")]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("OPENBLAS_NUM_THREADS", "1")  # two processes have the cores
-        return _run(keys, selections)
-
-
-def _run(
-    keys: list[tuple[str, str]], selections: dict[str, pincal.Selection]
-) -> dict[tuple[str, str], tuple]:
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        runs = {key: pool.submit(many_fits, *key, selections[key[0]].plan) for key in keys}
-        return {key: run.result() for key, run in runs.items()}
+    """Noisy fits by mechanism and case."""
+    return {key: many_fits(*key, selections[key[0]].plan) for key in CASES}
 
 
 @pytest.mark.slow
 def test_standard_errors_equal_the_spread(statistics: dict[tuple[str, str], tuple]) -> None:
-    """Mean reported standard error is within 10 % of the spread over 300 fits.
+    """Mean reported standard error is within 10 % of the spread over the fits.
 
-    Each parameter's own spread is known to 4 %, so single ones may be off by 15 %.
+    Each parameter's own spread is known to 4 to 6 %, so single ones may be off by 15 %.
     """
     for (_, case), (errors, std, _, chi2) in statistics.items():
         ratio = std.mean(axis=0) / errors.std(axis=0)
         assert abs(ratio.mean() - 1) < 0.10
         assert np.abs(ratio - 1).max() < 0.15
-        if case in ("per-leg", "all-legs"):
+        if case == "per-leg":
             assert abs(chi2.mean() - 1) < 0.05
 
 
@@ -224,20 +214,10 @@ def test_intervals_cover_as_they_say(statistics: dict[tuple[str, str], tuple]) -
 
 @pytest.mark.slow
 def test_estimates_are_unbiased(statistics: dict[tuple[str, str], tuple]) -> None:
-    """The mean error over 300 fits is within 4.5 of its standard errors, every parameter."""
+    """The mean error over the fits is within 4.5 of its standard errors, every parameter."""
     for case, (errors, *_) in statistics.items():
         z = errors.mean(axis=0) / (errors.std(axis=0) / np.sqrt(len(errors)))
         assert np.abs(z).max() < 4.5, case  # of 156 means, of which many go together
-
-
-@pytest.mark.slow
-def test_together_with_all_poses_beats_each_leg_alone(
-    statistics: dict[tuple[str, str], tuple],
-) -> None:
-    """Every pose for every leg, correlations used, gives less error than own poses alone."""
-    alone = np.sqrt((statistics["3RRR", "per-leg"][0] ** 2).mean(axis=0))
-    together = np.sqrt((statistics["3RRR", "all-legs"][0] ** 2).mean(axis=0))
-    assert (together < alone).mean() > 0.9
 
 
 def test_expected_platform_error_is_the_covariance_carried_on(

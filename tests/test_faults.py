@@ -151,7 +151,7 @@ def _told(saver: subprocess.Popen[str], line: str = "") -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("times", [10, 100])
+@pytest.mark.parametrize("times", [10, 50])
 def test_killed_while_writing(times: int, measured: Path, tmp_path: Path) -> None:
     """Two processes write one folder and are killed at any time: it is whole, or not there.
 

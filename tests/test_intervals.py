@@ -208,7 +208,7 @@ def test_intervals_of_a_curved_problem_cover() -> None:
     Errors of one data set go together: by the spread from set to set.
     """
     one, noise, shares = machine("3RRR", 24), pincal.Noise(1e-3, 1e-3, 0.0), []
-    for seed in range(25):
+    for seed in range(16):
         data = drawn(one, noise, seed)
         result = pincal.calibrate(one.nominal, data, noise=noise, intervals="profile", rough=True)
         ends = [(p.low, p.high) for p in of_legs(result)]

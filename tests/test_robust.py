@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cramer_rao import drawn
 from marks import quick, slow_or_fuzz
-from measured import EXACT, NOISE, error, machine, put, workspace
+from measured import EXACT, NOISE, error, machine, put, shaken, workspace
 from scipy.stats import chi2
 
 import pincal
@@ -172,14 +172,11 @@ def test_losses_cost_little_on_good_data(name: str, equations: int) -> None:
 
 @pytest.mark.parametrize("loss", slow_or_fuzz(["huber", "reject"], ["cauchy", "tukey"]))
 def test_standard_errors_of_robust_fits_equal_the_spread(loss: str) -> None:
-    """Over 150 data sets with a tenth of outliers (none for Huber), within 10 %."""
+    """Over 100 data sets with a tenth of outliers (none for Huber), within 10 %."""
     mechanism, _truth, clean = machine("5R", 60, EXACT)
     found, std = [], []
-    for seed in range(150):
-        rng = np.random.default_rng(seed)
-        poses = clean.poses + NOISE.position * rng.standard_normal(clean.poses.shape)
-        readings = clean.readings + NOISE.reading * rng.standard_normal(clean.readings.shape)
-        data = replace(clean, poses=poses, readings=readings)
+    for seed in range(100):
+        data = shaken(mechanism, clean, NOISE, seed)
         if loss != "huber":
             data, _ = spoiled(data, seed, 1e-4)
         result = pincal.calibrate(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from marks import quick
+from measured import EXACT, shaken
 from numpy.typing import NDArray
 
 import pincal
@@ -116,9 +117,9 @@ def test_standard_errors_are_the_spread(mechanism: pincal.Mechanism, plan: pinca
     """Over 60 data sets, and equal to the bound that the forecast gives."""
     truth = pincal.disturb(mechanism, 1e-3, seed=1)
     errors, std = [], []
+    clean = pincal.simulate(mechanism, truth, plan, EXACT).measurements
     for seed in range(60):
-        data = pincal.simulate(mechanism, truth, plan, NOISE, seed=seed).measurements
-        result = pincal.calibrate(mechanism, data, noise=NOISE)
+        result = pincal.calibrate(mechanism, shaken(mechanism, clean, NOISE, seed), noise=NOISE)
         found = np.concatenate([leg.identified for leg in result.legs])
         errors.append(found - np.concatenate([leg.nominal for leg in truth.legs]))
         std.append(np.concatenate([leg.std for leg in result.legs]))

@@ -237,8 +237,10 @@ def _joints_near(leg: LegClosure, matrices: Array) -> Array:
     """Return joints that close the leg at poses, or nearly so where it does not reach."""
     if not leg.leg.passive:  # all are read
         return np.empty((len(matrices), len(leg.leg.moving)))
-    closed = close(leg, matrices)
     near, _ = start_joints(leg, matrices)
+    if len(leg.leg.moving) < len(leg.platform.closing(leg.leg.closes)):  # few poses close it
+        return near
+    closed = close(leg, matrices)
     return np.where(closed.reached[:, None], closed.joints, near)
 
 
