@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
-import joblib
-
 from pincal.errors import WorkspaceError
 
 Chunk: TypeAlias = tuple[int, int]
@@ -59,6 +57,8 @@ def run(
         for chunk in chunks:
             yield chunk, task(*chunk)
     else:
+        import joblib  # slow to import, and needed here only
+
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
         yield from parallel(joblib.delayed(_numbered)(task, chunk) for chunk in chunks)
 

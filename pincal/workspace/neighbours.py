@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_propagation
 
 from pincal.workspace.positions import BLOCK, Grid, Indices
 
@@ -56,6 +55,8 @@ def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
         inside: Which positions count, shape (N,).
         home: Shape (3,), [m].
     """
+    from scipy.ndimage import binary_propagation  # slow to import, and needed here only
+
     whole = inside.reshape(grid.shape)
     box = tuple(_extent(grid, whole, place) for place in range(whole.ndim))
     cells = whole[box]
