@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.calibration.terms.candidates import ORDER
-from pincal.calibration.terms.choice import RULES
 from pincal.calibration.terms.explain import Explanation
+from pincal.calibration.terms.path import RULES
 from pincal.calibration.terms.screen import Candidate
 from pincal.words.numbers import SMALL, chance
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
@@ -15,6 +15,7 @@ from pincal.words.terms import (
     CAUSES,
     COLUMN,
     HELD_OUT,
+    LOST,
     NO_LOAD,
     NO_TERM,
     NOTHING,
@@ -109,6 +110,7 @@ def explanation_lines(found: Explanation) -> list[str]:
     if found.result.nominal.load is None and found.result.nominal.platform.space == 3:
         lines.append(NO_LOAD)
     models = found.choice.models
+    lines += [LOST.format(fold=fold + 1, why=why) for fold, why in found.choice.lost]
     lines.append(
         VERDICTS[found.verdict].format(
             held_out=f"{found.choice.model.held_out:.2f} σ", before=f"{models[1].held_out:.2f} σ"

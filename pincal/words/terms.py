@@ -18,14 +18,27 @@ NOTHING = (
 SEEN = "{reading} follows {kind}: {cause}; {share:.0%} of χ² ({chance})"
 VERDICTS = {
     "as drawn": (
-        "keep the machine as drawn: identified parameters predict rows that were held out no "
+        "keep the nominal machine: identified parameters predict rows that were held out no "
         "better; measure more poses, or better"
+    ),
+    "rigid alignment": (
+        "rigid alignment only: keep the nominal machine, and find where it stands; identified "
+        "parameters predict rows that were held out no better; measure more poses, or better"
+    ),
+    "not compared": (
+        "models cannot be compared: the rows without any fold do not determine the geometry; "
+        "measure more poses"
     ),
     "geometry": "geometry is enough: no term predicts rows that were held out better",
     "terms": (
         "these terms pay: held-out rows miss by {held_out} instead of {before} by geometry alone"
     ),
 }
+TURNS_BACK = (
+    "{reading}: with its terms the joint turns back at a reading of {where:.4g} {unit}, so that "
+    "readings mean two positions; give smaller amplitudes, or a narrower range of the joint"
+)
+LOST = "fold {fold} is left out of the comparison, the other rows do not determine it: {why}"
 NO_TERM = (
     "a drift in the order of rows is no term that can be commanded: find what moves, measure "
     "reference poses (pincal select --reference), or give what drifts as a column"

@@ -90,7 +90,7 @@ def validate(
     measurements: Measurements | str | Path | Any,
     options: Options | None = None,
     *,
-    folds: int = FOLDS,
+    folds: int | None = None,
     by: By = "region",
     **more: Any,
 ) -> Validation:
@@ -105,7 +105,7 @@ def validate(
         mechanism: The nominal mechanism; or its name or folder.
         measurements: What was measured; or a CSV file or a DataFrame of it.
         options: How to calibrate.
-        folds: How many times a share of the rows is held out.
+        folds: How many times a share of the rows is held out; as in the options if not given.
         by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run of
             the experiment is a fold).
         **more: Single options by name: see ``Options``.
@@ -114,7 +114,8 @@ def validate(
         MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
         ObservabilityError: what is left does not determine the parameters.
     """
-    return held_out(started(prepared(mechanism, measurements, options, **more)), folds, by)
+    calibration = prepared(mechanism, measurements, options, folds=folds, **more)
+    return held_out(started(calibration), calibration.options.folds, by)
 
 
 def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") -> Validation:

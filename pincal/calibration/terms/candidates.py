@@ -104,11 +104,7 @@ def with_terms(
     pairs = list(kinds)
     wanted: dict[str, list[Kind]] = {}
     for reading, kind in pairs:
-        if reading not in mechanism.reading_names:
-            raise MeasurementError(
-                f"terms of {reading!r}: {mechanism.name!r} reads "
-                f"{', '.join(mechanism.reading_names)}"
-            )
+        _check_reading(reading, mechanism)
         wanted.setdefault(reading, []).append(kind)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
     legs, labels, ids, column = [], [], {}, 0
@@ -269,12 +265,17 @@ def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
     pairs = []
     for text in terms:
         reading, kind = _parts(text)
-        if reading and reading not in mechanism.reading_names:
-            raise MeasurementError(
-                f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
-            )
+        if reading:
+            _check_reading(reading, mechanism)
         pairs += [(one, kind) for one in ([reading] if reading else mechanism.reading_names)]
     return pairs
+
+
+def _check_reading(reading: str, mechanism: Mechanism) -> None:
+    if reading not in mechanism.reading_names:
+        raise MeasurementError(
+            f"terms of {reading!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
+        )
 
 
 def columns_said(terms: Sequence[str]) -> tuple[str, ...] | None:

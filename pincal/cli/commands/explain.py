@@ -33,7 +33,7 @@ def explain(
     with working("identifying parameters") as progress:
         calibration = asked.calibration(mechanism, measurements)
         options = replace(calibration.options, progress=progress)
-        found = explained(replace(calibration, options=options), how.folds)
+        found = explained(replace(calibration, options=options))
     for text in warnings(found.result):
         warn(text)
     stdout.print(screen_table(found))
