@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import clusters, folds_of
 from pincal.calibration.fits import fitted
+from pincal.calibration.terms.bounds import Bound, bounds
 from pincal.calibration.terms.candidates import Kind, with_influences
 from pincal.calibration.terms.path import RULES, TROUBLE, Step, grown, held_out
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.design.platform_error import root_mean_squares, sizes
+from pincal.estimation.residuals.slips import Slip, slips
 from pincal.model.measurements import Measurements
 
 Array = NDArray[np.float64]
@@ -68,6 +70,10 @@ class Choice:
     """The screen of the geometry's residuals."""
     calibration: Calibration
     """Of the model that was chosen; of the geometry, if the machine as drawn was."""
+    slips: tuple[Slip, ...] = ()
+    """What slipped or drifted by the geometry's residuals, rows those of the measurements."""
+    bounds: tuple[Bound, ...] = ()
+    """Noise that is surely there."""
     lost: tuple[tuple[int, str], ...] = ()
     """Folds, from 0, without whose rows the geometry is not identified, and why: they are left out
     of the comparison."""
@@ -93,12 +99,19 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     data, kinds = calibration.measurements, [kind for _, kind in pairs]
     data = with_influences(calibration.mechanism, data, kinds)
     calibration = replace(calibration, measurements=data)
-    if data.verifying.any():
-        calibration = calibration.rows(~data.verifying)
+    kept = np.flatnonzero(~data.verifying)
+    if len(kept) < len(data):
+        calibration = calibration.rows(kept)
         data = calibration.measurements
     found = fitted(calibration)
     first = found.calibration.at_this_noise()
-    screened = screen(found, pairs)
+    screened = tuple(screen(found, pairs))
+    slipped = tuple(
+        replace(one, row=int(kept[robust.rows[one.row]]))
+        for robust in found.fits
+        for one in slips(robust.fit)
+    )
+    beside = (slipped, bounds(found.calibration, screened))
     pinned = dict.fromkeys((one.id for one in calibration.mechanism.parameters), RULES.pinned)
     drawn = first.with_options(priors=pinned)
     tried = [Step((), 1.0, drawn, fitted(drawn)), Step((), 1.0, first, found)]
@@ -121,10 +134,10 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     known = np.isfinite(squares[0, :, 0])
     if not known.any():
         models = tuple(_model(one, index, np.nan, 0.0, twists) for index, one in enumerate(tried))
-        return Choice(models, 1, tuple(screened), first, tuple(lost))
+        return Choice(models, 1, screened, first, *beside, tuple(lost))
     models, chosen = _compared(tried, squares[:, known], twists[:, known], data.rows(known))
     own = tried[max(chosen, 1)].calibration
-    return Choice(models, chosen, tuple(screened), own, tuple(lost))
+    return Choice(models, chosen, screened, own, *beside, tuple(lost))
 
 
 def _compared(
