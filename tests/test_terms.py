@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import loaded
 from command_line import done, run
 
 import pincal
@@ -139,8 +140,6 @@ def test_derivatives_by_amplitudes_are_differences(form: str) -> None:
 
 
 def test_gravity_bends_an_arm_and_is_identified() -> None:
-    from arms import loaded
-
     arm = replace(loaded("ur5"), load=Load(5.0, (0.0, 0.0, 0.05)))
     draw = np.random.default_rng(0)
     readings = draw.uniform(-1.2, 1.2, (60, 6))
@@ -417,3 +416,14 @@ def test_folds_are_those_asked_for(tmp_path: Path) -> None:
     assert "models on held-out rows, fold 2 of 2" in said
     with pytest.raises(MeasurementError, match="at least two folds"):
         pincal.explain(plain, data, folds=1)
+
+
+def test_a_joint_about_the_vertical_has_no_term_of_gravity() -> None:
+    """Its load is a rounding error, which would be scaled to a column of chance."""
+    arm = replace(loaded("ur5"), load=Load(5.0, (0.03, 0.0, 0.05)))
+    readings = np.random.default_rng(0).uniform(-1.2, 1.2, (20, 6))
+    data = pincal.Measurements(poses=pincal.forward(arm, readings).poses, readings=readings)
+    _, ids = with_terms(arm, data, said(["gravity"], arm))
+    (pan, *others) = ids.values()
+    assert pan == ()
+    assert all(len(own) == 1 for own in others)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.columns import by_name
+from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -169,6 +170,8 @@ def _terms(
         column = f"{of}_{leg.reading_names[index]}"
         values = measurements.influences.get(column, np.ones(1))
         per = 1.0 if kind.name == BACKLASH else _rounded(float(np.nanmax(np.abs(values))))
+        if kind.name == GRAVITY and per <= ROUNDING * _largest_load(measurements):
+            return []  # a joint on which nothing weighs, such as one about the vertical
         return [Term(named(kind.name), Share(per or 1.0), of=of)]
     if kind.name not in measurements.influences:
         known = ", ".join(name for name in measurements.influences) or "none"
@@ -240,6 +243,11 @@ def with_influences(
     asked = replace(drawing, legs=legs)
     columns = planned_influences(asked, replace(measurements, influences={}))
     return replace(measurements, influences={**by_name(asked, columns), **given})
+
+
+def _largest_load(measurements: Measurements) -> float:
+    own = [v for name, v in measurements.influences.items() if name.startswith(f"{LOAD}_")]
+    return max((float(np.nanmax(np.abs(one), initial=0.0)) for one in own), default=0.0)
 
 
 def _range(values: Array) -> tuple[float, float]:

@@ -22,7 +22,6 @@ from pincal.calibration.terms.bounds import Bound, bounds
 from pincal.calibration.terms.candidates import Kind, with_influences
 from pincal.calibration.terms.path import RULES, TROUBLE, Step, grown, held_out
 from pincal.calibration.terms.screen import Candidate, screen
-from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.estimation.residuals.slips import Slip, slips
 from pincal.model.measurements import Measurements
 
@@ -50,10 +49,10 @@ class Model:
     spread: float
     """Standard error of how much larger that is than the best model's, poses as clusters, [σ]."""
     position: float
-    """Root mean square misfit of the platform's position at held-out rows, [m]; NaN where poses
-    were not measured in full."""
+    """Root mean square by which positions of targets are missed at held-out rows, [m]; NaN where
+    none were measured."""
     orientation: float
-    """The same of its orientation, [rad]."""
+    """The same of the measured orientation, [rad]."""
     bic: float
     """Schwarz's criterion, χ² + k ln n of n residuals, at the noise of the geometry's fit."""
 
@@ -119,7 +118,7 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     groups = folds_of(data, calibration.options.folds, "turn")
     lost = []
     squares = np.full((len(tried), len(data), 2), np.nan)
-    twists = np.full((len(tried), *data.poses.shape), np.nan)
+    misses = np.full((len(tried), len(data), 2), np.nan)
     for fold in range(int(groups.max()) + 1):
         first.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
         out = np.flatnonzero(groups == fold)
@@ -130,18 +129,18 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
             lost.append((fold, str(error)))
             continue
         for place in range(len(tried)):  # a path that ended stays where it is
-            squares[place, out], twists[place, out] = parts[min(place, len(parts) - 1)]
+            squares[place, out], misses[place, out] = parts[min(place, len(parts) - 1)]
     known = np.isfinite(squares[0, :, 0])
     if not known.any():
-        models = tuple(_model(one, index, np.nan, 0.0, twists) for index, one in enumerate(tried))
+        models = tuple(_model(one, index, np.nan, 0.0, misses) for index, one in enumerate(tried))
         return Choice(models, 1, screened, first, *beside, tuple(lost))
-    models, chosen = _compared(tried, squares[:, known], twists[:, known], data.rows(known))
+    models, chosen = _compared(tried, squares[:, known], misses[:, known], data.rows(known))
     own = tried[max(chosen, 1)].calibration
     return Choice(models, chosen, screened, own, *beside, tuple(lost))
 
 
 def _compared(
-    tried: Sequence[Step], squares: Array, twists: Array, data: Measurements
+    tried: Sequence[Step], squares: Array, misses: Array, data: Measurements
 ) -> tuple[tuple[Model, ...], int]:
     """Return models, and the index of the simplest within one standard error of the best.
 
@@ -149,7 +148,7 @@ def _compared(
         tried: Models by their size, the machine as drawn first, then its geometry.
         squares: Sums of squared white residuals of rows, held out, and how many they are, shape
             (n_models, N, 2).
-        twists: Misfits of the platform there, shape (n_models, N, dof).
+        misses: By how much targets are missed there, shape (n_models, N, 2), [m] and [rad].
         data: The rows, of which those of one pose go together.
     """
     _, cluster = np.unique(clusters(data), return_inverse=True)
@@ -161,13 +160,13 @@ def _compared(
     spread = (sums - sums[best]).std(axis=1, ddof=int(several)) * np.sqrt(sums.shape[1]) / count
     chosen = int(np.flatnonzero(means - means[best] <= spread)[0])
     models = (
-        _model(one, index, float(mean), float(wide), twists)
+        _model(one, index, float(mean), float(wide), misses)
         for index, (one, mean, wide) in enumerate(zip(tried, means, spread, strict=True))
     )
     return tuple(models), chosen
 
 
-def _model(one: Step, index: int, mean: float, wide: float, twists: Array) -> Model:
+def _model(one: Step, index: int, mean: float, wide: float, misses: Array) -> Model:
     """Return a model.
 
     Args:
@@ -175,10 +174,9 @@ def _model(one: Step, index: int, mean: float, wide: float, twists: Array) -> Mo
         index: Its place among all.
         mean: Mean square of white residuals held out.
         wide: Standard error of how much larger that is than the best model's.
-        twists: Misfits of the platform held out, shape (n_models, N, dof).
+        misses: By how much targets are missed there, shape (n_models, N, 2), [m] and [rad].
     """
-    units = one.calibration.mechanism.platform.units
-    position, orientation = root_mean_squares(sizes(units, twists[index]))
+    position, orientation = (_root_mean_square(own) for own in misses[index].T)
     outside = bool(one.calibration.observation.external.names)
     names = (ALIGNED if outside else DRAWN, GEOMETRY)
     return Model(
@@ -192,3 +190,8 @@ def _model(one: Step, index: int, mean: float, wide: float, twists: Array) -> Mo
         orientation=orientation,
         bic=float(one.chi2 + one.parameters * np.log(one.equations)),
     )
+
+
+def _root_mean_square(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt((known**2).mean())) if len(known) else float("nan")

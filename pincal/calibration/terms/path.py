@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.unseen import misfit, predictions
+from pincal.calibration.checks.missed import misses_of, per_row
+from pincal.calibration.checks.unseen import predictions
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.terms.candidates import ORDER, Kind, with_terms
 from pincal.calibration.terms.screen import Candidate, screen
@@ -101,7 +102,7 @@ def held_out(
     pairs: Sequence[tuple[str, Kind]],
     most: int,
 ) -> list[tuple[Array, Array]]:
-    """Return ``squares`` and misfits of rows held out, by each model that can be made.
+    """Return ``squares`` and misses (see ``per_row``) of rows held out, by each model.
 
     Args:
         unseen: The rows held out.
@@ -118,7 +119,8 @@ def held_out(
     for one in steps:
         there = replace(unseen, mechanism=one.calibration.mechanism)
         try:
-            parts.append((squares(one.found, there), misfit(there, one.found)))
+            misses = per_row(misses_of(there, one.found), len(there.measurements))
+            parts.append((squares(one.found, there), misses))
         except TROUBLE:
             if len(parts) < len(seen):
                 raise
