@@ -131,16 +131,13 @@ def tried(name: str, said: tuple[str, ...], sets: int) -> str:
         pairs = [(str(one), kind) for one, kind in zip(readings, kinds, strict=True)]
         plain = pincal.disturb(mechanism, 1e-3, seed=seed)
         truth, ids = with_terms(plain, rows, pairs)
-        if not all(ids.values()):
-            seed += 1
-            continue  # nothing weighs on this joint
         data = measured(mechanism, plain, rows, seed)
         every = list(dict.fromkeys((*every_pair(mechanism, rows), *pairs)))
         found = screen(fitted(asked(mechanism, data)), every)
-        own = [next(c for c in found if (c.reading, c.kind) == pair) for pair in pairs]
+        own = [c for pair in pairs for c in found if (c.reading, c.kind) == pair]
         seed += 1
-        if not all(np.isfinite(one.std).all() and one.rank for one in own):
-            continue  # geometry takes the term up
+        if len(own) < len(pairs) or not all(np.isfinite(c.std).all() and c.rank for c in own):
+            continue  # nothing weighs on the joint, or geometry takes the term up
         machines += 1
         for place, size in enumerate(SIZES):
             values = {}
