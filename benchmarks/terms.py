@@ -1,129 +1,201 @@
-"""What a screen of terms sees: how often the true term is named first, and false alarms.
+"""What a screen of terms sees: how often true terms are named first, false alarms, coverage.
 
-    python benchmarks/terms.py [--sets 100] [--only 3RRR …]
+    python benchmarks/terms.py [--sets 100] [--only 3RRR …] [--output FILE]
 
-Machines are drawn at random, each with one term of an amplitude of so many of its standard errors
-(as the screen of a machine without it finds them), measured with noise and screened with all
-kinds. False alarms: machines without terms in which some candidate has a corrected chance below one
-in a hundred. Coverage: the amplitude's 95 % interval, of a calibration with the term.
+Machines are drawn at random, each with one term or two, of amplitudes of so many of their standard
+errors (as the screen of a machine without them finds them), measured with noise and screened with
+all kinds of every reading. Of two terms the first is added, the machine fitted again, and screened
+again: both must be named, in any order. False alarms: machines without terms in which some
+candidate has a corrected chance below one in a hundred. Coverage: the amplitudes' 95 % intervals,
+of calibrations with the true terms. Each line is written as soon as it is known.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
 import pincal
 from pincal.calibration.calibrate import prepared, started
+from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
-from pincal.calibration.terms.candidates import Kind, kinds_of, with_terms
-from pincal.calibration.terms.choice import RULES
-from pincal.calibration.terms.screen import screen
+from pincal.calibration.terms.candidates import ORDER, Kind, every_pair, with_terms
+from pincal.calibration.terms.path import RULES
+from pincal.calibration.terms.screen import Candidate, screen
 from pincal.model.sensors.load import Load
 from pincal.workspace.sampling import sample_workspace
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from arms import loaded
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 LOAD = Load(10.0, (0.01, 0.02, 0.05))
 COUNT = 80
+SIZES = (3.0, 5.0)
+#: What is drawn, machine by machine: terms alone and in pairs.
+CASES: dict[str, tuple[tuple[str, ...], ...]] = {
+    "5R": (("temperature",), ("backlash",), ("polynomial",), ("temperature", "backlash")),
+    "3RRR": (
+        ("temperature",),
+        ("backlash",),
+        ("polynomial",),
+        ("harmonics:5",),
+        ("temperature", "backlash"),
+    ),
+    "6UPS": (
+        ("temperature",),
+        ("backlash",),
+        ("gravity",),
+        ("polynomial",),
+        ("gravity", "backlash"),
+        ("temperature", "polynomial"),
+    ),
+    "delta": (("temperature",), ("backlash",), ("gravity",), ("gravity", "backlash")),
+    "ur5": (
+        ("temperature",),
+        ("backlash",),
+        ("gravity",),
+        ("harmonics",),
+        ("gravity", "harmonics"),
+        ("temperature", "backlash"),
+    ),
+}
 
 
+@cache
 def machine(name: str) -> pincal.Mechanism:
     """Return a mechanism that carries something, if it stands upright."""
-    plain = pincal.load_mechanism(name)
+    plain = loaded(name) if name == "ur5" else pincal.load_mechanism(name)
     return plain if plain.platform.space == 2 else replace(plain, load=LOAD)
 
 
 def nominal_rows(mechanism: pincal.Mechanism, draw: np.random.Generator) -> pincal.Measurements:
     """Return where a mechanism is to be measured, with a temperature."""
-    poses = sample_workspace(mechanism, COUNT, seed=int(draw.integers(1 << 30)))
-    return pincal.Measurements(
-        poses=poses,
-        readings=pincal.inverse(mechanism, poses).readings,
-        influences={"temperature": draw.uniform(15.0, 30.0, len(poses))},
-    )
+    temperature = {"temperature": draw.uniform(15.0, 30.0, COUNT)}
+    if mechanism.by_readings:
+        readings = draw.uniform(-1.2, 1.2, (COUNT, len(mechanism.reading_names)))
+        poses = pincal.forward(mechanism, readings).poses
+    else:
+        poses = sample_workspace(mechanism, COUNT, seed=int(draw.integers(1 << 30)))
+        readings = pincal.inverse(mechanism, poses).readings
+    return pincal.Measurements(poses=poses, readings=readings, influences=temperature)
 
 
 def measured(
     mechanism: pincal.Mechanism, truth: pincal.Mechanism, rows: pincal.Measurements, seed: int
 ) -> pincal.Measurements:
     """Return measurements of a machine."""
-    plan = pincal.Plan(rows.poses, influences=rows.influences)
+    readings = rows.readings if mechanism.by_readings else None
+    plan = pincal.Plan(rows.poses, readings=readings, influences=rows.influences)
     return pincal.simulate(mechanism, truth, plan, NOISE, seed=seed).measurements
 
 
-def tried(name: str, kind: Kind, sizes: tuple[float, ...], sets: int) -> None:
-    """Print how often a term is named first, by its size in standard errors, and its coverage."""
-    named, seen, covered, count = np.zeros(len(sizes)), np.zeros(len(sizes)), 0, 0
-    for seed in range(sets):
+def asked(mechanism: pincal.Mechanism, data: pincal.Measurements) -> Calibration:
+    """Return the calibration to be done; an arm's frames leave parameters undetermined."""
+    held = mechanism.by_readings
+    return started(prepared(mechanism, data, noise=NOISE, hold_undetermined=held))
+
+
+def named(
+    mechanism: pincal.Mechanism,
+    data: pincal.Measurements,
+    every: Sequence[tuple[str, Kind]],
+    count: int,
+) -> Iterator[Candidate]:
+    """Yield the candidates that are first, each after those before it were added."""
+    added: list[tuple[str, Kind]] = []
+    for _ in range(count):
+        extended, _ = with_terms(mechanism, data, added)
+        first = screen(fitted(asked(extended, data)), every)[0]
+        yield first
+        if first.kind.name == ORDER:  # no term
+            return
+        added.append((first.reading, first.kind))
+
+
+def tried(name: str, said: tuple[str, ...], sets: int) -> str:
+    """Return a line of a table: how often terms are named first, by size, and coverage."""
+    kinds, mechanism = tuple(map(Kind.of, said)), machine(name)
+    first, clear = np.zeros(len(SIZES)), np.zeros(len(SIZES))
+    covered = count = machines = seed = 0
+    while machines < sets:
         draw = np.random.default_rng(seed)
-        mechanism = machine(name)
         rows = nominal_rows(mechanism, draw)
-        reading = str(draw.choice(mechanism.reading_names))
-        truth = pincal.disturb(mechanism, 1e-3, seed=seed)
-        extended, ids = with_terms(truth, rows, [(reading, kind)])
-        data = measured(mechanism, truth, rows, seed)
-        calibration = started(prepared(mechanism, data, noise=NOISE))
-        kinds = tuple(dict.fromkeys((*kinds_of(mechanism, rows), kind)))
-        found = screen(fitted(calibration), kinds)
-        own = next(one for one in found if (one.reading, one.kind) == (reading, kind))
-        if not np.isfinite(own.std).all() or not own.rank:
-            continue
-        for place, size in enumerate(sizes):
-            direction = draw.standard_normal(len(own.std))
-            scale = size / np.linalg.norm(direction / own.std)
-            true = extended.with_parameters(
-                dict(zip(ids[reading, kind], (scale * direction).tolist(), strict=True))
-            )
-            data = measured(mechanism, true, rows, seed)
-            again = replace(calibration, measurements=data)
-            again.__dict__.pop("observation", None)
-            first = screen(fitted(again), kinds)[0]
-            named[place] += (first.reading, first.kind) == (reading, kind)
-            seen[place] += first.corrected < RULES.level
-        result = pincal.calibrate(mechanism, data, noise=NOISE, terms=(f"{reading}={kind}",))
-        for name_, value in zip(ids[reading, kind], scale * direction, strict=True):
-            covered += result[name_].low <= value <= result[name_].high
+        readings = draw.choice(mechanism.reading_names, len(kinds), replace=False)
+        pairs = [(str(one), kind) for one, kind in zip(readings, kinds, strict=True)]
+        plain = pincal.disturb(mechanism, 1e-3, seed=seed)
+        truth, ids = with_terms(plain, rows, pairs)
+        data = measured(mechanism, plain, rows, seed)
+        every = list(dict.fromkeys((*every_pair(mechanism, rows), *pairs)))
+        found = screen(fitted(asked(mechanism, data)), every)
+        own = [c for pair in pairs for c in found if (c.reading, c.kind) == pair]
+        seed += 1
+        if len(own) < len(pairs) or not all(np.isfinite(c.std).all() and c.rank for c in own):
+            continue  # nothing weighs on the joint, or geometry takes the term up
+        machines += 1
+        for place, size in enumerate(SIZES):
+            values = {}
+            for pair, one in zip(pairs, own, strict=True):
+                way = draw.standard_normal(len(one.std))
+                scaled = size / np.linalg.norm(way / one.std) * way
+                values |= dict(zip(ids[pair], scaled.tolist(), strict=True))
+            data = measured(mechanism, truth.with_parameters(values), rows, seed)
+            order = list(named(mechanism, data, every, len(pairs)))
+            first[place] += {(one.reading, one.kind) for one in order} == set(pairs)
+            clear[place] += all(one.corrected < RULES.level for one in order)
+        extended, _ = with_terms(mechanism, rows, pairs)
+        held = mechanism.by_readings
+        result = pincal.calibrate(extended, data, noise=NOISE, hold_undetermined=held)
+        for id_, value in values.items():
+            covered += result[id_].low <= value <= result[id_].high
             count += 1
-    shares = ", ".join(
-        f"{size:g} SE {100 * n / sets:.0f} % ({100 * s / sets:.0f} % below {RULES.level})"
-        for size, n, s in zip(sizes, named, seen, strict=True)
-    )
-    cover = 100 * covered / max(count, 1)
-    print(f"{name} {kind}: named first {shares}; intervals cover {cover:.1f} %")
+    shares = zip(100 * first / sets, 100 * clear / sets, strict=True)
+    at = " | ".join(f"{n:.0f} % ({s:.0f} %)" for n, s in shares)
+    return f"| {name}, {' and '.join(said)} | {at} | {100 * covered / count:.1f} % of {count} |"
 
 
-def alarms(name: str, sets: int) -> None:
-    """Print how often something is seen in machines without terms."""
+def alarms(name: str, sets: int) -> str:
+    """Return a line: how often something is seen in machines without terms."""
     false, chances = 0, []
     for seed in range(sets):
-        draw = np.random.default_rng(seed)
-        mechanism = machine(name)
+        draw, mechanism = np.random.default_rng(10_000 + seed), machine(name)
         rows = nominal_rows(mechanism, draw)
-        truth = pincal.disturb(mechanism, 1e-3, seed=seed)
-        data = measured(mechanism, truth, rows, seed)
-        calibration = started(prepared(mechanism, data, noise=NOISE))
-        found = screen(fitted(calibration), kinds_of(mechanism, rows))
+        data = measured(mechanism, pincal.disturb(mechanism, 1e-3, seed=seed), rows, seed)
+        found = screen(fitted(asked(mechanism, data)), every_pair(mechanism, rows))
         false += min(one.corrected for one in found) < RULES.level
         chances += [one.p_value for one in found if one.rank]
-    print(f"{name}: false alarms {100 * false / sets:.1f} %, mean chance {np.mean(chances):.3f}")
+    return f"| {name}, none | {false} of {sets} | mean chance {np.mean(chances):.3f} |"
 
 
-KINDS: dict[str, Callable[[], tuple[str, ...]]] = {
-    "5R": lambda: ("temperature", "backlash"),
-    "3RRR": lambda: ("temperature", "backlash", "harmonics:5"),
-    "6UPS": lambda: ("temperature", "backlash", "gravity", "polynomial"),
-    "delta": lambda: ("temperature", "backlash", "gravity"),
-}
-
-if __name__ == "__main__":
+def main() -> None:
+    """Write the lines."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", type=int, default=100)
-    parser.add_argument("--only", nargs="*", default=list(KINDS))
-    asked = parser.parse_args()
-    for one in asked.only:
-        alarms(one, asked.sets)
-        for kind in KINDS[one]():
-            tried(one, Kind.of(kind), (3.0, 5.0), asked.sets)
+    parser.add_argument("--only", nargs="*", default=list(CASES))
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("--terms", nargs="*", help="such as gravity or gravity+backlash")
+    given = parser.parse_args()
+    wanted = None if given.terms is None else {tuple(one.split("+")) for one in given.terms}
+    for name in given.only:
+        lines = [lambda name=name: alarms(name, given.sets)] * (wanted is None)
+        lines += [
+            lambda name=name, said=said: tried(name, said, given.sets)
+            for said in CASES[name]
+            if wanted is None or said in wanted
+        ]
+        for line in lines:
+            text = line()
+            print(text, flush=True)
+            if given.output is not None:
+                with given.output.open("a", encoding="utf-8") as file:
+                    file.write(f"{text}\n")
+
+
+if __name__ == "__main__":
+    main()

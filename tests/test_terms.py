@@ -8,15 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import loaded
 from command_line import done, run
 
 import pincal
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import said, with_terms
+from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError, MechanismError
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.columns import influences_of, sides
 from pincal.model.sensors.load import Load
+from pincal.model.sensors.monotonic import turning
 from pincal.workspace.sampling import sample_workspace
 
 EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)
@@ -135,8 +140,6 @@ def test_derivatives_by_amplitudes_are_differences(form: str) -> None:
 
 
 def test_gravity_bends_an_arm_and_is_identified() -> None:
-    from arms import loaded
-
     arm = replace(loaded("ur5"), load=Load(5.0, (0.0, 0.0, 0.05)))
     draw = np.random.default_rng(0)
     readings = draw.uniform(-1.2, 1.2, (60, 6))
@@ -299,7 +302,9 @@ def test_auto_takes_what_pays() -> None:
     plain = pincal.load_mechanism("3RRR")
     data, _ = _with_a_warm_leg(plain)
     noise = pincal.Noise(2e-5, 2e-5, 2e-5)
-    result = pincal.calibrate(plain, data, noise=noise, terms="auto")
+    said: list[str] = []
+    result = pincal.calibrate(plain, data, noise=noise, terms="auto", folds=3, progress=said.append)
+    assert "models on held-out rows, fold 3 of 3" in said
     names = {p.id for leg in result.legs for p in leg.parameters}
     assert names - {p.id for p in plain.parameters} == {"leg_3.temperature"}
 
@@ -334,3 +339,91 @@ def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
         outcome = run("explain", "3RRR", tmp_path / "d.csv", "--terms", term)
         assert outcome.code == 2
         assert words in " ".join(outcome.trouble.split())
+
+
+def test_readings_that_mean_two_positions_are_said(tmp_path: Path) -> None:
+    machine = extended(pincal.load_mechanism("3RRR"), FORMS["sine"])  # sin 3 ψ, the gain near 1
+    for amplitude, turns in ((0.9 / 3, False), (1.1 / 3, True), (-1.1 / 3, True)):
+        own = machine.with_parameters({"leg_2.a_0": amplitude})
+        leg = LegClosure(own.legs[1], own.platform)
+        law = sensor_law(leg)
+        (where,) = turning(law, *(end[leg.leg.active] for end in joint_range(leg.leg)))
+        assert np.isfinite(where) == turns
+        if turns:
+            before, at = law.slopes(np.array([[where - 2e-2], [where]]))[:, 0]
+            assert before * at <= 0.0
+    own.save(tmp_path / "m")
+    outcome = done("check", tmp_path / "m")
+    assert "leg_2: with its terms the joint turns back" in outcome.err
+    assert "leg_1: with" not in outcome.err
+
+
+def test_a_column_with_a_blank_cell_is_not_tried_and_that_is_said(tmp_path: Path) -> None:
+    data, machine = _with_a_warm_leg(pincal.load_mechanism("3RRR"))
+    data.to_csv(tmp_path / "d.csv", machine)
+    lines = (tmp_path / "d.csv").read_text().splitlines()
+    place = lines[0].split(",").index("temperature")
+    cells = lines[4].split(",")
+    cells[place] = ""
+    (tmp_path / "d.csv").write_text("\n".join([*lines[:4], ",".join(cells), *lines[5:]]))
+    outcome = done("explain", "3RRR", tmp_path / "d.csv", *NOISE, "--folds", 2)
+    assert "line 5: no number, so no term is tried with column 'temperature'" in outcome.err
+    assert "temperature" not in outcome.out
+
+
+def test_folds_that_leave_geometry_undetermined_are_left_out() -> None:
+    """Rows of one fold alone tell leg 3 apart; without them there is nothing to compare there."""
+    plain = pincal.load_mechanism("3RRR")
+    truth = pincal.disturb(plain, 1e-3, seed=1)
+    noise = pincal.Noise(2e-5, 2e-5, 2e-5)
+    poses = sample_workspace(plain, 40, seed=1)
+    data = pincal.simulate(plain, truth, poses, noise, seed=2).measurements
+    readings = data.readings.copy()
+    readings[np.arange(40) % 4 != 0, 2] = np.nan  # fold 1 of 4 has all of the third reading
+    few = replace(data, readings=readings)
+    found = pincal.explain(plain, few, noise=noise, folds=4, terms="backlash")
+    assert [fold for fold, _ in found.choice.lost] == [0]
+    assert all(np.isfinite(one.held_out) for one in found.choice.models)
+    assert "fold 1 is left out of the comparison" in str(found)
+    readings[4:, 2] = np.nan
+    poses_of_few = replace(few, readings=readings)
+    with pytest.raises(pincal.ObservabilityError):  # all rows together do not determine it
+        pincal.explain(plain, poses_of_few, noise=noise, folds=4, terms="backlash")
+
+
+def test_models_that_cannot_be_compared_are_said_to_be() -> None:
+    plain = pincal.load_mechanism("3RRR")
+    truth = pincal.disturb(plain, 1e-3, seed=1)
+    noise = pincal.Noise(2e-5, 2e-5, 2e-5)
+    poses = sample_workspace(plain, 9, seed=1)
+    data = pincal.simulate(plain, truth, poses, noise, seed=2).measurements
+    found = pincal.explain(plain, data, noise=noise, folds=2, terms="backlash")
+    assert found.verdict == "not compared"
+    assert found.terms == ()
+    assert "models cannot be compared" in str(found)
+
+
+def test_folds_are_those_asked_for(tmp_path: Path) -> None:
+    plain = pincal.load_mechanism("3RRR")
+    data, machine = _with_a_warm_leg(plain)
+    data.to_csv(tmp_path / "d.csv", machine)
+    asked = CalibrateOptions(folds=3, terms=["auto"]).calibration(plain, tmp_path / "d.csv")
+    assert asked.options.folds == 3
+    said: list[str] = []
+    noise = pincal.Noise(2e-5, 2e-5, 2e-5)
+    more = {"noise": noise, "terms": "leg_1=backlash", "progress": said.append}
+    pincal.explain(plain, data, folds=2, **more)
+    assert "models on held-out rows, fold 2 of 2" in said
+    with pytest.raises(MeasurementError, match="at least two folds"):
+        pincal.explain(plain, data, folds=1)
+
+
+def test_a_joint_about_the_vertical_has_no_term_of_gravity() -> None:
+    """Its load is a rounding error, which would be scaled to a column of chance."""
+    arm = replace(loaded("ur5"), load=Load(5.0, (0.03, 0.0, 0.05)))
+    readings = np.random.default_rng(0).uniform(-1.2, 1.2, (20, 6))
+    data = pincal.Measurements(poses=pincal.forward(arm, readings).poses, readings=readings)
+    _, ids = with_terms(arm, data, said(["gravity"], arm))
+    (pan, *others) = ids.values()
+    assert pan == ()
+    assert all(len(own) == 1 for own in others)

@@ -20,7 +20,6 @@ from pincal.calibration.checks.least import least_of_folds
 from pincal.calibration.checks.runs import compare_runs
 from pincal.calibration.fits import fitted
 from pincal.calibration.options import Options
-from pincal.calibration.promise import point_misses
 from pincal.show.summary import check_lines
 from pincal.words.numbers import amount
 from pincal.words.sentences import finding, sentence
@@ -293,10 +292,17 @@ def test_held_out_points_are_missed_in_mm(several: bool) -> None:
     assert result.validation is not None
     assert result.validation.position is not None
     fit, held = result.validation.position
-    exact = point_misses(result.calibration, truth, result.calibration.observation.external.start)
-    least = float(np.sqrt(np.mean(exact**2)))
+    seen = result.calibration.observation
+    there = mechanism.platform.matrices(pincal.forward(truth, data.readings).poses)
+    exact = seen.evaluate(there, seen.external.start).value[seen.measured.any(axis=1)]
+    least = float(np.sqrt((exact**2).sum(axis=1).mean() / (1 + several)))
     assert 0.7 * least < fit < held < 4.0 * least
-    assert " held out, " in "\n".join(check_lines(result))
+    (own, *others) = result.validation.targets
+    assert [own.target, *(one.target for one in others)] == ["platform", "ball"][: 1 + several]
+    assert own.poses == len(data)
+    assert own.mean_ends[0] < own.mean < own.mean_ends[1] < own.rms_ends[1] < own.largest
+    assert own.rms_ends[0] < own.rms < own.rms_ends[1]
+    assert " held out, root mean square of 60 poses" in "\n".join(check_lines(result))
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from pincal.calibration.checks.folds import FOLDS
 from pincal.design.estimable import Method
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.leg_condition import Residual
@@ -62,6 +63,9 @@ class Options:
     hold_undetermined: bool = False
     """Whether directions of parameters that the measurements cannot observe are held as near to
     nominal as can be, and named; else they are refused."""
+    folds: int = FOLDS
+    """How many times a share of the poses is held out where models are compared, as by
+    ``terms="auto"``; 2 or more."""
     intervals: Intervals = "wald"
     """Ends of the 95 % intervals: ``"wald"``, the estimate ± so many standard errors, or
     ``"profile"``, where the cost with a parameter held, all others fitted again, has risen as far:
@@ -90,6 +94,11 @@ class Options:
                     f"tolerance {{{unit!r}: {sigma!r}}}: expected standard deviations above 0 of "
                     "'m', 'rad' or '1', such as {'m': 5e-4, 'rad': 5e-3}"
                 )
+        if not isinstance(self.folds, int) or self.folds < 2:
+            raise MeasurementError(
+                f"folds is {self.folds!r}; expected at least two folds: models are compared on "
+                "rows held out"
+            )
         if self.setup.instruments and not self.latent:
             raise MeasurementError(
                 "instruments need all legs at once and the closure residual; leave out "

@@ -22,7 +22,6 @@ from pincal.design.platform_error import (
 )
 from pincal.estimation.conditions.external import External
 from pincal.finding import Finding
-from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
@@ -165,28 +164,8 @@ def pose_misses(calibration: Calibration, machine: Mechanism, external: External
     whole: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
     if whole.any() and not setup.distances and len(setup.targets) <= 1:
         poses, _ = calibration.rows(whole).given_poses(external)
-        twists[whole] = closing_twists(machine, Plan(poses, readings=data.readings[whole]))
+        own = data.rows(whole)
+        known = {name: own.influences[name] for name in machine.influences}
+        there = Plan(poses, readings=own.readings, influences=known)
+        twists[whole] = closing_twists(machine, there)
     return twists
-
-
-def point_misses(calibration: Calibration, machine: Mechanism, external: External) -> Array:
-    """Return by how much points were measured elsewhere than a machine's readings say, [m].
-
-    Each coordinate apart, times the root of their number: so root mean squares are distances.
-
-    Args:
-        calibration: What was measured, and how.
-        machine: The calibrated machine.
-        external: Frame and targets.
-    """
-    seen, readings = calibration.observation, calibration.measurements.readings
-    platform, setup = machine.platform, calibration.options.setup
-    own = np.isin(seen.names, [*platform.coordinates[: platform.lengths], *setup.points(platform)])
-    rows = np.flatnonzero(seen.measured[:, own].any(axis=1) & np.isfinite(readings).all(axis=1))
-    if machine.by_readings or not len(rows):
-        return np.empty(0)
-    found = forward(machine, readings[rows])
-    rows, poses = rows[found.converged], found.poses[found.converged]
-    there = seen.rows(rows)
-    off = there.evaluate(platform.matrices(poses), external).value[:, own]
-    return np.asarray(np.sqrt(platform.space) * off[there.measured[:, own]])

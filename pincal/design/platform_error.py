@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from pincal.estimation.observability.frames import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.configurations import legs_at
-from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.configurations import leg_demands, legs_at
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount
@@ -236,7 +235,7 @@ def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:
 
     Args:
         mechanism: The mechanism.
-        measured: Poses in the base frame, and readings.
+        measured: Poses in the base frame, readings, and what terms of sensors depend on.
     """
     readings = measured.readings
     twists = np.full(measured.poses.shape, np.nan)
@@ -244,10 +243,7 @@ def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:
         return twists
     rows = np.flatnonzero(np.isfinite(np.hstack((measured.poses, readings))).all(axis=1))
     poses, own = measured.poses[rows], readings[rows]
-    demands = [
-        leg_demand(mechanism, leg.name, poses, None, own[:, columns])
-        for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True)
-    ]
+    demands = leg_demands(mechanism, replace(measured.rows(rows), poses=poses, readings=own))
     by_pose = np.concatenate([one.pose for one in demands], axis=1)
     gaps = np.concatenate([one.value for one in demands], axis=1)
     twists[rows] = -(np.linalg.pinv(by_pose) @ gaps[:, :, None])[:, :, 0]

@@ -4,21 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 
+from pincal.calibration.terms.bounds import Bound
 from pincal.calibration.terms.candidates import ORDER
-from pincal.calibration.terms.choice import RULES
 from pincal.calibration.terms.explain import Explanation
+from pincal.calibration.terms.path import RULES
 from pincal.calibration.terms.screen import Candidate
-from pincal.words.numbers import SMALL, chance
+from pincal.estimation.residuals.slips import Slip
+from pincal.words.numbers import SMALL, amount, chance
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
 from pincal.words.terms import (
     AMPLITUDES,
+    BOUNDS,
     CAUSES,
     COLUMN,
+    DRIFT,
     HELD_OUT,
+    LOST,
+    MEND,
     NO_LOAD,
     NO_TERM,
     NOTHING,
+    OR_ELSE,
     SEEN,
+    SLIP,
+    SLIPPED,
+    TOO_SMALL,
     VERDICTS,
 )
 
@@ -91,7 +101,8 @@ def explanation_lines(found: Explanation) -> list[str]:
     """Return what is seen, and the verdict."""
     tried = found.choice.candidates
     seen = [one for one in tried if one.corrected < RULES.level]
-    lines = [
+    lines = slip_lines(found)
+    lines += [
         SEEN.format(
             reading=one.reading,
             kind=one.kind,
@@ -108,13 +119,53 @@ def explanation_lines(found: Explanation) -> list[str]:
         lines.append(NO_TERM)
     if found.result.nominal.load is None and found.result.nominal.platform.space == 3:
         lines.append(NO_LOAD)
+    lines += [bound_line(one) for one in found.choice.bounds]
     models = found.choice.models
+    lines += [LOST.format(fold=fold + 1, why=why) for fold, why in found.choice.lost]
     lines.append(
         VERDICTS[found.verdict].format(
             held_out=f"{found.choice.model.held_out:.2f} σ", before=f"{models[1].held_out:.2f} σ"
         )
     )
     return lines
+
+
+def slip_lines(found: Explanation) -> list[str]:
+    """Return what slipped or drifted, in which direction, and what to do."""
+    lines = []
+    for one in found.choice.slips:
+        what, look = SLIPPED[one.what]
+        others = " or ".join(SLIPPED[kind][0].format(name=name) for kind, name in one.or_else)
+        lines.append(
+            (DRIFT if one.steady else SLIP).format(
+                row=one.row + 1,
+                what=what.format(name=one.name),
+                size=_vector(one),
+                look=look,
+                or_else=OR_ELSE.format(what=others.rstrip(",")) if others else "",
+                chance=chance(one.p_value),
+            )
+        )
+    return [*lines, MEND] if lines else []
+
+
+def _vector(one: Slip) -> str:
+    """Return how far something is off, and in which direction."""
+    if len(one.size) == 1:
+        return amount(float(one.size[0]), one.unit)
+    parts = (
+        f"{axis} {amount(float(value), one.unit)}"
+        for axis, value in zip(one.axes, one.size, strict=True)
+    )
+    axes = "the platform's axes" if one.what == "target" else "the axes of the measurements"
+    return f"{amount(float(np.linalg.norm(one.size)), one.unit)} ({', '.join(parts)}, in {axes})"
+
+
+def bound_line(one: Bound) -> str:
+    """Return what noise is surely there, and that it is not reckoned with."""
+    size, least, reckoned = (amount(v, one.unit) for v in (one.size, one.least, one.reckoned))
+    text = BOUNDS[one.cause].format(quantity=one.quantity, size=size, least=least)
+    return TOO_SMALL.format(bound=text, reckoned=reckoned) if one.too_small else text
 
 
 def explanation_page(found: Explanation) -> str:

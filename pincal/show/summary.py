@@ -17,7 +17,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import amount, chance, listed, number, rounded, size
-from pincal.words.results import systematic
+from pincal.words.results import missed, systematic
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED, group_in_words
 
@@ -167,16 +167,9 @@ def check_lines(result: CalibrationResult) -> list[str]:
     """Return how held-out rows and runs compare."""
     lines, one = [], result.validation
     if one is not None:
-        text = held_out_line(one)
-        if one.position is not None and one.fit <= MISSES:
-            text += f". Platform: {amount(one.position[1], 'm')} held out, "
-            text += f"{number(one.position[0], 'm')} in the fit"
-            if one.orientation is not None:
-                fit, held = one.orientation
-                text += f"; {amount(held, 'rad')} and {number(fit, 'rad')}"
-            text += " (measuring noise included)"
         by = f"{one.folds} folds" if one.folds > 1 else f"{one.rows} rows of the set verify"
-        lines.append(f"{text} ({by})")
+        lines.append(f"{held_out_line(one)} ({by})")
+        lines += missed_lines(one)
     if result.runs is not None:
         lines.append(
             f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
@@ -196,6 +189,11 @@ def held_out_line(one: Validation) -> str:
         f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
         f"{one.expected:.2f} σ are expected held out"
     )
+
+
+def missed_lines(one: Validation) -> list[str]:
+    """Return how far targets are missed at held-out rows, measuring noise included."""
+    return [missed(vars(own)) for own in one.targets] if one.fit <= MISSES else []
 
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:

@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from pincal.finding import Finding
-from pincal.words.numbers import SMALL, amount, chance, listed, number, rounded
+from pincal.words.numbers import SMALL, amount, chance, counted, listed, number, rounded
 from pincal.words.wording import P_VALUE, Wording
 
 
@@ -45,6 +47,19 @@ def systematic(values: Mapping[str, float]) -> str:
     return (
         f"every ± holds what more rows do not make smaller, {listed(parts)}: "
         f"{100 * values['share']:.2g} % of the platform's expected mean square error of position"
+    )
+
+
+def missed(values: Mapping[str, Any]) -> str:
+    """Return how far a target is missed at held-out rows: the values of a ``Missed``."""
+    unit, what = values["unit"], {"m": "position", "rad": "orientation"}[values["unit"]]
+    low, high = values["rms_ends"]
+    ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if np.isfinite(high) else ""
+    return (
+        f"{what} of {values['target']!r} is missed by {amount(values['rms'], unit)}{ends} held "
+        f"out, root mean square of {counted(values['poses'], 'pose')}, by "
+        f"{number(values['mean'], unit)} on average and {number(values['largest'], unit)} at most; "
+        f"by {number(values['fit'], unit)} in the fit"
     )
 
 

@@ -18,14 +18,57 @@ NOTHING = (
 SEEN = "{reading} follows {kind}: {cause}; {share:.0%} of χ² ({chance})"
 VERDICTS = {
     "as drawn": (
-        "keep the machine as drawn: identified parameters predict rows that were held out no "
+        "keep the nominal machine: identified parameters predict rows that were held out no "
         "better; measure more poses, or better"
+    ),
+    "rigid alignment": (
+        "rigid alignment only: keep the nominal machine, and find where it stands; identified "
+        "parameters predict rows that were held out no better; measure more poses, or better"
+    ),
+    "not compared": (
+        "models cannot be compared: the rows without any fold do not determine the geometry; "
+        "measure more poses"
     ),
     "geometry": "geometry is enough: no term predicts rows that were held out better",
     "terms": (
         "these terms pay: held-out rows miss by {held_out} instead of {before} by geometry alone"
     ),
 }
+TURNS_BACK = (
+    "{reading}: with its terms the joint turns back at a reading of {where:.4g} {unit}, so that "
+    "readings mean two positions; give smaller amplitudes, or a narrower range of the joint"
+)
+#: What slipped, and what to do about it.
+SLIPPED = {
+    "frame": (
+        "the frame of the measurements, or the robot's base,",
+        "look for a tracker, a tripod or a base that was moved",
+    ),
+    "target": ("the target {name!r} on the platform", "look for a target or tool that was hit"),
+    "orientation": (
+        "the orientation measured on the platform",
+        "look for a target or tool that was turned",
+    ),
+    "reading": (
+        "the reading of {name}",
+        "look for an encoder that slipped, or a belt that jumped a tooth",
+    ),
+}
+SLIP = "from data row {row} on {what} is off by {size}: {look}{or_else} ({chance})"
+DRIFT = "{what} drifts, by {size} from the first row to the last: {look}{or_else} ({chance})"
+OR_ELSE = "; or it is {what}, which these rows do not tell apart"
+MEND = (
+    "mend that first: measure what came after a slip again, or name the parts in a column run; "
+    "while it is there other terms may only follow it"
+)
+BOUNDS = {
+    "steps": (
+        "{quantity} comes in steps of {size}: its noise is {least} at least, a step over √12"
+    ),
+    "play": ("{quantity}: with a play of {size} that no term models its noise is {least} at least"),
+}
+TOO_SMALL = "{bound}, and {reckoned} is reckoned with: give it as its noise"
+LOST = "fold {fold} is left out of the comparison, the other rows do not determine it: {why}"
 NO_TERM = (
     "a drift in the order of rows is no term that can be commanded: find what moves, measure "
     "reference poses (pincal select --reference), or give what drifts as a column"

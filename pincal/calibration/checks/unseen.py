@@ -1,4 +1,4 @@
-"""Rows that fits have not seen: residuals and derivatives there, and how far the platform is off.
+"""Rows that fits have not seen: residuals and derivatives there.
 
 Held-out rows are predicted like those of the fit, whitened by their noise; of them more is
 expected by what the fit does not know: r has the covariance 1 + J C Jᵀ.
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
-from pincal.calibration.promise import pose_misses
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
 from pincal.estimation.pose_search import solve_poses
@@ -67,10 +66,3 @@ def predictions(found: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
         problem, _ = unseen.measured_problem(group, *given)
         pairs.append((one, problem.linearise(problem.start(one.parameters))))
     return pairs
-
-
-def misfit(calibration: Calibration, found: Fits) -> Array:
-    """Return by how much the platform misses measured poses, shape (N, dof); NaN where unknown."""
-    machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
-    plain = calibration.options.setup.plain
-    return pose_misses(calibration, machine, None if plain else found.external)

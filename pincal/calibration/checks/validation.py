@@ -19,18 +19,20 @@ from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import FOLDS, By, folds_of
 from pincal.calibration.checks.least import least_of_folds
-from pincal.calibration.checks.unseen import Predicted, misfit, predictions
+from pincal.calibration.checks.missed import Missed, Misses, missed, misses_of
+from pincal.calibration.checks.unseen import Predicted, predictions
 from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
-from pincal.calibration.promise import UNEXPLAINED, UNLIKELY, point_misses
+from pincal.calibration.promise import UNEXPLAINED, UNLIKELY
 from pincal.errors import MeasurementError
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.words.numbers import amount, chance
+from pincal.words.numbers import chance
+from pincal.words.results import missed as missed_in_words
 from pincal.words.sentences import finding, sentences
 
 Array = NDArray[np.float64]
@@ -56,12 +58,14 @@ class Validation:
     p_value: float
     """Probability of such a growth, or a larger one, if the model is right."""
     position: tuple[float, float] | None
-    """Root mean square misfit of the platform's position, [m], in the fit and held out; where
-    poses were not measured in full, of the points that were."""
+    """Root mean square by which positions of targets are missed, [m], in the fit and held out."""
     orientation: tuple[float, float] | None
-    """The same of its orientation, [rad]."""
+    """The same of the measured orientation, [rad]."""
     findings: tuple[Finding, ...]
     """What to know first: what residuals follow, held-out rows that miss by more than expected."""
+    targets: tuple[Missed, ...] = ()
+    """How far each measured target is missed at held-out rows: mean, root mean square, largest,
+    and intervals by a bootstrap of poses."""
 
     def __repr__(self) -> str:
         return (
@@ -75,13 +79,7 @@ class Validation:
             f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
             f"{self.expected:.2f} σ are expected ({chance(self.p_value)})",
         ]
-        for name, sizes, unit in (
-            ("position", self.position, "m"),
-            ("orientation", self.orientation, "rad"),
-        ):
-            if sizes is not None:
-                fit, held = (amount(one, unit) for one in sizes)
-                lines.append(f"platform's {name}: {fit} in the fit, {held} held out")
+        lines += [missed_in_words(vars(one)) for one in self.targets]
         return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
 
 
@@ -90,7 +88,7 @@ def validate(
     measurements: Measurements | str | Path | Any,
     options: Options | None = None,
     *,
-    folds: int = FOLDS,
+    folds: int | None = None,
     by: By = "region",
     **more: Any,
 ) -> Validation:
@@ -105,7 +103,7 @@ def validate(
         mechanism: The nominal mechanism; or its name or folder.
         measurements: What was measured; or a CSV file or a DataFrame of it.
         options: How to calibrate.
-        folds: How many times a share of the rows is held out.
+        folds: How many times a share of the rows is held out; as in the options if not given.
         by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run of
             the experiment is a fold).
         **more: Single options by name: see ``Options``.
@@ -114,7 +112,8 @@ def validate(
         MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
         ObservabilityError: what is left does not determine the parameters.
     """
-    return held_out(started(prepared(mechanism, measurements, options, **more)), folds, by)
+    calibration = prepared(mechanism, measurements, options, folds=folds, **more)
+    return held_out(started(calibration), calibration.options.folds, by)
 
 
 def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") -> Validation:
@@ -132,8 +131,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     total = sum(one.fit.chi2 for one in whole.fits) if every else None
     count = int(groups.max()) + 1
     parts: list[Predicted] = []
-    misfits: list[Array] = []
-    pairs: list[tuple[Calibration, Fits]] = []
+    misses: list[tuple[Calibration, Misses]] = []
     chances = []
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
@@ -143,8 +141,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]
         chances.append(_chance(found, own, total))
         parts += own
-        misfits.append(misfit(unseen, found))
-        pairs.append((unseen, found))
+        misses.append((unseen, misses_of(unseen, found)))
     equations = sum(one.equations for one in parts)
     dof = sum(one.fit.degrees_of_freedom for one in whole.fits)
     fit = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
@@ -161,9 +158,7 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
             )
         )
-    fitted_rows = calibration.rows(calibration.counts)
-    fit_misfits = misfit(fitted_rows, whole)
-    lengths = np.array([one == "m" for one in calibration.mechanism.platform.units])
+    targets = missed(misses_of(calibration.rows(calibration.counts), whole), misses)
     return Validation(
         folds=count,
         rows=int((groups >= 0).sum()),
@@ -171,10 +166,10 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
         held_out=float(held),
         expected=float(expected),
         p_value=p_value,
-        position=_both(fit_misfits, np.concatenate(misfits), lengths)
-        or _sizes([(fitted_rows, whole)], pairs),
-        orientation=_both(fit_misfits, np.concatenate(misfits), ~lengths),
+        position=_both(targets, "m"),
+        orientation=_both(targets, "rad"),
         findings=tuple(more),
+        targets=targets,
     )
 
 
@@ -220,27 +215,10 @@ def _chance(found: Fits, parts: Sequence[Predicted], total: float | None) -> flo
     return exceeded(ratio / own, share * equations, share * dof)
 
 
-def _points(calibration: Calibration, found: Fits) -> Array:
-    """Return by how much measured points are missed, [m], flat."""
-    machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
-    start = calibration.observation.external.start
-    return point_misses(calibration, machine, found.external or start)
-
-
-def _sizes(*pairs: Sequence[tuple[Calibration, Fits]]) -> tuple[float, float] | None:
-    """Return by how much points are missed in the fit and held out, or None where none are."""
-    fitted, unseen = (np.concatenate([_points(*one) for one in own]) for own in pairs)
-    if not (len(fitted) and len(unseen)):
+def _both(targets: Sequence[Missed], unit: str) -> tuple[float, float] | None:
+    """Return root mean square misses of all targets, in the fit and held out; None without any."""
+    own = [one for one in targets if one.unit == unit]
+    if not own:
         return None
-    return float(np.sqrt(np.mean(fitted**2))), float(np.sqrt(np.mean(unseen**2)))
-
-
-def _both(fitted: Array, held_out: Array, columns: Mask) -> tuple[float, float] | None:
-    """Return root mean square sizes of some columns of twists, or None where there are none."""
-    sizes = []
-    for twists in (fitted, held_out):
-        known = twists[np.isfinite(twists).all(axis=1)][:, columns]
-        if not known.size:
-            return None
-        sizes.append(float(np.sqrt((known**2).sum(axis=1).mean())))
-    return sizes[0], sizes[1]
+    fit, held = np.sqrt(np.mean([(one.fit**2, one.rms**2) for one in own], axis=0)).tolist()
+    return fit, held

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.columns import by_name
+from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -104,11 +105,7 @@ def with_terms(
     pairs = list(kinds)
     wanted: dict[str, list[Kind]] = {}
     for reading, kind in pairs:
-        if reading not in mechanism.reading_names:
-            raise MeasurementError(
-                f"terms of {reading!r}: {mechanism.name!r} reads "
-                f"{', '.join(mechanism.reading_names)}"
-            )
+        _check_reading(reading, mechanism)
         wanted.setdefault(reading, []).append(kind)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
     legs, labels, ids, column = [], [], {}, 0
@@ -173,6 +170,8 @@ def _terms(
         column = f"{of}_{leg.reading_names[index]}"
         values = measurements.influences.get(column, np.ones(1))
         per = 1.0 if kind.name == BACKLASH else _rounded(float(np.nanmax(np.abs(values))))
+        if kind.name == GRAVITY and per <= ROUNDING * _largest_load(measurements):
+            return []  # a joint on which nothing weighs, such as one about the vertical
         return [Term(named(kind.name), Share(per or 1.0), of=of)]
     if kind.name not in measurements.influences:
         known = ", ".join(name for name in measurements.influences) or "none"
@@ -246,6 +245,11 @@ def with_influences(
     return replace(measurements, influences={**by_name(asked, columns), **given})
 
 
+def _largest_load(measurements: Measurements) -> float:
+    own = [v for name, v in measurements.influences.items() if name.startswith(f"{LOAD}_")]
+    return max((float(np.nanmax(np.abs(one), initial=0.0)) for one in own), default=0.0)
+
+
 def _range(values: Array) -> tuple[float, float]:
     """Return the middle of values and half their range, to two digits; 1 where they are one."""
     known = values[np.isfinite(values)]
@@ -269,12 +273,17 @@ def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
     pairs = []
     for text in terms:
         reading, kind = _parts(text)
-        if reading and reading not in mechanism.reading_names:
-            raise MeasurementError(
-                f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
-            )
+        if reading:
+            _check_reading(reading, mechanism)
         pairs += [(one, kind) for one in ([reading] if reading else mechanism.reading_names)]
     return pairs
+
+
+def _check_reading(reading: str, mechanism: Mechanism) -> None:
+    if reading not in mechanism.reading_names:
+        raise MeasurementError(
+            f"terms of {reading!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
+        )
 
 
 def columns_said(terms: Sequence[str]) -> tuple[str, ...] | None:

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from pincal.calibration.calibrate import identify, prepared, started
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.folds import FOLDS
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.candidates import AUTO, every_pair, said
@@ -16,8 +17,7 @@ from pincal.calibration.terms.choice import Choice, choose
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
-Verdict = Literal["as drawn", "geometry", "terms"]
-_VERDICTS: tuple[Verdict, ...] = ("as drawn", "geometry", "terms")
+Verdict = Literal["as drawn", "rigid alignment", "geometry", "terms", "not compared"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -31,8 +31,13 @@ class Explanation:
 
     @property
     def verdict(self) -> Verdict:
-        """Which model to take."""
-        return _VERDICTS[min(self.choice.chosen, 2)]
+        """Which model to take; ``"not compared"`` where no fold can be identified."""
+        if np.isnan(self.choice.model.held_out):
+            return "not compared"
+        if self.choice.chosen > 1:
+            return "terms"
+        name: Verdict = self.choice.model.name  # type: ignore[assignment]
+        return name
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -54,8 +59,6 @@ def explain(
     mechanism: Mechanism | str | Path,
     measurements: Measurements | str | Path | Any,
     options: Options | None = None,
-    *,
-    folds: int = FOLDS,
     **more: Any,
 ) -> Explanation:
     """Return what a calibration's residuals follow, and which terms of sensors pay.
@@ -65,8 +68,7 @@ def explain(
         measurements: What was measured; or a CSV file or a DataFrame of it, whose other columns
             of numbers (temperature, time, …) are tried too.
         options: How to calibrate; ``terms`` are the kinds to try, all if none are given.
-        folds: How many times a share of the poses is held out.
-        **more: Single options by name: see ``Options``.
+        **more: Single options by name, such as ``folds=``: see ``Options``.
 
     Raises:
         MeasurementError: measurements that cannot be this mechanism's, or an unknown kind of term.
@@ -74,14 +76,14 @@ def explain(
     """
     chosen = Options.of(options, **more)
     asked = replace(chosen, terms=chosen.terms or (AUTO,))
-    return explained(prepared(mechanism, measurements, asked), folds)
+    return explained(prepared(mechanism, measurements, asked))
 
 
-def explained(calibration: Calibration, folds: int = FOLDS) -> Explanation:
+def explained(calibration: Calibration) -> Explanation:
     """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
     asked = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
     named = said([one for one in asked if one != AUTO], plain.mechanism)
     pairs = named or every_pair(plain.mechanism, plain.measurements)
     result = identify(plain)
-    return Explanation(result, choose(started(plain), pairs, folds))
+    return Explanation(result, choose(started(plain), pairs))

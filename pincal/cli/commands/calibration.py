@@ -193,7 +193,12 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Draw no report.html: a second less.")
     ] = False
-    folds: Annotated[int, typer.Option(min=0, help="Held-out validation; 0 leaves it out.")] = FOLDS
+    folds: Annotated[
+        int,
+        typer.Option(
+            min=0, help="Held-out validation, and choice of terms; 0 leaves the validation out."
+        ),
+    ] = FOLDS
     by: Annotated[
         By, typer.Option(help="What is held out together: regions, rows in turn, or runs.")
     ] = "region"
@@ -224,6 +229,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             terms=terms,
             rough=self.rough,
             hold_undetermined=self.hold_undetermined,
+            folds=self.folds or FOLDS,
             intervals=self.intervals,
         )
         return Calibration(mechanism, data, options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from pincal.calibration.terms.candidates import AUTO
 from pincal.calibration.terms.explain import explained
@@ -33,7 +33,7 @@ def explain(
     with working("identifying parameters") as progress:
         calibration = asked.calibration(mechanism, measurements)
         options = replace(calibration.options, progress=progress)
-        found = explained(replace(calibration, options=options), how.folds)
+        found = explained(replace(calibration, options=options))
     for text in warnings(found.result):
         warn(text)
     stdout.print(screen_table(found))
@@ -50,6 +50,9 @@ def explain(
             "command": line or None,
             "candidates": screen_table(found).records(),
             "models": models_table(found).records(),
+            "slips": [asdict(one) | {"size": one.size.tolist()} for one in found.choice.slips],
+            "noise_at_least": [asdict(one) for one in found.choice.bounds],
+            "folds_left_out": [fold + 1 for fold, _ in found.choice.lost],
         }
     )
 

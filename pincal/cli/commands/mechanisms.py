@@ -7,20 +7,23 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pincal.cli.app import Mech, answer, command, stdout, working
+from pincal.cli.app import Mech, answer, command, stdout, warn, working
 from pincal.cli.options import UnitOptions
 from pincal.errors import SymmetryError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.mechanism_folders import bundled, load_mechanism
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.readers import tips_by_reader
+from pincal.model.sensors.monotonic import turning
 from pincal.show.symmetry_tables import group_table, near_table, symmetry_table
 from pincal.show.tables import nominal_table
 from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
 from pincal.symmetry.elements import cyclic
 from pincal.words.numbers import reading_in
+from pincal.words.terms import TURNS_BACK
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
@@ -70,7 +73,12 @@ def check(mech: Mech, how: UnitOptions) -> None:
         stdout.print(f"{leg.name}: {close}", markup=False)
         readers = " and ".join(tips)
         stdout.print(f"{leg.name}: URDF read alike by {readers} within {off:.2g} m", markup=False)
+        turns = turning(sensor_law(closure), *(end[leg.active] for end in joint_range(leg)))
+        for reading, unit, where in zip(leg.reading_names, leg.reading_units, turns, strict=True):
+            if np.isfinite(where):
+                warn(TURNS_BACK.format(reading=reading, unit=unit, where=where))
         legs.append({"name": leg.name, "home_gap": gap, "readers_differ_by": off})
+        legs[-1]["turns_back_at"] = [one if np.isfinite(one) else None for one in turns.tolist()]
     with working("sampling the workspace"):
         plan = sample_configurations(mechanism, 500)
     for leg, own_answer, own in zip(mechanism.legs, legs, mechanism.reading_columns, strict=True):

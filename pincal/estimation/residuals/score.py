@@ -63,6 +63,20 @@ class Amplitudes:
 
 
 @dataclass(frozen=True)
+class Change:
+    """The clearest step of some errors, from one row on."""
+
+    p_value: float
+    """Of such a step anywhere, by chance."""
+    row: int
+    """The first row after it, among those of the fit."""
+    size: Array
+    """How large the errors are after it, shape (f,)."""
+    inside: float
+    """χ² that it takes off."""
+
+
+@dataclass(frozen=True)
 class Residuals:
     """White residuals and derivatives of rows that count, flat; parameters projected out."""
 
@@ -138,20 +152,47 @@ class Residuals:
 
     def step(self, w: Array) -> tuple[float, int, float]:
         """Return the probability of the clearest step anywhere, its first row and its size."""
-        if len(w) < 2 or self.degrees_of_freedom < 2:
-            return 1.0, 0, 0.0
-        own = np.einsum("nm,nm->n", w, w)
-        by = np.einsum("nmi,nm->ni", self.Q, w)
-        along = np.einsum("nm,nm->n", w, self.left)
+        found = self.change(w[:, :, None])
+        return found.p_value, found.row, float(found.size[0])
+
+    def change(self, W: Array) -> Change:
+        """Return the clearest step of several errors at once, from one row on.
+
+        Args:
+            W: White rows of the unit errors, shape (n_used, m, f).
+        """
+        f = W.shape[2]
+        none = Change(1.0, 0, np.zeros(f), 0.0)
+        if len(W) < 2 or self.degrees_of_freedom <= f:
+            return none
+        own = np.einsum("nmf,nmg->nfg", W, W)
+        by = np.einsum("nmi,nmf->nif", self.Q, W)
+        along = np.einsum("nmf,nm->nf", W, self.left)
         after, squares, taken = (np.cumsum(one[::-1], axis=0)[::-1][1:] for one in (along, own, by))
-        length = squares - (taken**2).sum(axis=1)
-        known = length > RANK_TOLERANCE * max(float(squares[0]), 1e-300)
-        inside = np.where(known, after**2 / np.where(known, length, 1.0), 0.0)
-        best = int(np.argmax(inside))
+        lengths = squares - taken.transpose(0, 2, 1) @ taken
+        least = RANK_TOLERANCE * max(float(np.trace(squares[0])), 1e-300)
+        known = np.linalg.eigvalsh(lengths)[:, 0] > least
         if not known.any():
-            return 1.0, 0, 0.0
-        chance = min(1.0, float(self.chance(float(inside[best]), 1)) * int(known.sum()))
-        return chance, int(self.used[best + 1]), float(after[best] / length[best])
+            return none
+        places = np.flatnonzero(known)
+        sizes = np.linalg.solve(lengths[known], after[known][:, :, None])[:, :, 0]
+        inside = np.einsum("nf,nf->n", sizes, after[known])
+        best = int(np.argmax(inside))
+        chance = min(1.0, float(self.chance(float(inside[best]), f)) * len(places))
+        row = int(self.used[places[best] + 1])
+        return Change(chance, row, sizes[best], float(inside[best]))
+
+    def without(self, W: Array) -> Residuals:
+        """Return the residuals with errors of white rows W taken up, shape (n_used, m, f)."""
+        flat, Q = W.reshape(-1, W.shape[2]), self.Q.reshape(-1, self.Q.shape[2])
+        lengths = np.linalg.norm(flat, axis=0)
+        flat = flat / np.where(lengths > 0.0, lengths, 1.0)
+        U, s, _ = np.linalg.svd(flat - Q @ (Q.T @ flat), full_matrices=False)
+        U = U[:, s > RANK_TOLERANCE]
+        left = self.left - (U @ (U.T @ self.left.ravel())).reshape(self.left.shape)
+        every = np.concatenate((Q, U), axis=1).reshape(*self.left.shape, -1)
+        free = self.degrees_of_freedom - U.shape[1]
+        return Residuals(self.used, left, every, float((left**2).sum()), free)
 
 
 def scores(one: Fit, again: Mapping[str, NDArray[np.intp]] | None = None) -> Iterator[Score]:
@@ -172,7 +213,7 @@ def scores(one: Fit, again: Mapping[str, NDArray[np.intp]] | None = None) -> Ite
     n_readings = problem.reading_columns[-1].stop
     alike: dict[tuple[str, int], Array] = {}
     angles: list[Array] = []
-    for column, (name, w) in enumerate(_errors(one, left.used)):
+    for column, (name, w) in enumerate(errors_of(one, left.used)):
         terms = [("order", np.linspace(-1.0, 1.0, len(w))[:, None])]
         yield Score(name, "step", *left.step(w))
         if column < n_readings:
@@ -196,7 +237,7 @@ def scores(one: Fit, again: Mapping[str, NDArray[np.intp]] | None = None) -> Ite
         yield Score(ALL, "angle", left.along(np.concatenate(angles, axis=2)))
 
 
-def _errors(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
+def errors_of(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
     """Yield each measured quantity and the white rows of its unit error, shape (n_used, m)."""
     problem, stack = one.problem, one.last.stack
     names = iter(problem.quantities)

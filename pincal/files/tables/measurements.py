@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection, Mapping
 
 import numpy as np
@@ -22,6 +23,7 @@ from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
 from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
 
 
 def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False) -> Plan:
@@ -266,9 +268,14 @@ def _numbers(
     found = {}
     for name in columns:
         values = np.array([plain_number(cell) for cell in table.text[name]])
-        own = name != "row" and not name.startswith("planned_")
-        if own and np.isfinite(values).all() and np.ptp(values) > 0.0:
+        known = np.isfinite(values)
+        if name == "row" or name.startswith("planned_") or not known.any():
+            continue
+        if known.all() and np.ptp(values) > 0.0:
             found[name] = values
+        elif not known.all():
+            where = table.where(int(np.argmin(known)))
+            _log.info("%s: no number, so no term is tried with column %r", where, name)
     return found
 
 

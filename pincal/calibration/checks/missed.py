@@ -1,0 +1,171 @@
+"""How far targets are missed at held-out rows, in metres and radians, with intervals.
+
+The calibrated machine goes where its readings take it; each target is predicted there and compared
+with what was measured, measuring noise included. Rows of one pose are no more than one piece of
+evidence, so intervals are by a bootstrap of poses (A. C. Davison and D. V. Hinkley 1997).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.folds import clusters
+from pincal.calibration.fits import Fits
+from pincal.kinematics.forward import forward
+from pincal.model.setup import ORIGIN
+
+Array = NDArray[np.float64]
+_DRAWS = 2000
+_ENDS = (0.025, 0.975)
+
+
+@dataclass(frozen=True)
+class Missed:
+    """How far one target is missed, its position or its orientation."""
+
+    target: str
+    """``"platform"``, or the name of a further target of the setup."""
+    unit: str
+    """``"m"`` of its position, ``"rad"`` of the measured orientation."""
+    poses: int
+    """Poses that were held out; rows of one pose count as one cluster."""
+    fit: float
+    """Root mean square at rows of the fit, [m] or [rad]."""
+    mean: float
+    """Mean at held-out rows."""
+    rms: float
+    """Root mean square at held-out rows."""
+    largest: float
+    """The largest; no bootstrap says how much larger another would be."""
+    mean_ends: tuple[float, float]
+    """Ends of the mean's 95 % interval; infinite of a single pose."""
+    rms_ends: tuple[float, float]
+    """Ends of the root mean square's 95 % interval."""
+
+
+Misses = dict[tuple[str, str], Array]
+
+
+def misses_of(calibration: Calibration, found: Fits) -> Misses:
+    """Return by how much targets are missed, by target and unit, each of shape (N,).
+
+    NaN where a target was not measured, a reading is missing, or no pose belongs to the readings.
+
+    Args:
+        calibration: What was measured.
+        found: The fits that predict it.
+    """
+    seen, data = calibration.observation, calibration.measurements
+    machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
+    platform, setup = machine.platform, calibration.options.setup
+    external = found.external or seen.external.start
+    whole = np.isfinite(data.readings).all(axis=1) & seen.measured.any(axis=1)
+    rows = np.flatnonzero(whole)
+    influences = None if calibration.influences is None else calibration.influences[rows]
+    guess = None  # measured in another frame
+    if found.external is None or setup.plain:
+        guess = np.where(np.isfinite(data.poses[rows]), data.poses[rows], platform.home)
+    there = forward(machine, data.readings[rows], guess, influences)
+    rows, poses = rows[there.converged], there.poses[there.converged]
+    at = seen.rows(rows)
+    off = np.where(at.measured, at.evaluate(platform.matrices(poses), external).value, np.nan)
+    names = list(seen.names)
+    columns = {
+        (target, "m"): [
+            names.index(name)
+            for axis in "xyz"
+            if (name := axis if target == ORIGIN else f"{target}_{axis}") in names
+        ]
+        for target in setup.targets
+    }
+    turns = zip(platform.freedoms, platform.units, strict=True)
+    columns[ORIGIN, "rad"] = [names.index(name) for name, unit in turns if unit == "rad"]
+    found_: Misses = {}
+    for key, own in columns.items():
+        known = np.isfinite(off[:, own]).any(axis=1)
+        if known.any():
+            values = np.full(len(data), np.nan)
+            values[rows[known]] = np.sqrt(np.nansum(off[known][:, own] ** 2, axis=1))
+            found_[key] = values
+    return found_
+
+
+def per_row(misses: Misses, count: int) -> Array:
+    """Return sizes of misses of position [m], of all targets, and orientation [rad], (N, 2)."""
+    found = np.full((count, 2), np.nan)
+    for column, unit in enumerate(("m", "rad")):
+        own = [values for (_, of), values in misses.items() if of == unit]
+        if own:
+            known = np.isfinite(own)
+            squares = np.where(known, np.square(own), 0.0).sum(axis=0)
+            times = known.sum(axis=0)
+            found[times > 0, column] = np.sqrt(squares[times > 0] / times[times > 0])
+    return found
+
+
+def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tuple[Missed, ...]:
+    """Return how far targets are missed, each over all rows held out.
+
+    Args:
+        fitted: Misses at rows of the fit.
+        unseen: Of each fold, its rows and misses there.
+    """
+    answers = []
+    for (target, unit), seen in fitted.items():
+        parts = [one[target, unit] for _, one in unseen if (target, unit) in one]
+        places = [
+            place
+            for data, one in unseen
+            if (target, unit) in one
+            for place in clusters(data.measurements)
+        ]
+        if not parts:
+            continue
+        values = np.concatenate(parts)
+        known = np.isfinite(values)
+        values, own = values[known], np.array(places)[known]
+        mean_ends, rms_ends, poses = _ends(values, own)
+        answers.append(
+            Missed(
+                target=target,
+                unit=unit,
+                poses=poses,
+                fit=float(np.sqrt(np.nanmean(seen**2))),
+                mean=float(values.mean()),
+                rms=float(np.sqrt((values**2).mean())),
+                largest=float(values.max()),
+                mean_ends=mean_ends,
+                rms_ends=rms_ends,
+            )
+        )
+    return tuple(answers)
+
+
+def _ends(
+    values: Array, places: NDArray[np.str_]
+) -> tuple[tuple[float, float], tuple[float, float], int]:
+    """Return ends of the intervals of mean and root mean square, and the number of poses.
+
+    Args:
+        values: Misses, shape (N,).
+        places: Name of each row's pose, shape (N,).
+    """
+    _, cluster = np.unique(places, return_inverse=True)
+    counts = np.bincount(cluster).astype(float)
+    sums = np.stack([np.bincount(cluster, weights=w) for w in (values, values**2)])
+    poses = len(counts)
+    if poses < 2:
+        return (0.0, np.inf), (0.0, np.inf), poses
+    drawn = np.random.default_rng(0).multinomial(poses, np.full(poses, 1.0 / poses), _DRAWS)
+    means = (drawn @ sums.T) / (drawn @ counts)[:, None]
+    low, high = np.quantile(means, _ENDS, axis=0)
+    return (
+        (float(low[0]), float(high[0])),
+        (float(np.sqrt(low[1])), float(np.sqrt(high[1]))),
+        poses,
+    )

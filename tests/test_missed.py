@@ -1,0 +1,105 @@
+"""How far targets are missed at held-out rows: intervals by poses, terms and arms included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from arms import loaded
+from measured import workspace
+
+import pincal
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.checks.missed import missed
+from pincal.calibration.terms.candidates import said, with_terms
+from pincal.design.platform_error import closing_twists
+
+ORIGIN = ("platform", "m")
+
+
+@dataclass
+class Rows:
+    """Stands for a calibration, of which poses alone are asked."""
+
+    measurements: Any
+
+
+def rows(places: list[str]) -> Any:
+    """Return rows of named poses."""
+    return Rows(SimpleNamespace(places=tuple(places)))
+
+
+def test_intervals_are_of_poses_not_rows() -> None:
+    """Each pose repeated ten times: no narrower than once."""
+    values = np.abs(np.random.default_rng(0).standard_normal(40))
+    once = missed({ORIGIN: values}, [(rows([str(i) for i in range(40)]), {ORIGIN: values})])
+    places = [str(i) for i in range(40) for _ in range(10)]
+    often = missed({ORIGIN: values}, [(rows(places), {ORIGIN: np.repeat(values, 10)})])
+    assert once[0].poses == often[0].poses == 40
+    assert often[0].rms_ends == pytest.approx(once[0].rms_ends)
+    assert often[0].mean_ends == pytest.approx(once[0].mean_ends)
+    apart = [str(i) for i in range(400)]
+    (narrow,) = missed({ORIGIN: values}, [(rows(apart), {ORIGIN: np.repeat(values, 10)})])
+    widths = [np.ptp(one.rms_ends) for one in (narrow, often[0])]
+    assert widths[0] == pytest.approx(widths[1] / np.sqrt(10), rel=0.1)
+
+
+def test_intervals_cover_the_true_root_mean_square() -> None:
+    """Of 40 poses, 400 draws: 90 to 97 %, as percentile intervals of so few do."""
+    draw, places = np.random.default_rng(1), rows([str(i) for i in range(40)])
+    covered = 0
+    for _ in range(400):
+        values = np.linalg.norm(draw.standard_normal((40, 3)), axis=1)
+        (one,) = missed({ORIGIN: values}, [(places, {ORIGIN: values})])
+        covered += one.rms_ends[0] <= np.sqrt(3.0) <= one.rms_ends[1]
+    assert 0.90 <= covered / 400 <= 0.97
+
+
+def test_positions_of_an_arm_are_missed_in_mm() -> None:
+    """Positions alone, in an unknown frame: by the noise, mean and root mean square of a ball's."""
+    arm = loaded("ur5")
+    draw = np.random.default_rng(0)
+    readings = draw.uniform(-1.2, 1.2, (200, 6))
+    plan = pincal.Plan(pincal.forward(arm, readings).poses, readings=readings)
+    noise = pincal.Noise(1e-4, 1e-4, 0.0)
+    data = pincal.simulate(arm, pincal.disturb(arm, 1e-3, seed=1), plan, noise, seed=1).measurements
+    poses = data.poses.copy()
+    poses[:, 3:] = np.nan
+    target = pincal.Target(unknown=True)
+    setup = pincal.Setup(unknown_frame=True, targets={"platform": target})
+    found = pincal.validate(
+        arm,
+        replace(data, poses=poses),
+        noise=noise,
+        setup=setup,
+        hold_undetermined=True,
+        folds=2,
+        by="turn",
+    )
+    (one,) = found.targets
+    assert one.rms == pytest.approx(1e-4 * np.sqrt(3.0), rel=0.25)
+    assert one.rms_ends[0] < one.rms < one.rms_ends[1]
+    assert found.position == (pytest.approx(one.fit), pytest.approx(one.rms))
+
+
+def test_what_terms_depend_on_counts_where_platforms_are_missed() -> None:
+    """A warm machine without noise misses nothing, by twists and by readings."""
+    plain = pincal.load_mechanism("3RRR")
+    poses = workspace("3RRR", 12)
+    warm = {"temperature": np.linspace(15.0, 30.0, 12)}
+    nominal = pincal.Measurements(
+        poses=poses, readings=pincal.inverse(plain, poses).readings, influences=warm
+    )
+    machine, _ = with_terms(plain, nominal, said(["temperature"], plain))
+    machine = machine.with_parameters({"leg_1.temperature": 2e-3, "leg_3.temperature": -1e-3})
+    data = pincal.simulate(
+        machine, machine, pincal.Plan(poses, influences=warm), pincal.Noise(0.0, 0.0, 0.0)
+    ).measurements
+    there = pincal.Plan(data.poses, readings=data.readings, influences=warm)
+    assert np.abs(closing_twists(machine, there)).max() < 1e-11
+    cold = pincal.Plan(data.poses, readings=data.readings)
+    assert np.abs(closing_twists(machine, cold)).max() > 1e-4
+    assert Calibration(machine, data).influences is not None
