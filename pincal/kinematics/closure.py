@@ -32,10 +32,10 @@ from pincal.kinematics.batches import (
 )
 from pincal.kinematics.chain import PlatformPoint, deformed_point, leg_chain, platform_point
 from pincal.kinematics.forest import Motion
-from pincal.model.sensors.deformations import Deformations
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
+from pincal.model.sensors.deformations import Deformations
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.checks import LARGEST, must_be, number_of
-from pincal.model.sensors.deformations import check_terms
 from pincal.model.overview import counted, one_line, triple
 from pincal.model.parameter import listed
 from pincal.model.placement import Placement
+from pincal.model.sensors.deformations import check_terms
 from pincal.model.sensors.sensor import Sensor
 from pincal.model.sensors.terms import Term
 
