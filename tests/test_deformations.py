@@ -11,8 +11,13 @@ from arms import loaded
 from test_loads import energy, heavy
 
 import pincal
+from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
-from pincal.errors import MechanismError, SymmetryError
+from pincal.calibration.fits import fitted
+from pincal.calibration.terms.candidates import with_terms
+from pincal.calibration.terms.kinds import every_pair, said
+from pincal.calibration.terms.screen import screen
+from pincal.errors import MeasurementError, MechanismError, SymmetryError
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.loads import gravity_loads
 from pincal.model.leg import Joint
@@ -361,3 +366,46 @@ def test_results_keep_terms_of_parameters(tmp_path: Path) -> None:
     assert again.identified.influences == ("temperature",)
     for one in nominal.amplitudes:
         assert abs(result[one].identified - truth.parameters[one].nominal) < 4.0 * result[one].std
+
+
+NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
+
+
+@pytest.mark.parametrize(("place", "size"), [("growth", 6e-4), ("leg_2.l", 3e-4)])
+def test_what_grows_is_named_first_and_identified(place: str, size: float) -> None:
+    """A screen names all lengths that grow as one, or the one that does, and it is identified."""
+    plain = pincal.load_mechanism("3RRR")
+    draw = np.random.default_rng(0)
+    poses = plain.platform.home + [0.15, 0.15, 0.4] * draw.uniform(-1.0, 1.0, (80, 3))
+    warm = {"temperature": draw.uniform(18.0, 30.0, len(poses))}
+    nominal = pincal.Measurements(
+        poses=poses, readings=pincal.inverse(plain, poses).readings, influences=warm
+    )
+    text = f"{place}=temperature"
+    truth, ids = with_terms(pincal.disturb(plain, 1e-3, seed=1), nominal, said([text], plain))
+    names = [name for own in ids.values() for name in own]
+    truth = truth.with_parameters(dict.fromkeys(names, size))
+    plan = pincal.Plan(poses, influences=warm)
+    data = pincal.simulate(plain, truth, plan, NOISE, seed=3).measurements
+    found = screen(fitted(started(prepared(plain, data, noise=NOISE))), every_pair(plain, data))
+    assert (found[0].reading, str(found[0].kind)) == (place, "temperature")
+    assert found[0].corrected < 1e-6
+    result = pincal.calibrate(plain, data, noise=NOISE, terms=(text,))
+    for name in names:
+        assert abs(result[name].identified - size) < 4.0 * result[name].std < 0.5 * size
+    assert len({result[name].identified for name in names}) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("leg_1.l=harmonics", "harmonics is of readings; lengths and angles follow a column"),
+        ("growth=gravity", "gravity is of readings; lengths and angles follow a column"),
+        ("leg_1.z=temperature", "its lengths and angles are leg_1.OA"),
+    ],
+)
+def test_a_place_that_cannot_have_a_term_is_refused(text: str, words: str) -> None:
+    """What is asked of a length must be what a length can follow."""
+    with pytest.raises(MeasurementError) as error:
+        said([text], pincal.load_mechanism("3RRR"))
+    assert words in str(error.value)

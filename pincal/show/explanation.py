@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from pincal.calibration.terms.candidates import ORDER
 from pincal.calibration.terms.choice import RULES
 from pincal.calibration.terms.explain import Explanation
+from pincal.calibration.terms.kinds import GROWTH, ORDER
 from pincal.calibration.terms.screen import Candidate
 from pincal.words.numbers import SMALL, chance
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
 from pincal.words.terms import (
+    ALL_LENGTHS,
     AMPLITUDES,
     CAUSES,
     COLUMN,
+    GROWN,
     HELD_OUT,
     NO_LOAD,
     NO_TERM,
@@ -93,9 +95,9 @@ def explanation_lines(found: Explanation) -> list[str]:
     seen = [one for one in tried if one.corrected < RULES.level]
     lines = [
         SEEN.format(
-            reading=one.reading,
+            reading=ALL_LENGTHS if one.reading == GROWTH else one.reading,
             kind=one.kind,
-            cause=CAUSES.get(one.kind.name, COLUMN),
+            cause=CAUSES.get(one.kind.name, GROWN if _is_length(found, one) else COLUMN),
             share=one.share,
             chance=chance(one.corrected),
         )
@@ -115,6 +117,12 @@ def explanation_lines(found: Explanation) -> list[str]:
         )
     )
     return lines
+
+
+def _is_length(found: Explanation, one: Candidate) -> bool:
+    """Return whether a candidate is of a length, or of all."""
+    units = {known.id: known.unit for known in found.result.nominal.parameters}
+    return one.reading == GROWTH or units.get(one.reading) == "m"
 
 
 def explanation_page(found: Explanation) -> str:

@@ -19,7 +19,8 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import FOLDS, clusters, folds_of
 from pincal.calibration.checks.unseen import misfit, predictions
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.terms.candidates import ORDER, Kind, with_influences, with_terms
+from pincal.calibration.terms.candidates import extended, with_influences
+from pincal.calibration.terms.kinds import ORDER, Kind
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import PincalError
@@ -51,7 +52,7 @@ class Model:
     name: str
     """``"as drawn"``, ``"geometry"``, or what was added last."""
     added: tuple[tuple[str, Kind], ...]
-    """All terms that the mechanism given has not: reading and kind."""
+    """All terms that the mechanism given has not: place and kind."""
     chance: float
     """Of the last term, when it was added: by the screen, the number of tests taken in."""
     parameters: int
@@ -91,13 +92,13 @@ class Choice:
 def choose(
     calibration: Calibration, pairs: Sequence[tuple[str, Kind]], folds: int = FOLDS
 ) -> Choice:
-    """Return which terms of sensors pay, of some kinds.
+    """Return which terms pay, of some kinds.
 
     Rows whose ``set`` is ``verify`` have no part in the choice.
 
     Args:
         calibration: Of the mechanism, its measurements looked at (see ``started``).
-        pairs: Readings, and kinds of term that they may lack.
+        pairs: Readings, lengths and angles, and kinds of term that they may lack.
         folds: How many times a share of the poses is held out.
 
     Raises:
@@ -184,8 +185,7 @@ def _path(
         if not likely:
             break
         added = (*added, (likely[0].reading, likely[0].kind))
-        mechanism, _ = with_terms(calibration.mechanism, calibration.measurements, added)
-        more = replace(calibration, mechanism=mechanism, start=None)
+        more = replace(extended(calibration, added), start=None)
         try:
             found = fitted(more)
         except PincalError:  # what the rows do not determine

@@ -136,13 +136,20 @@ class Knot:
 
 @dataclass(frozen=True)
 class Share:
-    """A column's excess over a reference, in so many units: 1 at ``reference`` + ``per``."""
+    """A column's excess over a reference, in so many units: 1 at ``reference`` + ``per``.
+
+    ``per`` may be negative, as for a coordinate that is: all lengths of a leg that grow by one
+    share a of them have terms with the amplitude a, each by ``per`` over its length.
+    """
 
     per: float = 1.0
     reference: float = 0.0
 
     def __post_init__(self) -> None:
-        _positive("an influence's share ('per')", self.per)
+        if not 0.0 < abs(self.per) < np.inf:
+            raise MechanismError(
+                f"an influence's share ('per') is {self.per!r}; expected a number other than 0"
+            )
 
     def __call__(self, value: Array) -> Array:
         """Return the share."""
