@@ -25,7 +25,8 @@ import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
-from pincal.calibration.terms.candidates import ORDER, Kind, every_pair, with_terms
+from pincal.calibration.terms.candidates import with_terms
+from pincal.calibration.terms.kinds import ORDER, Kind, every_pair
 from pincal.calibration.terms.path import RULES
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.model.sensors.load import Load

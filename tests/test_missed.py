@@ -14,7 +14,8 @@ from measured import workspace
 import pincal
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.missed import missed
-from pincal.calibration.terms.candidates import said, with_terms
+from pincal.calibration.terms.candidates import with_terms
+from pincal.calibration.terms.kinds import said
 from pincal.design.platform_error import closing_twists
 
 ORIGIN = ("platform", "m")

@@ -239,7 +239,7 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
     log det is concave, and the group turns each leg's information into another's.
     """
     from pincal.design.certificate import continuous_design
-    from pincal.kinematics.configurations import block_diagonal
+    from pincal.kinematics.batches import block_diagonal
 
     mechanism = pincal.load_mechanism("3RRR")
     elements = smallest(selection_group(mechanism))

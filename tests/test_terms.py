@@ -13,7 +13,8 @@ from command_line import done, run
 
 import pincal
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.terms.candidates import said, with_terms
+from pincal.calibration.terms.candidates import with_terms
+from pincal.calibration.terms.kinds import said
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.closing import sensor_law
@@ -188,7 +189,7 @@ def test_a_folder_holds_terms(tmp_path: Path, form: str) -> None:
         ("{power: 1, range: 1}", "expected 2 to 20"),
         ("{knots: [0, 1], knot: 0}", "expected three or more, ascending"),
         ("{knots: [0, 1, 2], knot: 3}", "knot 3 of a table that has 3, from 0"),
-        ("{of: temperature, per: 0}", "expected a number above 0"),
+        ("{of: temperature, per: 0}", "expected a number other than 0"),
         ("{of: load}", "what weighs on the mechanism is not said"),
         ("{of: x}", "which is another column of tables"),
         ("{pover: 2}", "pover"),

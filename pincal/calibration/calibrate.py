@@ -24,9 +24,10 @@ from pincal.calibration.hypotheses.plausibility import (
 from pincal.calibration.hypotheses.zeros import zeros_found, zeros_measured
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.terms.candidates import AUTO, columns_said, every_pair, with_terms
-from pincal.calibration.terms.candidates import said as said_terms
+from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import choose
+from pincal.calibration.terms.kinds import AUTO, columns_said, every_pair
+from pincal.calibration.terms.kinds import said as said_terms
 from pincal.errors import MisfitError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism
@@ -101,11 +102,10 @@ def _with_terms(calibration: Calibration) -> Calibration:
     plain = replace(calibration, options=replace(calibration.options, terms=()))
     mechanism = plain.mechanism
     named = said_terms([one for one in terms if one != AUTO], mechanism)
-    plain = replace(plain, mechanism=with_terms(mechanism, data, named)[0])
+    plain = extended(plain, named)
     if AUTO not in terms:
         return plain
-    choice = choose(started(plain), every_pair(mechanism, data))
-    return replace(plain, mechanism=with_terms(plain.mechanism, data, choice.model.added)[0])
+    return extended(plain, choose(started(plain), every_pair(mechanism, data)).model.added)
 
 
 def identify(calibration: Calibration) -> CalibrationResult:

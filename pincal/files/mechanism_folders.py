@@ -219,6 +219,11 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
         point=described(point),
         tip=spec.tip,
         closes=spec.closes,
+        terms=tuple(
+            (name, term_of(amplitude, term, f"{spec.name}, parameter {name!r}"))
+            for name, own in spec.terms.items()
+            for amplitude, term in own.items()
+        ),
     )
 
 
@@ -306,7 +311,7 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
     """Return a leg as plain data.
 
     Raises:
-        MechanismError: a term of a sensor that is code.
+        MechanismError: a term that is code.
     """
     return {
         "name": leg.name,
@@ -334,11 +339,22 @@ def _dump_leg(leg: Leg) -> dict[str, Any]:
             for joint in (*leg.joints, leg.point)
             if joint.placement.coordinates
         },
+        **({"terms": _dump_own_terms(leg)} if leg.terms else {}),
     }
 
 
 def _dump_terms(sensor: Sensor, leg: str) -> dict[str, Any]:
     return {term.parameter: _Flow(described(term, leg)) for term in sensor.terms}
+
+
+def _dump_own_terms(leg: Leg) -> dict[str, Any]:
+    """Return the terms of a leg's parameters as plain data."""
+    return {
+        name: {
+            one.parameter: _Flow(described(one, leg.name)) for of, one in leg.terms if of == name
+        }
+        for name in leg.deformed
+    }
 
 
 def _values(coordinate: Coordinate) -> Any:

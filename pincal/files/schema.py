@@ -53,6 +53,7 @@ class LegSpec(Strict):
     sensors: list[SensorSpec] = Field(min_length=1)
     parameters: dict[Name, Number]
     placements: dict[str, list[dict[str, Value | list[Value]]]]
+    terms: dict[Name, dict[Name, TermSpec]] = Field(default_factory=dict)
 
 
 class KindSpec(Strict):

@@ -1,4 +1,7 @@
-"""Terms of sensors in ``mechanism.yaml``: the name of the amplitude, and what it multiplies.
+"""Terms in ``mechanism.yaml``: the name of the amplitude, and what it multiplies.
+
+Of a sensor under its ``terms``; of a leg's parameters, which follow influences only (``of``), under
+the leg's: ``terms: {l: {grow: {of: temperature}}}``.
 
 terms:
 a_sin: {sine: 50}                          # sin 50 ψ; cosine likewise
@@ -94,7 +97,7 @@ def described(term: Term, where: str) -> dict[str, Any]:
     basis = term.basis
     if not term.plain or bool(term.of) != isinstance(basis, Share):
         raise MechanismError(
-            f"{where}: the sensor's term of {term.parameter!r} is code, which a mechanism's folder "
+            f"{where}: the term of {term.parameter!r} is code, which a mechanism's folder "
             "does not hold; save the mechanism without terms, and its parameters "
             "(mechanism.parameters)"
         )

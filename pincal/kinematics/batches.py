@@ -6,6 +6,7 @@ shape (…, N)): NumPy then does one long loop instead of N short ones.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -86,11 +87,23 @@ def lengths(vectors: Array) -> Array:
     return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
 
 
-def applied(matrices: Array, vectors: Array) -> Array:
-    """Return T v of poses T, shape (N, 4, 4), and vectors (4, k), shape (3, k, N).
+def block_diagonal(parts: Sequence[Array]) -> Array:
+    """Return matrices of shape (N, k, n) along a diagonal, shape (N, Σk, Σn)."""
+    rows, columns = (np.cumsum([0, *(part.shape[axis] for part in parts)]) for axis in (1, 2))
+    out = np.zeros((len(parts[0]), rows[-1], columns[-1]))
+    for part, row, column in zip(parts, rows, columns, strict=False):
+        out[:, row : row + part.shape[1], column : column + part.shape[2]] = part
+    return out
 
-    One product of matrices: the poses' entries, in a row, times what each vector takes of them.
+
+def applied(matrices: Array, vectors: Array) -> Array:
+    """Return T v of poses T, shape (N, 4, 4), and vectors (4, k) or (4, k, N), shape (3, k, N).
+
+    One product of matrices: the poses' entries, in a row, times what each vector takes of them;
+    of vectors that differ from pose to pose, one for each.
     """
+    if vectors.ndim == 3:
+        return np.einsum("nij,jkn->ikn", matrices[:, :3], vectors)
     k = vectors.shape[1]
     takes = np.zeros((3, k, 3, 4))
     for row in range(3):

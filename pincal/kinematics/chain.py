@@ -2,7 +2,9 @@
 
 Configurations of the chain are linear in the leg's joints and parameters,
 ``q = J joints + S parameters``; a tie, such as an azimuth that turns a point but not
-what follows, is a row of S with several entries.
+what follows, is a row of S with several entries. A parameter that deforms from row to row is at
+p + ε: its deformation ε is one more joint, whose column of J is the parameter's of S. On the
+platform's side a chain of parameters alone leads to the leg's platform point.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ Array = NDArray[np.float64]
 class Chain:
     """Elementary joints in a row, and how parameters and leg joints move them.
 
-    The first of them are parameters only: they stand still in all configurations.
+    The first of them are parameters that do not deform: they stand still in all configurations.
     """
 
     still: Forest
@@ -36,19 +38,23 @@ class Chain:
     """S, shape (n, n_params)."""
     from_joints: Array
     """J, shape (n, n_joints): one entry ±1 a column."""
+    deformed: tuple[int, ...] = ()
+    """Parameters that deform."""
 
     def motion(self, parameters: Array, joints: Array) -> Motion:
         """Return where the tip is, and how each leg joint and then each parameter moves it.
 
         Args:
             parameters: Parameter values, shape (n_params,).
-            joints: Joint positions of the leg, shape (N, n_joints), [rad] or [m].
+            joints: Joint positions of the leg, [rad] or [m], and behind them deformations, shape
+                (N, n_joints [+ n_deformed]); nothing deforms if these are not given.
         """
         values, base = self._begun(parameters.tobytes())
         q = np.empty((len(joints), len(values)))
         q[:] = values
-        for column, (row, sign) in enumerate(self._rows):
-            q[:, row] += sign * joints[:, column]
+        for row, column, entry in self._entries:
+            if column < joints.shape[1]:
+                q[:, row] += entry * joints[:, column]
         return self.forest.motion(q, self._wanted, base)
 
     @cached_property
@@ -64,10 +70,11 @@ class Chain:
         return begun
 
     @cached_property
-    def _rows(self) -> list[tuple[int, float]]:
-        """Moving elementary joint of each leg joint, and its sign."""
-        rows = [int(np.flatnonzero(entries)[0]) for entries in self.from_joints.T]
-        return [(row - self.still.width, self.from_joints[row, i]) for i, row in enumerate(rows)]
+    def _entries(self) -> list[tuple[int, int, float]]:
+        """What is not zero of J, deformations last, of what moves: row, column, entry."""
+        every = np.concatenate((self.from_joints, self.from_parameters[:, self.deformed]), axis=1).T
+        s = self.still.width
+        return [(int(row) - s, int(col), every[col, row]) for col, row in np.argwhere(every)]
 
     @cached_property
     def moving(self) -> NDArray[np.intp]:
@@ -106,6 +113,7 @@ def point_chain(leg: Leg) -> Chain:
 
 def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None = None) -> Chain:
     names = list(leg.parameter_names)
+    deformed = [names.index(name) for name in leg.deformed]
     moving = [joint.name for joint in joints if joint.kind != "fixed"]
     elements: list[Elementary] = []
     rows: list[tuple[Array, Array]] = []
@@ -133,13 +141,14 @@ def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None 
             entry = np.eye(len(moving))[moving.index(joint.name)]
             element, sign = _motion(joint, _key(pending))
             add(element, np.zeros(len(names)), sign * entry)
-    moved = [index for index, (_, entry) in enumerate(rows) if entry.any()]
+    moved = [i for i, (by, entry) in enumerate(rows) if entry.any() or by[deformed].any()]
     first = moved[0] if moved else 0
     return Chain(
         Forest(tuple(elements[:first]), spatial=True, copies=1),
         forest(tuple(elements[first:]), _key(pending), spatial=spatial, copies=copies),
         np.array([parameter for parameter, _ in rows]).reshape(len(rows), len(names)),
         np.array([entry for _, entry in rows]).reshape(len(rows), len(moving)),
+        tuple(deformed),
     )
 
 
@@ -155,3 +164,73 @@ def _motion(joint: Joint, placement: tuple[float, ...]) -> tuple[Elementary, flo
 def _key(matrix: Array) -> tuple[float, ...]:
     """Return a homogeneous matrix as a hashable row, empty for the identity."""
     return () if np.array_equal(matrix, np.eye(4)) else tuple(float(v) for v in matrix.ravel())
+
+
+@dataclass(frozen=True)
+class PlatformPoint:
+    """A platform point and its frame; k of the leg's parameters place it.
+
+    Homogeneous vectors, as ``batches.applied`` takes them: shape (4, …), or (4, …, N) of N rows.
+    """
+
+    parameters: NDArray[np.intp]
+    """Indices of these parameters, shape (k,)."""
+    place: Array
+    """The point, shape (4, 1[, N]), [m]."""
+    arm: Array
+    """The vector to it from the platform's origin, shape (4, 1[, N]), [m]."""
+    speeds: Array
+    """The point's velocities by these parameters, shape (4, k[, N]), [m] a unit."""
+    turn: Array
+    """Its frame, shape ([N, ]3, 3)."""
+    turning: Array
+    """How these parameters turn it, shape ([N, ]3, k), [rad] a unit."""
+
+
+def platform_point(leg: Leg, parameters: Array) -> PlatformPoint:
+    """Return a leg's platform point at parameter values, shape (n_params,), made once."""
+    return _point(leg, parameters[point_chain(leg).moving].tobytes())
+
+
+@lru_cache(maxsize=1024)
+def _point(leg: Leg, own: bytes) -> PlatformPoint:
+    chain, parameters = point_chain(leg), np.zeros(len(leg.parameters))
+    parameters[chain.moving] = np.frombuffer(own)
+    many = _of(leg, chain.motion(parameters, np.zeros((1, 0))))
+    return PlatformPoint(
+        many.parameters,
+        many.place[:, :, 0],
+        many.arm[:, :, 0],
+        many.speeds[:, :, 0],
+        many.turn[0],
+        many.turning[0],
+    )
+
+
+def deformed_point(leg: Leg, parameters: Array, by: Array) -> PlatformPoint:
+    """Return a leg's platform point in N rows, where its parameters deform.
+
+    Args:
+        leg: The leg.
+        parameters: Values of all its parameters, shape (n_params,).
+        by: How far those that deform do, shape (N, n_deformed), [m] or [rad].
+    """
+    places = [leg.parameter_names.index(name) for name in leg.deformed]
+    if not point_chain(leg).from_parameters[:, places].any():
+        return platform_point(leg, parameters)
+    return _of(leg, point_chain(leg).motion(parameters, by))
+
+
+def _of(leg: Leg, motion: Motion) -> PlatformPoint:
+    """Return the point of N rows."""
+    own = point_chain(leg).moving
+    tips, twists = motion.tips[:, None], motion.twists()[:, own]
+    zero = np.zeros((1, len(own), tips.shape[2]))
+    return PlatformPoint(
+        own,
+        np.concatenate((tips, np.ones_like(tips[:1]))),
+        np.concatenate((tips, np.zeros_like(tips[:1]))),
+        np.concatenate((twists[:3], zero)),
+        motion.turns,
+        twists[3:].transpose(2, 0, 1),
+    )

@@ -43,9 +43,18 @@ class ClosedLeg:
     """Closure and derivatives there; of no meaning where not reached."""
 
 
-def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
-    """Return one leg closed at poses ``T_base_platform``, shape (N, 4, 4)."""
-    joints, possible = start_joints(leg, matrices)
+def close(leg: LegClosure, matrices: Array, influences: Array | None = None) -> ClosedLeg:
+    """Return one leg closed at poses.
+
+    Args:
+        leg: The leg at its parameter values.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        influences: Of the leg, by which its parameters deform, shape (N, n_influences); at their
+            reference if not given.
+    """
+    start, possible = start_joints(leg, matrices)
+    joints, n = leg.deformed(start, influences), start.shape[1]
+    possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
     closure = leg.evaluate(joints, matrices)
     closed = possible & _small(leg, closure)
     step = _newton_step(leg, closure)
@@ -53,8 +62,9 @@ def close(leg: LegClosure, matrices: Array) -> ClosedLeg:
     joints = np.where((closed & ~last)[:, None], joints, joints + step)
     if not (closed | ~possible).all():
         joints, closed = _search(leg, matrices, joints, closed, possible)
-        closure = leg.evaluate(np.where(closed[:, None], joints, leg.leg.home), matrices)
-    joints = _within_limits(leg, joints)
+        home = leg.deformed(leg.leg.home[None])
+        closure = leg.evaluate(np.where(closed[:, None], joints, home), matrices)
+    joints = _within_limits(leg, joints[:, :n])
     reached = closed & in_home_mode(leg, closure)
     return ClosedLeg(np.where(reached[:, None], joints, np.nan), reached, closure)
 
@@ -81,7 +91,7 @@ def _search(
         rows = np.flatnonzero(possible & ~closed)
         if attempt:
             again, may = start_joints(leg, matrices[rows], attempt)
-            joints[rows] = again
+            joints[rows, : again.shape[1]] = again
             rows = rows[may]
         found = rows
         for _ in range(_NEWTON.steps):
@@ -103,12 +113,13 @@ def _search(
 
 
 def _newton_step(leg: LegClosure, closure: Closure) -> Array:
-    """Return the Newton step of all joints, shape (N, n_joints)."""
+    """Return the Newton step of all joints, deformations staying, (N, n_joints + n_deformed)."""
     with np.errstate(all="ignore"):
         active = closure.active_step()
         change = product(closure.active, active[:, :, None])[:, :, 0]
         passive = closure.passive_step(change)
-        step = np.empty((len(active), active.shape[1] + passive.shape[1]))
+        width = active.shape[1] + passive.shape[1] + len(leg.leg.deformed)
+        step = np.zeros((len(active), width))
         step[:, leg.leg.active], step[:, leg.leg.passive] = active, passive
         return step
 
@@ -133,6 +144,21 @@ def sensor_law(leg: LegClosure) -> SensorLaw:
     return sensor_laws(sensors, leg.by_name, zeros, slopes, columns)
 
 
+def driven(leg: LegClosure, joints: Array, known: Array) -> Array:
+    """Return joint positions with those that rows say: active joints, and deformations behind.
+
+    Shape (N, n_joints + n_deformed), [rad] or [m].
+
+    Args:
+        leg: The leg at its parameter values.
+        joints: Shape (N, n_joints), which may be overwritten.
+        known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
+    """
+    joints = leg.deformed(joints, known[:, len(leg.leg.sensors) :])
+    joints[:, leg.leg.active] = sensor_law(leg).position(known)
+    return joints
+
+
 def _at_home(leg: LegClosure) -> tuple[Array, Array]:
     """Return the active joints' positions at the home pose, and their derivatives.
 
@@ -153,12 +179,22 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
 
 
 def close_chunks(
-    mechanism: Mechanism, placed: RigidTransform | Array
+    mechanism: Mechanism, placed: RigidTransform | Array, influences: Array | None = None
 ) -> Iterator[tuple[slice, Array, list[ClosedLeg]]]:
-    """Yield the closed legs of poses in chunks of bounded memory: rows, matrices, one per leg."""
+    """Yield the closed legs of poses in chunks of bounded memory: rows, matrices, one per leg.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        placed: N poses.
+        influences: Of all legs, shape (N, n_influences); at their reference if not given.
+    """
     legs = nominal_legs(mechanism)
     for rows, matrices in matrix_chunks(placed):
-        yield rows, matrices, [close(leg, matrices) for leg in legs]
+        own: list[Array | None] = [None] * len(legs)
+        if influences is not None:
+            own = [mechanism.influences_at(i, influences[rows]) for i in range(len(legs))]
+        pairs = zip(legs, own, strict=True)
+        yield rows, matrices, [close(leg, matrices, by) for leg, by in pairs]
 
 
 def matrix_chunks(placed: RigidTransform | Array) -> Iterator[tuple[slice, Array]]:

@@ -30,11 +30,12 @@ from pincal.kinematics.batches import (
     solve,
     turn_between,
 )
-from pincal.kinematics.chain import leg_chain, point_chain
+from pincal.kinematics.chain import PlatformPoint, deformed_point, leg_chain, platform_point
 from pincal.kinematics.forest import Motion
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
+from pincal.model.sensors.deformations import Deformations
 
 Array = NDArray[np.float64]
 
@@ -147,9 +148,7 @@ class LegClosure:
         self._chain = leg_chain(leg, platform.space == 3 or self._turns)
         self._key = (leg, platform, self.parameters.tobytes())
         self._hash = hash(self._key)
-        self._by_point = point_chain(leg).moving
-        point = _point(leg, self.parameters[self._by_point].tobytes())
-        self._b, self._turn, self._db, self._place, self._arm, self._speeds = point
+        self._point = platform_point(leg, self.parameters)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, LegClosure) and self._key == other._key
@@ -178,11 +177,32 @@ class LegClosure:
         Args:
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
         """
-        return self._placed(matrices).T
+        return applied(matrices, self._point.place)[:, 0].T
 
-    def _placed(self, matrices: Array) -> Array:
-        """Return the platform point in the base frame, shape (3, N), [m]."""
-        return applied(matrices, self._place)[:, 0]
+    @cached_property
+    def deformations(self) -> Deformations:
+        """What parameters deform by."""
+        return Deformations.of(self.leg, self.parameters)
+
+    def deformed(self, joints: Array, influences: Array | None = None) -> Array:
+        """Return joint positions, and behind them how far parameters deform.
+
+        Shape (N, n_joints + n_deformed), [rad] or [m]; the same array if nothing deforms.
+
+        Args:
+            joints: Shape (N, n_joints).
+            influences: Of the leg, shape (N, n_influences); at their reference if not given.
+        """
+        if not self.leg.deformed:
+            return joints
+        none = np.empty((len(joints), 0))
+        by = self.deformations(none if influences is None else influences)
+        return np.concatenate((joints, by), axis=1)
+
+    def _point_at(self, joints: Array) -> PlatformPoint:
+        """Return the platform point at joint positions, with deformations or without."""
+        by = joints[:, len(self.leg.moving) :]
+        return self._point if not by.shape[1] else deformed_point(self.leg, self.parameters, by)
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
@@ -197,14 +217,19 @@ class LegClosure:
         return _padded(motion.tips), np.ascontiguousarray(twists.transpose(2, 0, 1))
 
     def evaluate(self, joints: Array, matrices: Array) -> Closure:
-        """Return closure and derivatives at joint positions (N, n_joints) and poses (N, 4, 4)."""
-        motion = self._chain.motion(self.parameters, joints)
+        """Return closure and derivatives at joint positions and poses.
+
+        Args:
+            joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
+            matrices: Shape (N, 4, 4).
+        """
+        motion, point = self._chain.motion(self.parameters, joints), self._point_at(joints)
         m = self.platform.space
-        gap = motion.tips[:m] - self._placed(matrices)[:m]
-        columns, n = motion.linear[:m], joints.shape[1]
+        gap = motion.tips[:m] - applied(matrices, point.place)[:m, 0]
+        columns, n = motion.linear[:m], len(self.leg.moving)
         moved, parameter = columns[:, :n], columns[:, n:]
-        if len(self._by_point):
-            parameter[:, self._by_point] -= applied(matrices, self._speeds)[:m]
+        if len(point.parameters):
+            parameter[:, point.parameters] -= applied(matrices, point.speeds)[:m]
         rows = [
             part.transpose(2, 0, 1)
             for part in (moved[:, self.leg.active], moved[:, self.leg.passive], parameter)
@@ -212,8 +237,8 @@ class LegClosure:
         gap = gap.T
         error = None
         if self._turns:
-            error = turn_between(motion.turns, matrices[:, :3, :3] @ self._turn)
-            turned, by_joints = self._turning(error, matrices, motion)
+            error = turn_between(motion.turns, matrices[:, :3, :3] @ point.turn)
+            turned, by_joints = self._turning(error, matrices, motion, point)
             gap = np.concatenate((gap, turned), axis=1)
             parts = (
                 by_joints[:, :, self.leg.active],
@@ -227,12 +252,14 @@ class LegClosure:
             active,
             passive,
             parameter,
-            make_pose=lambda: self._by_pose(matrices, error),
+            make_pose=lambda: self._by_pose(matrices, error, point),
             drive_twists=lambda: self._drive_twists(motion),
             passive_turning=lambda: motion.angular[:, self.leg.passive],
         )
 
-    def _turning(self, error: Array, matrices: Array, motion: Motion) -> tuple[Array, Array]:
+    def _turning(
+        self, error: Array, matrices: Array, motion: Motion, point: PlatformPoint
+    ) -> tuple[Array, Array]:
         """Return the rows of the turn, and their derivatives by joints and parameters.
 
         Rotation vectors times the leg's size, so that all rows are lengths.
@@ -240,9 +267,9 @@ class LegClosure:
         axes = [row - 3 for row in self._rows if row >= 3]
         spread = self.size * inverse_left_jacobian(error)[:, axes]
         columns = spread @ np.ascontiguousarray(motion.angular.transpose(2, 0, 1))
-        if len(self._by_point):
-            own = len(self.leg.moving) + self._by_point
-            columns[:, :, own] -= self._back(error) @ matrices[:, :3, :3] @ self._db[3:]
+        if len(point.parameters):
+            own = len(self.leg.moving) + point.parameters
+            columns[:, :, own] -= self._back(error) @ matrices[:, :3, :3] @ point.turning
         return self.size * error[:, axes], columns
 
     def _back(self, error: Array) -> Array:
@@ -250,9 +277,9 @@ class LegClosure:
         axes = [row - 3 for row in self._rows if row >= 3]
         return self.size * inverse_left_jacobian(error).transpose(0, 2, 1)[:, axes]
 
-    def _by_pose(self, matrices: Array, error: Array | None) -> Array:
+    def _by_pose(self, matrices: Array, error: Array | None, point: PlatformPoint) -> Array:
         """Return ∂c/∂x, shape (N, m, dof), given the turn's error if there is one, (N, 3)."""
-        arm = applied(matrices, self._arm)[:, 0].T
+        arm = applied(matrices, point.arm)[:, 0].T
         twist_rows = self.platform.twist_rows
         pose = -point_velocity(arm, twist_rows)[:, : self.platform.space]
         if error is None:
@@ -264,17 +291,17 @@ class LegClosure:
         """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
 
         Args:
-            joints: Shape (N, n_joints).
+            joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
             gap: What the closure is to be there, shape (N, 6); nothing if not given.
         """
-        motion = self._chain.motion(self.parameters, joints)
+        motion, point = self._chain.motion(self.parameters, joints), self._point_at(joints)
         tips, turns = motion.tips.T, motion.turns
         if gap is not None:
             tips = tips - gap[:, :3]
             turns = Rotation.from_rotvec(-gap[:, 3:] / self.size).as_matrix() @ turns
         matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-        matrices[:, :3, :3] = turns @ self._turn.T
-        matrices[:, :3, 3] = tips - matrices[:, :3, :3] @ self._b
+        matrices[:, :3, :3] = turns @ np.swapaxes(point.turn, -1, -2)
+        matrices[:, :3, 3] = tips - applied(matrices, point.arm)[:, 0].T
         return matrices
 
     def _drive_twists(self, motion: Motion) -> tuple[Array, Array | None]:
@@ -283,26 +310,6 @@ class LegClosure:
         following = [i for i in range(active + 1, len(moving)) if moving[i].kind == "revolute"]
         turn = motion.twists(following[0]) if following else None
         return motion.twists(active), turn
-
-
-@lru_cache(maxsize=1024)
-def _point(leg: Leg, own: bytes) -> tuple[Array, ...]:
-    """Return a platform point b (3,), its frame's turn (3, 3), and its twists by its parameters.
-
-    And what poses are applied to: b as a place and as an arm, (4, 1), and its speeds by its
-    parameters, (4, n).
-
-    Args:
-        leg: The leg.
-        own: Values of the parameters that move the point.
-    """
-    chain = point_chain(leg)
-    parameters = np.zeros(len(leg.parameters))
-    parameters[chain.moving] = np.frombuffer(own)
-    motion = chain.motion(parameters, np.zeros((1, 0)))
-    b, twists = motion.tips[:, 0], motion.twists()[:, chain.moving, 0]
-    places = [np.append(b, one)[:, None] for one in (1.0, 0.0)]
-    return b, motion.turns[0], twists, *places, np.pad(twists[:3], ((0, 1), (0, 0)))
 
 
 def _padded(rows: Array) -> Array:

@@ -7,14 +7,13 @@ a surface of poses only: such a plan carries readings, and forward kinematics gi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.kinematics.batches import least_squares
+from pincal.kinematics.batches import block_diagonal, least_squares
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demand
@@ -168,15 +167,6 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
             zip(mechanism.legs, mechanism.reading_columns, strict=True)
         )
     ]
-
-
-def block_diagonal(parts: Sequence[Array]) -> Array:
-    """Return matrices of shape (N, k, n) along a diagonal, shape (N, Σk, Σn)."""
-    rows, columns = (np.cumsum([0, *(part.shape[axis] for part in parts)]) for axis in (1, 2))
-    out = np.zeros((len(parts[0]), rows[-1], columns[-1]))
-    for part, row, column in zip(parts, rows, columns, strict=False):
-        out[:, row : row + part.shape[1], column : column + part.shape[2]] = part
-    return out
 
 
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:

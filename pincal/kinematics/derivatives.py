@@ -75,9 +75,16 @@ def demand(leg: LegClosure, closure: Closure, known: Array) -> Demand:
 
 
 def _by_parameter(leg: LegClosure, closure: Closure, known: Array) -> Array:
-    """Return ∂e/∂φ, shape (N, k, n_params): of the geometry, and of the sensors."""
+    """Return ∂e/∂φ, shape (N, k, n_params): of the geometry, of the sensors, and of deformations.
+
+    A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
+    """
     rows = closure.project(closure.parameter)
-    return rows + product(closure.drive, sensor_law(leg).by_parameter(known))
+    found = rows + product(closure.drive, sensor_law(leg).by_parameter(known))
+    if leg.leg.deformed:
+        by = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :])
+        found += rows[:, :, leg.deformations.parameters] @ by
+    return found
 
 
 def _closed_chunks(
@@ -97,7 +104,7 @@ def _closed_chunks(
             closure, _ = nearest_closure(leg, matrices, known)
             yield rows, closure, known, np.ones(len(matrices), dtype=bool)
             continue
-        closed = close(leg, matrices)
+        closed = close(leg, matrices, more)
         psi = sensor_law(leg).reading(closed.joints[:, leg.leg.active], more)
         yield rows, closed.closure, np.hstack((psi, more)), closed.reached
 

@@ -19,7 +19,7 @@ from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
-from pincal.kinematics.closing import CHUNK, close, sensor_law
+from pincal.kinematics.closing import CHUNK, close, driven, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.influences.loads import gravity_loads
@@ -80,7 +80,7 @@ def forward(
         mechanism: The mechanism, at its nominal parameters.
         readings: Sensor readings, shape (N, n_readings), [rad] or [m], legs in order.
         guess: N poses near the solutions; the home pose if not given.
-        influences: What terms of sensors depend on, by column: see ``inverse``.
+        influences: What terms depend on, by column: see ``inverse``.
 
     Raises:
         MechanismError: readings or guess of a wrong shape, or not finite; a homed sensor and a
@@ -129,7 +129,7 @@ def forward(
 def with_loads(
     mechanism: Mechanism, influences: Array | None, readings: Array, guess: Poses | None = None
 ) -> Array | None:
-    """Return columns of influences with the loads of joints, where they were not given.
+    """Return columns of influences with the loads of joints and links, where they were not given.
 
     They are those of the machine as drawn, at the poses to which these readings would take it: a
     term depends on nothing but what a row says.
@@ -144,13 +144,12 @@ def with_loads(
         return influences
     drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
     poses = _reached(drawing, readings[known], None if guess is None else guess[known])
-    loads = np.full(readings.shape, np.nan)
-    loads[known] = gravity_loads(drawing, readings[known], drawing.platform.matrices(poses))
+    loads = gravity_loads(drawing, readings[known], drawing.platform.matrices(poses))
     found = influences.copy()
     for name in mechanism.loaded:
-        reading = mechanism.reading_names.index(name.removeprefix(f"{LOAD}_"))
-        own = found[:, mechanism.influences.index(name)]
-        own[:] = np.where(np.isnan(own), loads[:, reading], own)
+        column = mechanism.influences.index(name)
+        own, there = found[known, column], loads[name.removeprefix(f"{LOAD}_")]
+        found[known, column] = np.where(np.isnan(own), there, own)
     return found
 
 
@@ -191,9 +190,9 @@ def _solve(
     """
     matrices = placed_by_arm(legs, known)
     matrices = guess.as_matrix().copy() if matrices is None else matrices
-    joints = [_joints_near(leg, matrices) for leg in legs]
-    for leg, own, q in zip(legs, known, joints, strict=True):
-        q[:, leg.leg.active] = sensor_law(leg).position(own)
+    joints = [
+        driven(leg, _joints_near(leg, matrices), own) for leg, own in zip(legs, known, strict=True)
+    ]
     size = max(leg.size for leg in legs)
     open_ = np.ones(len(matrices), dtype=bool)
     steps = 0
@@ -279,7 +278,8 @@ def _reasons(
     """Return why each row has no pose, an empty string where it has one, and the legs' gaps."""
     finite: Mask = np.isfinite(np.concatenate([matrices.reshape(-1, 16), *joints], axis=1))
     finite = np.asarray(finite.all(axis=1))
-    safe = [np.where(finite[:, None], q, leg.leg.home) for leg, q in zip(legs, joints, strict=True)]
+    homes = [leg.deformed(leg.leg.home[None]) for leg in legs]
+    safe = [np.where(finite[:, None], q, home) for q, home in zip(joints, homes, strict=True)]
     closures = [leg.evaluate(q, matrices) for leg, q in zip(legs, safe, strict=True)]
     closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
     twist = _platform_step(closures)[:, :, None]

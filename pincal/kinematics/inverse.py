@@ -70,7 +70,7 @@ def inverse(
     Args:
         mechanism: The mechanism, at its nominal parameters.
         poses: N platform poses: coordinates, shape (N, dof), [m] and [rad], or transforms.
-        influences: What terms of sensors depend on, by column (``Mechanism.influences``): a number
+        influences: What terms depend on, by column (``Mechanism.influences``): a number
             for all poses, or one for each, shape (N,); at their reference if not given.
 
     Raises:
@@ -106,7 +106,7 @@ def _inverse(
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
     readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
-    for rows, _, closed in close_chunks(mechanism, placed):
+    for rows, _, closed in close_chunks(mechanism, placed, columns):
         for index, (leg, law, one) in enumerate(zip(mechanism.legs, laws, closed, strict=True)):
             joints[leg.name][rows] = one.joints
             own = None if columns is None else mechanism.influences_at(index, columns[rows])

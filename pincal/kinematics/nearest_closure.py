@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import lengths, product
-from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closing import driven
 from pincal.kinematics.closure import Closure, LegClosure, Newton
 from pincal.kinematics.starts import start_joints
 
@@ -28,21 +28,23 @@ def nearest_closure(
 ) -> tuple[Closure, Array]:
     """Return a leg's closure at poses and readings, |c| least, and the joint positions there.
 
+    Deformations of its parameters stand behind these, if there are any.
+
     Args:
         leg: The leg at its parameter values.
         matrices: Poses ``T_base_platform``, shape (N, 4, 4).
         known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
-        joints: Where the search for passive joints starts, shape (N, n_joints).
+        joints: Where the search for passive joints starts, shape (N, n_joints [+ n_deformed]).
         steps: Most Gauss-Newton steps.
     """
-    active, passive = leg.leg.active, leg.leg.passive
+    passive, n = leg.leg.passive, len(leg.leg.moving)
     if joints is not None:
-        joints = joints.copy()
+        joints = joints[:, :n].copy()
     elif passive:
         joints = start_joints(leg, matrices)[0]
     else:
-        joints = np.empty((len(matrices), len(active)))
-    joints[:, active] = sensor_law(leg).position(known)
+        joints = np.empty((len(matrices), n))
+    joints = driven(leg, joints, known)
     for _ in range(steps):
         closed = leg.evaluate(joints, matrices)
         step = closed.passive_step()
@@ -91,5 +93,4 @@ def arm_poses(leg: LegClosure, known: Array, gap: Array | None = None) -> Array:
         gap: What the closure is to be there, shape (N, 6); nothing if not given.
     """
     joints = np.empty((len(known), len(leg.leg.moving)))
-    joints[:, leg.leg.active] = sensor_law(leg).position(known)
-    return leg.frame(joints, gap)
+    return leg.frame(driven(leg, joints, known), gap)

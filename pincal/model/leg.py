@@ -16,6 +16,7 @@ from pincal.model.checks import LARGEST, must_be, number_of
 from pincal.model.overview import counted, one_line, triple
 from pincal.model.parameter import listed
 from pincal.model.placement import Placement
+from pincal.model.sensors.deformations import check_terms
 from pincal.model.sensors.sensor import Sensor
 from pincal.model.sensors.terms import Term
 
@@ -88,6 +89,9 @@ class Leg:
     """Name of the tip link."""
     closes: Closing = "point"
     """Whether the tip's origin meets the platform, or its whole frame."""
+    terms: tuple[tuple[str, Term], ...] = ()
+    """What is added to lengths and angles in a row, by the parameter's name: ``("l", Term("grow",
+    Share(10.0, 20.0), of="temperature"))``; the amplitude is a parameter too."""
 
     def __post_init__(self) -> None:
         for joint in self.moving:
@@ -117,6 +121,7 @@ class Leg:
                 f"{self.name}: joint {odd[0]!r} is read, but its name cannot head a column; "
                 "expected letters, digits and underscores. Rename it in the URDF"
             )
+        check_terms(self, self.placed)
         used = set(self.units)
         declared = [name for name, _ in self.parameters]
         if len(set(declared)) != len(declared):
@@ -197,17 +202,24 @@ class Leg:
         return dict(self.parameters)
 
     @cached_property
-    def units(self) -> dict[str, str]:
-        """Units of the parameters, by name: m, rad, or 1 for a gain."""
+    def placed(self) -> dict[str, str]:
+        """Units of the parameters of placements, lengths and angles, by name."""
         units: dict[str, str] = {}
         for joint in (*self.joints, self.point):
             units |= joint.placement.parameter_units
+        return units
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Units of the parameters, by name: m, rad, or 1 for a gain."""
+        units = dict(self.placed)
         for sensor, unit in zip(self.sensors, self.reading_units, strict=True):
             if isinstance(sensor.gain, str):
                 units[sensor.gain] = "1"
             if isinstance(sensor.offset, str):
                 units[sensor.offset] = unit
             units |= {term.parameter: term.unit or unit for term in sensor.terms}
+        units |= {term.parameter: term.unit or self.placed[name] for name, term in self.terms}
         return units
 
     @property
@@ -225,10 +237,16 @@ class Leg:
 
     @cached_property
     def influences(self) -> tuple[str, ...]:
-        """Columns of the influence quantities on which the sensors' terms depend."""
+        """Columns of the influence quantities on which terms depend, those of sensors first."""
         named = zip(self.sensors, self.reading_names, strict=True)
-        found = (term.column(name) for sensor, name in named for term in sensor.terms)
+        found = [term.column(name) for sensor, name in named for term in sensor.terms]
+        found += [term.column(f"{self.name}.{name}") for name, term in self.terms]
         return tuple(dict.fromkeys(name for name in found if name))
+
+    @cached_property
+    def deformed(self) -> tuple[str, ...]:
+        """Names of the parameters that have terms."""
+        return tuple(dict.fromkeys(name for name, _ in self.terms))
 
     @cached_property
     def without_terms(self) -> Leg:
@@ -243,17 +261,18 @@ class Leg:
     @cached_property
     def amplitudes(self) -> frozenset[str]:
         """Names of the parameters that are amplitudes of terms."""
-        return frozenset(term.parameter for sensor in self.sensors for term in sensor.terms)
+        of_sensors = [term for sensor in self.sensors for term in sensor.terms]
+        return frozenset(term.parameter for term in (*of_sensors, *(one for _, one in self.terms)))
 
     def _with_terms(self, terms: Sequence[tuple[Term, ...]]) -> Leg:
-        """Return the leg with these of its terms, for each sensor, and what they need."""
+        """Return the leg with these of its terms, for each sensor, none of parameters."""
         pairs = zip(self.sensors, terms, strict=True)
         sensors = tuple(replace(sensor, terms=own) for sensor, own in pairs)
-        kept = {n for j in (*self.joints, self.point) for n in j.placement.parameter_units}
+        kept = set(self.placed)
         kept |= {str(one) for sensor in sensors for one in (sensor.gain, sensor.offset)}
         kept |= {term.parameter for own in terms for term in own}
         own = tuple((name, value) for name, value in self.parameters if name in kept)
-        return replace(self, sensors=sensors, parameters=own)
+        return replace(self, sensors=sensors, parameters=own, terms=())
 
     @cached_property
     def home(self) -> Array:
@@ -265,7 +284,8 @@ class Leg:
 
     @cached_property
     def _hash(self) -> int:
-        return hash((self.name, self.joints, self.sensors, self.parameters, self.point))
+        own = (self.name, self.joints, self.sensors, self.parameters, self.point, self.terms)
+        return hash(own)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: hashes of strings are each process's own."""

@@ -72,7 +72,7 @@ class Mechanism:
             )
         if self.load is None and self.loaded:
             raise MechanismError(
-                f"mechanism {self.name!r}: a term depends on the load of its joint, but what "
+                f"mechanism {self.name!r}: a term depends on a load, but what "
                 "weighs on the mechanism is not said; give 'load' (mass, centre, gravity)"
             )
         if len(set(readings)) != len(readings):
@@ -131,7 +131,7 @@ class Mechanism:
 
     @cached_property
     def influences(self) -> tuple[str, ...]:
-        """Columns of the influence quantities on which terms of sensors depend, of all legs."""
+        """Columns of the influence quantities on which terms depend, of all legs."""
         return tuple(dict.fromkeys(name for leg in self.legs for name in leg.influences))
 
     @cached_property
@@ -140,15 +140,22 @@ class Mechanism:
         return frozenset(f"{leg.name}.{name}" for leg in self.legs for name in leg.amplitudes)
 
     @cached_property
+    def load_names(self) -> tuple[str, ...]:
+        """What has a load of its own: readings' joints, then lengths and angles, by id."""
+        placed = (f"{leg.name}.{name}" for leg in self.legs for name in leg.placed)
+        return (*self.reading_names, *placed)
+
+    @cached_property
     def loaded(self) -> tuple[str, ...]:
-        """Those of the influences that are loads of joints."""
-        own = {f"{LOAD}_{name}" for name in self.reading_names}
+        """Those of the influences that are loads."""
+        own = {f"{LOAD}_{name}" for name in self.load_names}
         return tuple(name for name in self.influences if name in own)
 
     @cached_property
     def followed(self) -> frozenset[str]:
         """Columns that follow from the rows where they are not given: sides of approach, loads."""
-        return frozenset(f"{of}_{name}" for of in OF_JOINTS for name in self.reading_names)
+        joints = {f"{of}_{name}" for of in OF_JOINTS for name in self.reading_names}
+        return frozenset(joints | {f"{LOAD}_{name}" for name in self.load_names})
 
     @cached_property
     def at_reference(self) -> Mechanism:
@@ -157,13 +164,13 @@ class Mechanism:
 
     @cached_property
     def drawing(self) -> Mechanism:
-        """The machine whose loads count: at parameters as drawn, its sensors without terms."""
+        """The machine whose loads count: at parameters as drawn, without terms."""
         drawn = {} if self.load is None else dict(self.load.drawn)
         plain = replace(self, legs=tuple(leg.without_terms for leg in self.legs))
         return plain.with_parameters(drawn)
 
     def known(self, leg: int, readings: Array, influences: Array | None = None) -> Array:
-        """Return what is known of rows for a leg's sensors: its readings, then its influences.
+        """Return what is known of rows for a leg's terms: its readings, then its influences.
 
         Args:
             leg: Index.

@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.calibration.terms.bounds import Bound
-from pincal.calibration.terms.candidates import ORDER
 from pincal.calibration.terms.explain import Explanation
+from pincal.calibration.terms.kinds import GROWTH, ORDER
 from pincal.calibration.terms.path import RULES
 from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.residuals.slips import Slip
 from pincal.words.numbers import SMALL, amount, chance
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
 from pincal.words.terms import (
+    ALL_LENGTHS,
     AMPLITUDES,
     BOUNDS,
     CAUSES,
     COLUMN,
     DRIFT,
+    GROWN,
     HELD_OUT,
     LOST,
     MEND,
@@ -104,9 +106,9 @@ def explanation_lines(found: Explanation) -> list[str]:
     lines = slip_lines(found)
     lines += [
         SEEN.format(
-            reading=one.reading,
+            reading=ALL_LENGTHS if one.reading == GROWTH else one.reading,
             kind=one.kind,
-            cause=CAUSES.get(one.kind.name, COLUMN),
+            cause=CAUSES.get(one.kind.name, GROWN if _is_length(found, one) else COLUMN),
             share=one.share,
             chance=chance(one.corrected),
         )
@@ -166,6 +168,12 @@ def bound_line(one: Bound) -> str:
     size, least, reckoned = (amount(v, one.unit) for v in (one.size, one.least, one.reckoned))
     text = BOUNDS[one.cause].format(quantity=one.quantity, size=size, least=least)
     return TOO_SMALL.format(bound=text, reckoned=reckoned) if one.too_small else text
+
+
+def _is_length(found: Explanation, one: Candidate) -> bool:
+    """Return whether a candidate is of a length, or of all."""
+    units = {known.id: known.unit for known in found.result.nominal.parameters}
+    return one.reading == GROWTH or units.get(one.reading) == "m"
 
 
 def explanation_page(found: Explanation) -> str:

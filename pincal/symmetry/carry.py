@@ -17,13 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pincal.errors import SymmetryError
 from pincal.model.leg import Joint, Leg
 from pincal.model.placement import Placement, Value
 from pincal.model.sensors.sensor import Sensor
+from pincal.model.sensors.terms import LOAD
 from pincal.symmetry.elements import Element, wrapped
 from pincal.symmetry.placements import LOCAL_MIRROR, mirror_coordinate, on_body
 
 Array = NDArray[np.float64]
+_STEP = 1e-3  # [m] or [rad], by which a parameter is moved to see where it goes
+_SMALL = 1e-6  # of that, up to which it goes nowhere else
 
 
 def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
@@ -33,8 +37,15 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
     leg a reflection mirrors geometry.
 
     Raises:
-        SymmetryError: a placement whose coordinates cannot express the carried leg.
+        SymmetryError: a placement whose coordinates cannot express the carried leg, or in which a
+            parameter that deforms is another one after.
     """
+    moved = _moved(leg, element, name, point)
+    return canonical(_turned_terms(leg, element, moved) if leg.terms else moved)
+
+
+def _moved(leg: Leg, element: Element, name: str, point: str) -> Leg:
+    """Return a leg carried by an element, amplitudes of its terms as they were."""
     old, new = leg.nominal_by_name, dict(leg.parameters)
     local = LOCAL_MIRROR if element.reflection else np.eye(3)
     joints = []
@@ -57,14 +68,47 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         if joint.kind == "revolute":
             axis = axis * (-1.0 if element.reflection else 1.0)
         joints.append(replace(joint, placement=placement, axis=_triple(axis)))
-    moved = replace(
+    return replace(
         leg,
         name=name,
         joints=tuple(joints[:-1]),
         point=replace(joints[-1], name=point),
         parameters=tuple(new.items()),
     )
-    return canonical(moved)
+
+
+def _turned_terms(leg: Leg, element: Element, moved: Leg) -> Leg:
+    """Return a carried leg with amplitudes that turn over where their parameters do.
+
+    How a parameter follows is seen by carrying the leg with another value of it.
+    """
+    names, sides = [*leg.placed], {}
+    base = np.array([moved.nominal_by_name[name] for name in names])
+    for place, name in enumerate(names):
+        if name not in leg.deformed:
+            continue
+        other = leg.with_parameters({name: leg.nominal_by_name[name] + _STEP})
+        there = _moved(other, element, moved.name, moved.point.name).nominal_by_name
+        change = np.array([there[own] for own in names]) - base
+        turned = [wrapped(float(one)) for one in change]
+        change = np.where([leg.placed[own] == "rad" for own in names], turned, change) / _STEP
+        sides[name] = float(np.round(change[place]))
+        change[place] -= sides[name]
+        if abs(sides[name]) != 1.0 or np.abs(change).max() > _SMALL:
+            raise SymmetryError(
+                f"{leg.name}: {name!r} has terms, and the {element} makes another direction of it; "
+                "give the point by polar or spherical coordinates"
+            )
+    values, factors = moved.nominal_by_name, dict[str, float]()
+    for name, term in leg.terms:
+        side = 1.0 if term.of == LOAD else sides[name]  # loads turn over themselves
+        if factors.setdefault(term.parameter, side) != side:
+            raise SymmetryError(
+                f"{leg.name}: the {element} turns over some of the parameters that share the "
+                f"amplitude {term.parameter!r}, not all; give each an amplitude of its own"
+            )
+    new = {name: 0.0 + side * values[name] for name, side in factors.items()}
+    return moved.with_parameters(new)
 
 
 def bare(leg: Leg) -> Leg:
@@ -91,6 +135,7 @@ def bare(leg: Leg) -> Leg:
         point=fixed(leg.point),
         sensors=sensors,
         parameters=tuple((name, value) for name, value in leg.parameters if name in terms),
+        terms=(),
     )
 
 
@@ -116,7 +161,7 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
         offset = sensor.offset
         if sensor.form == "joint":
             offset = _changed(offset, parameters, lambda value: -value)
-        for amplitude in {term.parameter for term in sensor.terms}:
+        for amplitude in {one.parameter for one in sensor.terms if one.of != LOAD}:  # turns itself
             parameters[amplitude] = 0.0 - parameters[amplitude]
         zero = sensor.zero if isinstance(sensor.zero, str) else 0.0 - sensor.zero
         sensor = replace(sensor, direction=-sensor.direction, zero=zero, offset=offset)

@@ -1,4 +1,4 @@
-"""What is said of terms of sensors: what residuals follow, and what pays."""
+"""What is said of terms: what residuals follow, and what pays."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ CAUSES = {
     "order": "a drift in the order of rows: warming, or a frame or reflector that moves",
 }
 COLUMN = "warming, a load or a setting that is in this column"
+GROWN = "lengths that grow with this column"
+ALL_LENGTHS = "all lengths"
 NOTHING = (
     "nothing that was tried is seen in the residuals: the least probable of {count} has a chance "
     "of {least}, their number taken in"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.terms.candidates import BACKLASH
+from pincal.calibration.terms.kinds import BACKLASH
 from pincal.calibration.terms.screen import Candidate
 
 Array = NDArray[np.float64]

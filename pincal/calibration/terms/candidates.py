@@ -1,18 +1,26 @@
-"""Terms that a sensor may lack, by kind, in the scale of what was measured.
-
-Kinds are said as ``harmonics:1,2``, ``polynomial:2,3``, ``backlash``, ``gravity``, ``order``, or by
-the name of a column of the measurements, such as ``temperature``.
-"""
+"""Terms that sensors, lengths and angles may lack, in the scale of what was measured."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.terms.kinds import (
+    BACKLASH,
+    GRAVITY,
+    GROWTH,
+    HARMONICS,
+    OF_ONES_OWN,
+    POLYNOMIAL,
+    Kind,
+    check_place,
+)
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.columns import by_name
@@ -23,66 +31,6 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.sensors.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
 
 Array = NDArray[np.float64]
-HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
-AUTO = "auto"
-"""Those that pay, of all kinds."""
-ORDER = "order"
-"""The order of rows, from -1 to 1: no term, since no command has it, but a sign of drift."""
-_OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
-_KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY, ORDER)
-_NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of term, such as harmonics of orders 1 and 2."""
-
-    name: str
-    """``"harmonics"``, ``"polynomial"``, ``"backlash"``, ``"gravity"``, or a column."""
-    numbers: tuple[float, ...] = ()
-    """Orders of harmonics, powers of a polynomial."""
-
-    @classmethod
-    def of(cls, said: str) -> Kind:
-        """Return the kind that a text names.
-
-        Raises:
-            MeasurementError: numbers that are none, or that the kind does not have.
-        """
-        name, colon, numbers = said.partition(":")
-        usual = _NUMBERS.get(name.strip(), ())
-        try:
-            given = tuple(float(one) for one in numbers.split(",")) if colon else usual
-        except ValueError:
-            given = (np.nan,)
-        whole = name.strip() != POLYNOMIAL or all(one in range(2, 21) for one in given)
-        if not (all(0.0 < one < np.inf for one in given) and whole and bool(usual) >= bool(colon)):
-            raise MeasurementError(
-                f"terms {said!r}: expected harmonics:1,2 (periods in a turn), polynomial:2,3 "
-                "(powers, 2 to 20), backlash, gravity, or a column of the measurements"
-            )
-        return cls(name.strip(), given)
-
-    def __str__(self) -> str:
-        if self.numbers == _NUMBERS.get(self.name, ()):
-            return self.name
-        return f"{self.name}:{','.join(f'{one:g}' for one in self.numbers)}"
-
-
-def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ...]:
-    """Return the kinds of term that measurements can show: gravity where the load is known."""
-    angles = "rad" in mechanism.reading_units
-    names = [HARMONICS] * angles + [POLYNOMIAL, BACKLASH, ORDER]
-    names += [GRAVITY] if mechanism.load is not None else []
-    other = {*mechanism.followed, *_KINDS}
-    own = [name for name in measurements.influences if name not in other]
-    return tuple(Kind.of(name) for name in dict.fromkeys((*names, *own)))
-
-
-def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[str, Kind]]:
-    """Return all readings with all kinds of term that measurements can show."""
-    kinds = kinds_of(mechanism, measurements)
-    return [(name, kind) for kind in kinds for name in mechanism.reading_names]
 
 
 def with_terms(
@@ -92,44 +40,113 @@ def with_terms(
 ) -> tuple[Mechanism, dict[tuple[str, Kind], tuple[str, ...]]]:
     """Return a mechanism with more terms, at zero, and the ids of their amplitudes.
 
-    What it has already is not added again, and harmonics are of turning joints only.
+    What it has already is not added again, and harmonics are of turning joints only. Growth of all
+    lengths has one amplitude in each leg, which belong together (see ``tied_by``).
 
     Args:
         mechanism: The mechanism.
         measurements: Say over what range terms are scaled.
-        kinds: Readings, and what is added to each.
+        kinds: Places, and what is added to each (see ``kinds``).
 
     Raises:
-        MeasurementError: an unknown reading, or a column that was not measured.
+        MeasurementError: an unknown place, a kind that it cannot have, or a column that was not
+            measured.
     """
     pairs = list(kinds)
     wanted: dict[str, list[Kind]] = {}
-    for reading, kind in pairs:
-        _check_reading(reading, mechanism)
-        wanted.setdefault(reading, []).append(kind)
+    for place, kind in pairs:
+        check_place(place, kind, mechanism)
+        wanted.setdefault(place, []).append(kind)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
-    legs, labels, ids, column = [], [], {}, 0
+    legs, labels, column = [], list(mechanism.labels), 0
+    ids: dict[tuple[str, Kind], tuple[str, ...]] = dict.fromkeys(pairs, ())
     for leg in mechanism.legs:
-        sensors, parameters = [], dict(leg.parameters)
-        for index, sensor in enumerate(leg.sensors):
-            reading, terms = leg.reading_names[index], list(sensor.terms)
-            for kind in wanted.get(reading, ()):
-                added = []
+        grown = _Extended(leg)
+        for index, reading in enumerate(leg.reading_names):
+            for kind in _weighed(wanted.get(reading, ()), reading, data):
                 for one in _terms(leg, index, kind, data.readings[:, column], data):
-                    if _what(one) in map(_what, terms):
-                        continue
-                    name = one.parameter
-                    while name in parameters:
-                        name += "_term"
-                    added.append(term := replace(one, parameter=name))
-                    terms.append(term)
-                    parameters[name] = 0.0
-                    labels.append((f"{leg.name}.{name}", _label(one, leg.reading_units[index])))
-                ids[reading, kind] = tuple(f"{leg.name}.{one.parameter}" for one in added)
-            sensors.append(replace(sensor, terms=tuple(terms)))
+                    grown.at_sensor(index, one, (reading, kind))
             column += 1
-        legs.append(replace(leg, sensors=tuple(sensors), parameters=tuple(parameters.items())))
-    return replace(mechanism, legs=tuple(legs), labels=(*mechanism.labels, *labels)), ids
+        for name in leg.placed:
+            id_ = f"{leg.name}.{name}"
+            for kind in _weighed(wanted.get(id_, ()), id_, data):
+                one = _of_influence(name, id_, kind, data)
+                label = f"of {name} {_label(one, leg.placed[name])}"
+                grown.at_parameters({name: one}, label, (id_, kind))
+        for kind in wanted.get(GROWTH, ()):
+            one = _of_influence(GROWTH, "", kind, data)
+            label = f"share of all lengths {_label(one, '')}"
+            grown.at_parameters(_in_proportion(one, leg), label, (GROWTH, kind))
+        legs.append(grown.leg)
+        labels += grown.labels
+        for pair, names in grown.ids.items():
+            ids[pair] += tuple(names)
+    return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), ids
+
+
+class _Extended:
+    """A leg that gets more terms, and the amplitudes that they bring."""
+
+    def __init__(self, leg: Leg) -> None:
+        self.leg = leg
+        self.labels: list[tuple[str, str]] = []
+        self.ids: dict[tuple[str, Kind], list[str]] = {}
+
+    def at_sensor(self, index: int, term: Term, pair: tuple[str, Kind]) -> None:
+        """Add a term to a sensor, unless it has it."""
+        sensor = self.leg.sensors[index]
+        if _what(term) in map(_what, sensor.terms):
+            return
+        term = self._named(term, _label(term, self.leg.reading_units[index]), pair)
+        sensors = list(self.leg.sensors)
+        sensors[index] = replace(sensor, terms=(*sensor.terms, term))
+        self._grow(term, sensors=tuple(sensors))
+
+    def at_parameters(self, terms: Mapping[str, Term], label: str, pair: tuple[str, Kind]) -> None:
+        """Add terms to parameters, all with one amplitude, unless they have them."""
+        had: dict[str, dict[str, object]] = {}
+        for name, one in self.leg.terms:
+            had.setdefault(one.parameter, {})[name] = _what(one)
+        if not terms or {name: _what(one) for name, one in terms.items()} in had.values():
+            return
+        named = self._named(next(iter(terms.values())), label, pair)
+        more = ((name, replace(one, parameter=named.parameter)) for name, one in terms.items())
+        self._grow(named, terms=(*self.leg.terms, *more))
+
+    def _named(self, term: Term, label: str, pair: tuple[str, Kind]) -> Term:
+        """Return a term whose amplitude has a name of its own."""
+        name = term.parameter
+        while name in self.leg.parameter_names:
+            name += "_term"
+        id_ = f"{self.leg.name}.{name}"
+        self.labels.append((id_, label))
+        self.ids.setdefault(pair, []).append(id_)
+        return replace(term, parameter=name)
+
+    def _grow(self, term: Term, **changes: Any) -> None:
+        more = (*self.leg.parameters, (term.parameter, 0.0))
+        self.leg = replace(self.leg, parameters=more, **changes)
+
+
+def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Calibration:
+    """Return a calibration of a mechanism with more terms; errors are those of ``with_terms``.
+
+    Growth of all lengths is one amplitude for all legs: they are tied.
+    """
+    mechanism, ids = with_terms(calibration.mechanism, calibration.measurements, pairs)
+    tied = [one for one in tied_by(ids) if one not in calibration.options.tied]
+    options = replace(calibration.options, tied=(*calibration.options.tied, *tied))
+    return replace(calibration, mechanism=mechanism, options=options)
+
+
+def tied_by(ids: Mapping[tuple[str, Kind], Sequence[str]]) -> tuple[str, ...]:
+    """Return the names of amplitudes that are one for all legs: of growth.
+
+    Args:
+        ids: Of amplitudes, by place and kind.
+    """
+    every = [own for (place, _), own in ids.items() if place == GROWTH and len(own) > 1]
+    return tuple(dict.fromkeys(own[0].partition(".")[2] for own in every))
 
 
 def _what(term: Term) -> tuple[object, ...]:
@@ -165,14 +182,29 @@ def _terms(
             Term(named(f"power_{power:g}"), Power(int(power), half, centre))
             for power in kind.numbers
         ]
-    if kind.name in _OF_ONES_OWN:
-        of = _OF_ONES_OWN[kind.name]
-        column = f"{of}_{leg.reading_names[index]}"
-        values = measurements.influences.get(column, np.ones(1))
+    own = leg.reading_names[index]
+    return [_of_influence(own if stem else "", own, kind, measurements)]
+
+
+def _of_influence(stem: str, owner: str, kind: Kind, measurements: Measurements) -> Term:
+    """Return the term of a kind that follows an influence.
+
+    Args:
+        stem: With what the amplitude's name begins; nothing if empty.
+        owner: Reading, or id of the parameter, that has the term.
+        kind: The kind.
+        measurements: Say over what range it is scaled.
+
+    Raises:
+        MeasurementError: a column that was not measured.
+    """
+    name = re.sub(r"\W", "_", f"{stem}_{kind.name}" if stem else kind.name, flags=re.ASCII)
+    name = f"_{name}" if name[0].isdigit() else name
+    if kind.name in OF_ONES_OWN:
+        of = OF_ONES_OWN[kind.name]
+        values = measurements.influences.get(f"{of}_{owner}", np.ones(1))
         per = 1.0 if kind.name == BACKLASH else _rounded(float(np.nanmax(np.abs(values))))
-        if kind.name == GRAVITY and per <= ROUNDING * _largest_load(measurements):
-            return []  # a joint on which nothing weighs, such as one about the vertical
-        return [Term(named(kind.name), Share(per or 1.0), of=of)]
+        return Term(name, Share(per or 1.0), of=of)
     if kind.name not in measurements.influences:
         known = ", ".join(name for name in measurements.influences) or "none"
         raise MeasurementError(
@@ -180,8 +212,17 @@ def _terms(
             f"with numbers: {known})"
         )
     centre, half = _range(measurements.influences[kind.name])
-    name = named(kind.name)
-    return [Term(f"_{name}" if name[0].isdigit() else name, Share(half, centre), of=kind.name)]
+    return Term(name, Share(half, centre), of=kind.name)
+
+
+def _in_proportion(term: Term, leg: Leg) -> dict[str, Term]:
+    """Return a term by each length of a leg, in proportion to it: a share of all lengths."""
+    basis, found = term.basis, {}
+    for name, unit in leg.placed.items():
+        value = leg.nominal_by_name[name]
+        if isinstance(basis, Share) and unit == "m" and value:
+            found[name] = replace(term, basis=replace(basis, per=basis.per / value), unit="1")
+    return found
 
 
 def _label(term: Term, unit: str) -> str:
@@ -215,39 +256,47 @@ def with_influences(
     Raises:
         MeasurementError: what weighs on the mechanism is not known.
     """
-    asked_for = {_OF_ONES_OWN[kind.name] for kind in kinds if kind.name in _OF_ONES_OWN}
+    asked_for = {OF_ONES_OWN[kind.name] for kind in kinds if kind.name in OF_ONES_OWN}
     if LOAD in asked_for and mechanism.load is None:
         raise MeasurementError(
             f"terms 'gravity': what weighs on {mechanism.name!r} is not known; say it in "
             "mechanism.yaml: 'load: {mass: …, centre: […], gravity: […]}'"
         )
-    names, given = mechanism.reading_names, measurements.influences
-    own = sorted(of for of in asked_for if any(f"{of}_{name}" not in given for name in names))
+    names = {APPROACH: mechanism.reading_names, LOAD: mechanism.load_names}
+    given = measurements.influences
+    own = sorted(of for of in asked_for if any(f"{of}_{one}" not in given for one in names[of]))
     if not own:
         return measurements
     drawing = mechanism.drawing
-    legs = tuple(
-        replace(
-            leg,
-            sensors=tuple(
-                replace(one, terms=tuple(Term(f"{of}_{i}", Share(), of=of) for of in own))
-                for i, one in enumerate(leg.sensors)
-            ),
-            parameters=(
-                *leg.parameters,
-                *((f"{of}_{i}", 0.0) for of in own for i in range(len(leg.sensors))),
-            ),
-        )
-        for leg in drawing.legs
-    )
+    legs = tuple(_with_each(leg, own) for leg in drawing.legs)
     asked = replace(drawing, legs=legs)
     columns = planned_influences(asked, replace(measurements, influences={}))
     return replace(measurements, influences={**by_name(asked, columns), **given})
 
 
-def _largest_load(measurements: Measurements) -> float:
-    own = [v for name, v in measurements.influences.items() if name.startswith(f"{LOAD}_")]
-    return max((float(np.nanmax(np.abs(one), initial=0.0)) for one in own), default=0.0)
+def _weighed(kinds: Iterable[Kind], owner: str, measurements: Measurements) -> list[Kind]:
+    """Return kinds without gravity where it loads nothing, as joints about the vertical."""
+    loads = {
+        name: float(np.nanmax(np.abs(one), initial=0.0))
+        for name, one in measurements.influences.items()
+        if name.startswith(f"{LOAD}_")
+    }
+    least = ROUNDING * max(loads.values(), default=0.0)
+    idle = loads.get(f"{LOAD}_{owner}", 0.0) <= least
+    return [one for one in kinds if not (idle and one.name == GRAVITY)]
+
+
+def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:
+    """Return a leg whose every joint, length and angle follows influences of its own."""
+    sensors = tuple(
+        replace(one, terms=tuple(Term(f"{of}_{i}", Share(), of=of) for of in influences))
+        for i, one in enumerate(leg.sensors)
+    )
+    placed = leg.placed if LOAD in influences else ()
+    terms = tuple((name, Term(f"{LOAD}_{name}", Share(), of=LOAD)) for name in placed)
+    every = [*(one for sensor in sensors for one in sensor.terms), *(one for _, one in terms)]
+    more = tuple((one.parameter, 0.0) for one in every)
+    return replace(leg, sensors=sensors, terms=terms, parameters=(*leg.parameters, *more))
 
 
 def _range(values: Array) -> tuple[float, float]:
@@ -262,39 +311,3 @@ def _range(values: Array) -> tuple[float, float]:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.1e}")
-
-
-def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
-    """Return readings and kinds that texts name: ``backlash`` of all, ``leg_1=backlash`` of one.
-
-    Raises:
-        MeasurementError: a text that is not understood, or an unknown reading.
-    """
-    pairs = []
-    for text in terms:
-        reading, kind = _parts(text)
-        if reading:
-            _check_reading(reading, mechanism)
-        pairs += [(one, kind) for one in ([reading] if reading else mechanism.reading_names)]
-    return pairs
-
-
-def _check_reading(reading: str, mechanism: Mechanism) -> None:
-    if reading not in mechanism.reading_names:
-        raise MeasurementError(
-            f"terms of {reading!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
-        )
-
-
-def columns_said(terms: Sequence[str]) -> tuple[str, ...] | None:
-    """Return the columns of measurements that terms name; None if all columns may be tried."""
-    if AUTO in terms:
-        return None
-    names = (_parts(text)[1].name for text in terms)
-    return tuple(name for name in names if name not in _KINDS)
-
-
-def _parts(text: str) -> tuple[str, Kind]:
-    """Return the reading that a text names, empty if it is all, and the kind."""
-    reading, _, kind = text.rpartition("=")
-    return reading.strip(), Kind.of(kind)

@@ -19,7 +19,8 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import clusters, folds_of
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.bounds import Bound, bounds
-from pincal.calibration.terms.candidates import Kind, with_influences
+from pincal.calibration.terms.candidates import with_influences
+from pincal.calibration.terms.kinds import Kind
 from pincal.calibration.terms.path import RULES, TROUBLE, Step, grown, held_out
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.estimation.residuals.slips import Slip, slips
@@ -38,7 +39,7 @@ class Model:
     """``"as drawn"`` (``"rigid alignment"`` where frame or target are unknown), ``"geometry"``, or
     what was added last."""
     added: tuple[tuple[str, Kind], ...]
-    """All terms that the mechanism given has not: reading and kind."""
+    """All terms that the mechanism given has not: place and kind."""
     chance: float
     """Of the last term, when it was added: by the screen, the number of tests taken in."""
     parameters: int
@@ -84,13 +85,13 @@ class Choice:
 
 
 def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choice:
-    """Return which terms of sensors pay, of some kinds.
+    """Return which terms pay, of some kinds.
 
     Rows whose ``set`` is ``verify`` have no part in the choice.
 
     Args:
         calibration: Of the mechanism, its measurements looked at (see ``started``).
-        pairs: Readings, and kinds of term that they may lack.
+        pairs: Readings, lengths and angles, and kinds of term that they may lack.
 
     Raises:
         PincalError: the geometry itself cannot be identified by all rows; fewer poses than folds.

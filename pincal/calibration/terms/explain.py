@@ -12,8 +12,8 @@ from pincal.calibration.calibrate import identify, prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.terms.candidates import AUTO, every_pair, said
 from pincal.calibration.terms.choice import Choice, choose
+from pincal.calibration.terms.kinds import AUTO, every_pair, said
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
@@ -41,7 +41,7 @@ class Explanation:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """The terms that pay, as options say them: ``leg_2=harmonics:1``."""
+        """The terms that pay, as options say them: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
         return tuple(f"{reading}={kind}" for reading, kind in self.choice.model.added)
 
     def __str__(self) -> str:
@@ -61,7 +61,7 @@ def explain(
     options: Options | None = None,
     **more: Any,
 ) -> Explanation:
-    """Return what a calibration's residuals follow, and which terms of sensors pay.
+    """Return what a calibration's residuals follow, and which terms pay.
 
     Args:
         mechanism: The nominal mechanism; or its name or folder.

@@ -12,7 +12,8 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.missed import misses_of, per_row
 from pincal.calibration.checks.unseen import predictions
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.terms.candidates import ORDER, Kind, with_terms
+from pincal.calibration.terms.candidates import extended
+from pincal.calibration.terms.kinds import ORDER, Kind
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.errors import MeasurementError, PincalError
 
@@ -85,8 +86,7 @@ def grown(
         if not likely:
             break
         added = (*added, (likely[0].reading, likely[0].kind))
-        mechanism, _ = with_terms(calibration.mechanism, calibration.measurements, added)
-        more = replace(calibration, mechanism=mechanism, start=None)
+        more = replace(extended(calibration, added), start=None)
         try:
             found = _identified(more)
         except TROUBLE:  # what the rows do not determine

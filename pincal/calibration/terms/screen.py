@@ -1,4 +1,4 @@
-"""What a model lacks: all terms that sensors may have, each tried against residuals without a fit.
+"""What a model lacks: all terms that there may be, each tried against residuals without a fit.
 
 A term is a parameter at zero, and its score test is its column: with M the projection on what the
 fit does not take up and W the white rows of the amplitudes, the share of χ² that lies in M W is,
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
-from pincal.calibration.terms.candidates import ORDER, Kind, with_influences, with_terms
+from pincal.calibration.terms.candidates import with_influences, with_terms
+from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind
 from pincal.estimation.linear import State
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.residuals.score import Residuals
@@ -26,9 +27,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Candidate:
-    """One kind of term of one reading, and what residuals say of it."""
+    """One kind of term in one place, and what residuals say of it."""
 
     reading: str
+    """The place: a reading, a length or angle by its id, or ``"growth"`` of all lengths."""
     kind: Kind
     unit: str
     """Of the amplitudes."""
@@ -51,11 +53,11 @@ class Candidate:
 
 
 def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
-    """Return what readings may lack, the most improbable by chance first.
+    """Return what readings and parameters may lack, the most improbable by chance first.
 
     Args:
         found: The fits whose residuals are looked at.
-        pairs: Readings, and kinds of term that they may lack.
+        pairs: Readings, lengths and angles, and kinds of term that they may lack.
     """
     calibration = found.calibration
     kinds = [kind for _, kind in pairs]
@@ -64,7 +66,7 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
     data = replace(data, influences={**order, **data.influences})
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     asked = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
-    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+    units = {one.id: one.unit for one in mechanism.parameters}
     tried = []
     for robust in found.fits:
         if not robust.fit.problem.weighted:
@@ -74,13 +76,16 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
         for (reading, kind), own in ids.items():
             places = [names.index(name) for name in own if name in names]
             if places:
-                answer = residuals.amplitudes(W[:, :, places])
+                by = W[:, :, places]
+                if reading == GROWTH:  # one amplitude of all legs
+                    by, own = by.sum(axis=2, keepdims=True), own[:1]
+                answer = residuals.amplitudes(by)
                 share = answer.inside / max(residuals.chi2, 1e-300)
                 tried.append(
                     Candidate(
                         reading=reading,
                         kind=kind,
-                        unit=units[reading],
+                        unit=units[own[0]],
                         names=own,
                         amplitudes=answer.values,
                         std=answer.std,

@@ -19,7 +19,7 @@ from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.options import Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json
-from pincal.calibration.terms.candidates import columns_said
+from pincal.calibration.terms.kinds import columns_said
 from pincal.cli.app import (
     Force,
     Measured,
@@ -155,7 +155,8 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
         typer.Option(
             metavar="[LEG=]KIND",
             help="What sensors lack: harmonics:1,2, polynomial, backlash, gravity, a column such "
-            "as temperature; auto: those that pay (see pincal explain).",
+            "as temperature; leg_1.l=temperature, growth=temperature: lengths that grow; auto: "
+            "those that pay (see pincal explain).",
         ),
     ] = None
     tolerance: Annotated[

@@ -5,8 +5,8 @@ from __future__ import annotations
 import shlex
 from dataclasses import asdict, replace
 
-from pincal.calibration.terms.candidates import AUTO
 from pincal.calibration.terms.explain import explained
+from pincal.calibration.terms.kinds import AUTO
 from pincal.cli.app import Measured, Mech, answer, command, stdout, typed, warn, working
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError
@@ -23,8 +23,9 @@ def explain(
     """Say what geometry does not explain, and which terms pay.
 
     Every reading is tried with harmonics of its angle, polynomials, backlash, gravity (where the
-    mechanism says what weighs on it), and every other column of numbers. Models are compared on
-    poses that their fits have not seen. --terms says which kinds to try.
+    mechanism says what weighs on it), and every other column of numbers; lengths with such columns,
+    each alone and all as one, and links with gravity. Models are compared on poses that their fits
+    have not seen. --terms says which kinds to try.
     """
     if how.folds < 2:
         raise MeasurementError("--folds: expected 2 or more: models are compared on held-out rows")

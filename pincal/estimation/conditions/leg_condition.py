@@ -102,7 +102,8 @@ class LegCondition:
         return demand(closure, closed, self.known), joints
 
     def _joint(self, closure: LegClosure, matrices: Array) -> tuple[Demand, Array]:
-        closed = close(closure, matrices)
+        influences = self.known[:, len(self.leg.sensors) :]
+        closed = close(closure, matrices, influences)
         if not closed.reached.all():
             row = int(self.rows[np.argmin(closed.reached)])
             raise MeasurementError(
@@ -110,7 +111,6 @@ class LegCondition:
                 "tried, so its joint residual does not exist there; use the closure residual "
                 "(--residual closure), which does"
             )
-        influences = self.known[:, len(self.leg.sensors) :]
         predicted = sensor_law(closure).reading(closed.joints[:, self.leg.active], influences)
         there = np.hstack((predicted, influences))
         rows = demand(closure, closed.closure, there).as_joint()

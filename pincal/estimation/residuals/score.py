@@ -271,7 +271,8 @@ def _grown(one: Fit, used: NDArray[np.intp]) -> Array:
     """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
     J, lengths = one.last.jacobian[used], np.zeros(len(one.unknowns.names))
     for leg, columns in zip(one.problem.legs, one.problem.columns, strict=True):
-        long = np.array([leg.units[name] == "m" for name in leg.parameter_names])
+        own = {name for name, unit in leg.units.items() if unit == "m"} - leg.amplitudes
+        long = np.array([name in own for name in leg.parameter_names])
         lengths[columns] = long * one.parameters[columns]
     return np.asarray(J @ lengths)
 

@@ -179,6 +179,12 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
         for sensor in leg.sensors
         if sensor.terms
     ]
+    remarks += [
+        f"{leg.name}: terms of {', '.join(leg.deformed)} have no place in a firmware; it gets what "
+        "they are at the reference of what they follow"
+        for leg in mechanism.legs
+        if leg.terms
+    ]
     if hypot(x, y) > _SMALL:
         remarks.append(
             f"the printer's origin is at x = {1e3 * x:.4f}, y = {1e3 * y:.4f} mm of the "

@@ -118,11 +118,17 @@ def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
         for sensor in leg.sensors
         if sensor.constants(leg.nominal_by_name) != (1.0, 0.0) or sensor.zero != 0.0 or sensor.terms
     ]
+    grown = [leg.name for leg in mechanism.legs if leg.terms]
+    lost = [
+        f"the file holds one machine, at the reference of its influences: lengths and angles of "
+        f"{', '.join(grown)} that follow these (terms) are as they are there"
+    ] * bool(grown)
     if not other:
-        return ()
+        return tuple(lost)
     has_terms = any(sensor.terms for leg in mechanism.legs for sensor in leg.sensors)
     what = "gains, offsets, zeros and terms" if has_terms else "gains, offsets and zeros"
     return (
         f"the file holds joint positions, not readings: {what} of the sensors of "
         f"{', '.join(dict.fromkeys(other))} have no place in it",
+        *lost,
     )

@@ -1,1 +1,1 @@
-"""What terms of sensors depend on beside readings: columns of rows, and loads of joints."""
+"""What terms depend on beside readings: columns of rows, and loads of joints and links."""

@@ -1,4 +1,4 @@
-"""Influence quantities of rows: what terms of sensors depend on beside readings, as columns.
+"""Influence quantities of rows: what terms depend on beside readings, as columns.
 
 Temperature, time and whatever else is measured are given. From which side a joint came follows from
 the order of rows where no column says it.

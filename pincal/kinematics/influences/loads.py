@@ -1,18 +1,22 @@
-"""Loads of joints: what gravity asks of them, at poses of a machine.
+"""Loads by gravity of active joints, lengths and angles, at poses of a machine.
 
-Of virtual work: as the platform moves by a twist t, all joints of a leg move by G t, and
-what platform and links lose in height is what the active joints give, (G_a)ᵀ f = Σ Gᵀ h + w, with
-h the weights of links along each joint and w that of the platform along each of its freedoms.
+Of virtual work. Where λ is the force by which a leg's closure c holds it to the platform, the
+leg's joints carry f = h + (∂c/∂q)ᵀ λ, h what links lose in height with each joint, times their
+weight; passive joints carry nothing. The platform rests on all legs: w + Σ (∂c/∂x)ᵀ λ = 0, w its
+own weight along each freedom. A length or an angle is a joint too, which the link holds: its load
+is h + (∂c/∂φ)ᵀ λ.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.batches import block_diagonal, least_squares, left_null, product
 from pincal.kinematics.chain import body_chain
-from pincal.kinematics.closure import LegClosure, nominal_legs
+from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensors.load import Load
@@ -20,36 +24,74 @@ from pincal.model.sensors.load import Load
 Array = NDArray[np.float64]
 
 
-def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> Array:
-    """Return forces and torques of gravity on active joints, along their positive direction.
+def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dict[str, Array]:
+    """Return forces and torques of gravity by name (``Mechanism.load_names``), of shape (N,) each.
 
-    With more active joints than freedoms, the least that hold the machine.
+    Of an active joint, a length or an angle, along its positive direction, [N] or [N m]: what
+    gravity does along it while all (other) active joints are held. With more active joints than
+    freedoms, those of the least that hold the machine.
 
     Args:
-        mechanism: The mechanism, with its load; terms of its sensors do not count.
+        mechanism: The mechanism, with its load; its terms do not count.
         readings: Of all legs, shape (N, n_readings), [rad] or [m].
         matrices: Poses that belong to them, ``T_base_platform``, shape (N, 4, 4).
-
-    Returns:
-        Shape (N, n_readings), [N m] or [N].
     """
     load = mechanism.load or Load()
-    weight = _weight(mechanism, load, matrices)
-    drives, pulls = [], weight[:, :, None]
-    for index, leg in enumerate(nominal_legs(mechanism)):
-        closed, joints = nearest_closure(leg, matrices, mechanism.known(index, readings))
-        own = _links(leg, joints, np.array(load.gravity))
-        active, passive = leg.leg.active, leg.leg.passive
-        if leg.leg.is_arm and len(mechanism.legs) == 1:  # the platform goes where joints take it
-            follows = -least_squares(closed.pose, closed.active)
-            return np.asarray(own[:, active] + product(follows.transpose(0, 2, 1), pulls)[:, :, 0])
-        by_joint = np.empty((len(joints), closed.gap.shape[1], joints.shape[1]))
-        by_joint[:, :, active], by_joint[:, :, passive] = closed.active, closed.passive
-        G = -least_squares(by_joint, closed.pose)
-        pulls = pulls + product(G.transpose(0, 2, 1), own[:, :, None])
-        drives.append(G[:, active])
-    by_twist = np.concatenate(drives, axis=1).transpose(0, 2, 1)
-    return np.asarray((np.linalg.pinv(by_twist) @ pulls)[:, :, 0])
+    closures, weights = [], []
+    for index, own in enumerate(nominal_legs(mechanism)):
+        closed, joints = nearest_closure(own, matrices, mechanism.known(index, readings))
+        closures.append(closed)
+        weights.append(_links(own, joints, np.array(load.gravity)))
+    forces = _forces(mechanism, closures, weights, _weight(mechanism, load, matrices))
+    found: dict[str, Array] = {}
+    of_parameters: dict[str, Array] = {}
+    for leg, closed, lost, force in zip(mechanism.legs, closures, weights, forces, strict=True):
+        by_joint = lost[:, leg.active] + _along(closed.active, force)
+        by_parameter = lost[:, len(leg.moving) :] + _along(closed.parameter, force)
+        found |= zip(leg.reading_names, by_joint.T, strict=True)
+        ids = (f"{leg.name}.{name}" for name in leg.parameter_names)
+        of_parameters |= zip(ids, by_parameter.T, strict=True)
+    return found | of_parameters
+
+
+def _forces(
+    mechanism: Mechanism, closures: Sequence[Closure], weights: Sequence[Array], weight: Array
+) -> list[Array]:
+    """Return by what force each leg's closure holds it to the platform: λ, shape (N, m) each.
+
+    λ = λ₀ + N μ: λ₀ holds the links on passive joints, and N μ is what these do not feel, of which
+    (Nᵀ ∂c/∂x)ᵀ μ carries the platform.
+
+    Args:
+        mechanism: The mechanism.
+        closures: Of its legs.
+        weights: What links of each leg lose in height with each joint, times weight, shape (N, n).
+        weight: The same of the platform with each freedom, shape (N, dof).
+    """
+    held, active, left = [], [], weight
+    for leg, closed, own in zip(mechanism.legs, closures, weights, strict=True):
+        passive = closed.passive.transpose(0, 2, 1)
+        held.append(-least_squares(passive, own[:, leg.passive, None])[:, :, 0])
+        active.append(own[:, leg.active] + _along(closed.active, held[-1]))
+        left = left + _along(closed.pose, held[-1])
+    lines = np.concatenate([one.project(one.pose) for one in closures], axis=1)
+    mu = -least_squares(lines.transpose(0, 2, 1), left[:, :, None])
+    if lines.shape[1] > lines.shape[2]:  # forces of legs against each other: the least in joints
+        drive = block_diagonal([one.drive for one in closures]).transpose(0, 2, 1)
+        inner = left_null(lines)
+        joints = np.concatenate(active, axis=1)[:, :, None] + product(drive, mu)
+        mu = mu - product(inner, least_squares(product(drive, inner), joints))
+    ends = np.cumsum([one.constraint.shape[1] for one in closures])[:-1]
+    parts = np.split(mu, ends, axis=1)
+    return [
+        own + product(one.normal, part)[:, :, 0]
+        for own, one, part in zip(held, closures, parts, strict=True)
+    ]
+
+
+def _along(rows: Array, force: Array) -> Array:
+    """Return Aᵀ λ of rows (N, m, k) and a force (N, m), shape (N, k)."""
+    return np.einsum("nmk,nm->nk", rows, force)
 
 
 def _weight(mechanism: Mechanism, load: Load, matrices: Array) -> Array:
@@ -61,12 +103,17 @@ def _weight(mechanism: Mechanism, load: Load, matrices: Array) -> Array:
 
 
 def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:
-    """Return what links lose in height with each joint, times weight, shape (N, n_joints)."""
-    found, moving = np.zeros(joints.shape), 0
+    """Return what links lose in height with each joint, then each parameter, times weight.
+
+    Shape (N, n_joints + n_params).
+    """
+    n, moving = len(leg.leg.moving), 0
+    found = np.zeros((len(joints), n + len(leg.parameters)))
     for index, joint in enumerate(leg.leg.joints):
         moving += joint.kind != "fixed"
-        if joint.mass and moving:
+        if joint.mass:
             motion = body_chain(leg.leg, index).motion(leg.parameters, joints[:, :moving])
-            rows = motion.linear[:, :moving]
-            found[:, :moving] += joint.mass * np.einsum("x,xjn->nj", gravity, rows)
+            lost = joint.mass * np.einsum("x,xjn->nj", gravity, motion.linear)
+            found[:, :moving] += lost[:, :moving]
+            found[:, n:] += lost[:, moving:]
     return found

@@ -1,1 +1,1 @@
-"""Sensors of active joints: the law of a reading, its terms, and what weighs on the joints."""
+"""What is not geometry: the law of a sensor, its terms, parameters that deform, what weighs."""

@@ -26,7 +26,7 @@ def turning(law: SensorLaw, low: Array, high: Array) -> Array:
     """
     first, last = np.sort([(end - law.start) / law.slope for end in (low, high)], axis=0)
     waves = [
-        (last - first)[one.reading] * one.term.basis.rate / (2.0 * np.pi)
+        (last - first)[one.target] * one.term.basis.rate / (2.0 * np.pi)
         for one in law.terms
         if isinstance(one.term.basis, Harmonic)
     ]

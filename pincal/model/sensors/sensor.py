@@ -27,10 +27,11 @@ class PlacedTerm:
     """A term at parameter values."""
 
     term: Term
-    reading: int
-    """Which of the leg's readings it is added to."""
+    target: int
+    """Which of the leg's active joints it is added to, or of the parameters that deform."""
     column: int
-    """On which column it depends: a reading, or behind them an influence."""
+    """On which column it depends: a reading, or behind them an influence; an influence, if it is
+    of a parameter."""
     parameter: int
     """Which of the leg's parameters its amplitude is."""
     amplitude: float
@@ -89,7 +90,7 @@ class SensorLaw:
         """
         joints = self.slope * known[:, : len(self.slope)] + self.start
         for one in self._at(known):
-            joints[:, one.reading] += one.amplitude * one.basis(known)
+            joints[:, one.target] += one.amplitude * one.basis(known)
         return joints
 
     def slopes(self, known: Array) -> Array:
@@ -100,7 +101,7 @@ class SensorLaw:
         for one in self.terms:
             if one.column < len(self.slope):
                 by = one.term.slope_of(known[:, one.column])
-                slopes[:, one.reading] += one.amplitude * by
+                slopes[:, one.target] += one.amplitude * by
         return slopes
 
     def by_parameter(self, known: Array) -> Array:
@@ -108,7 +109,7 @@ class SensorLaw:
         readings = known[:, : len(self.slope), None]
         found = readings * self.slope_by_parameter + self.start_by_parameter
         for one in self._at(known):
-            found[:, one.reading, one.parameter] += one.basis(known)
+            found[:, one.target, one.parameter] += one.basis(known)
         return found
 
     def _at(self, known: Array) -> Iterator[PlacedTerm]:

@@ -1,8 +1,9 @@
-"""Terms of a sensor: known functions of what a row says, times unknown amplitudes.
+"""Terms of sensors and parameters: known functions of what a row says, times unknown amplitudes.
 
-What is not geometry lives in the joint's reading: q = k ψ + γ + Σ a_j b_j. Each b_j is a number
-for each row, of its reading or of an influence quantity beside it (temperature, time, side of
-approach, load), scaled so that its amplitude is in the joint's own unit. Linear in the unknowns.
+What is not geometry lives in the joint's reading: q = k ψ + γ + Σ a_j b_j; and a parameter is a
+joint, so it may be p + Σ a_j b_j (``deformations.py``). Each b_j is a number for each row,
+of its reading or of an influence quantity beside it (temperature, time, side of approach, load),
+scaled so that its amplitude is in the joint's own unit. Linear in the unknowns.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ Array = NDArray[np.float64]
 APPROACH = "approach"
 LOAD = "load"
 OF_JOINTS = (APPROACH, LOAD)
-"""Influences of each joint for itself, that follow from the rows where no column gives them."""
+"""Influences of each joint for itself, that follow from the rows where no column gives them; a
+length or angle is a joint too, and has a load."""
 
 
 @dataclass(frozen=True)
@@ -138,13 +140,20 @@ class Knot:
 
 @dataclass(frozen=True)
 class Share:
-    """A column's excess over a reference, in so many units: 1 at ``reference`` + ``per``."""
+    """A column's excess over a reference, in so many units: 1 at ``reference`` + ``per``.
+
+    ``per`` may be negative, as for a coordinate that is: all lengths of a leg that grow by one
+    share a of them have terms with the amplitude a, each by ``per`` over its length.
+    """
 
     per: float = 1.0
     reference: float = 0.0
 
     def __post_init__(self) -> None:
-        _positive("an influence's share ('per')", self.per)
+        if not 0.0 < abs(self.per) < np.inf:
+            raise MechanismError(
+                f"an influence's share ('per') is {self.per!r}; expected a number other than 0"
+            )
 
     def __call__(self, value: Array) -> Array:
         """Return the share."""
@@ -166,10 +175,11 @@ FORMS = (Harmonic, Power, Knot, Share)
 
 @dataclass(frozen=True)
 class Term:
-    """A known function b of a row times an unknown amplitude a: a b, added to the joint's position.
+    """A known function b of a row times an unknown amplitude a: a b, added to a joint's position.
 
     Such as the sine of a geared motor's angle, or the sag of a spool. By the reading, its slope
-    must be so small that q(ψ) remains monotonic.
+    must be so small that q(ψ) remains monotonic. Of a leg's parameter (``Leg.terms``) it is added
+    to that: a link that grows with temperature, or stretches under its load.
     """
 
     parameter: str
@@ -179,11 +189,11 @@ class Term:
     slope: Callable[[Array], Array] | None = None
     """db/dψ, likewise; that of the basis, ``basis.slope``, if not given."""
     unit: str = ""
-    """Of the amplitude: that of q over that of b; that of q if not given."""
+    """Of the amplitude: that of q over that of b; that of q, or of the parameter, if not given."""
     of: str = ""
     """Influence quantity on which b depends, a column of the measurements: ``"temperature"``,
-    ``"time"``, any other; ``"approach"`` and ``"load"`` of this sensor's own joint. The reading
-    if empty."""
+    ``"time"``, any other; ``"approach"`` and ``"load"`` of this sensor's own joint, ``"load"`` of
+    this parameter. The reading if empty."""
 
     def __post_init__(self) -> None:
         if self.slope is None and not callable(getattr(self.basis, "slope", None)):
@@ -200,9 +210,13 @@ class Term:
         found: Callable[[Array], Array] = self.basis.slope  # type: ignore[attr-defined]
         return found
 
-    def column(self, reading: str) -> str:
-        """Return the influence's column, of a sensor of a reading; empty if it is the reading."""
-        return f"{self.of}_{reading}" if self.of in OF_JOINTS else self.of
+    def column(self, owner: str) -> str:
+        """Return the influence's column; empty if it is the reading.
+
+        Args:
+            owner: Name of the reading, or id of the parameter, that has the term.
+        """
+        return f"{self.of}_{owner}" if self.of in OF_JOINTS else self.of
 
     @property
     def plain(self) -> bool:

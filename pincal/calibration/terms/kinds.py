@@ -1,0 +1,176 @@
+"""What a machine may lack, and where: kinds of term of readings, lengths and angles.
+
+Said as ``leg_1=harmonics:1,2``: a kind is ``harmonics:1,2``, ``polynomial:2,3``, ``backlash``,
+``gravity``, ``order``, or the name of a column of the measurements, such as ``temperature``. Its
+place is a reading, a length or angle by its id (``leg_1.l``) or its name in all legs (``l``),
+``growth`` for all lengths as one, or, if none is said, every reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.model.parameter import listed
+from pincal.model.sensors.terms import APPROACH, LOAD
+
+HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
+AUTO = "auto"
+"""Those that pay, of all kinds."""
+ORDER = "order"
+"""The order of rows, from -1 to 1: no term, since no command has it, but a sign of drift."""
+OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
+_KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY, ORDER)
+_NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
+GROWTH = "growth"
+"""In the place of a reading: all lengths of the machine, which grow by one part of them."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of term, such as harmonics of orders 1 and 2."""
+
+    name: str
+    """``"harmonics"``, ``"polynomial"``, ``"backlash"``, ``"gravity"``, or a column."""
+    numbers: tuple[float, ...] = ()
+    """Orders of harmonics, powers of a polynomial."""
+
+    @classmethod
+    def of(cls, said: str) -> Kind:
+        """Return the kind that a text names.
+
+        Raises:
+            MeasurementError: numbers that are none, or that the kind does not have.
+        """
+        name, colon, numbers = said.partition(":")
+        usual = _NUMBERS.get(name.strip(), ())
+        try:
+            given = tuple(float(one) for one in numbers.split(",")) if colon else usual
+        except ValueError:
+            given = (np.nan,)
+        whole = name.strip() != POLYNOMIAL or all(one in range(2, 21) for one in given)
+        if not (all(0.0 < one < np.inf for one in given) and whole and bool(usual) >= bool(colon)):
+            raise MeasurementError(
+                f"terms {said!r}: expected harmonics:1,2 (periods in a turn), polynomial:2,3 "
+                "(powers, 2 to 20), backlash, gravity, or a column of the measurements"
+            )
+        return cls(name.strip(), given)
+
+    def __str__(self) -> str:
+        if self.numbers == _NUMBERS.get(self.name, ()):
+            return self.name
+        return f"{self.name}:{','.join(f'{one:g}' for one in self.numbers)}"
+
+
+def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ...]:
+    """Return the kinds of term that measurements can show: gravity where the load is known."""
+    angles = "rad" in mechanism.reading_units
+    names = [HARMONICS] * angles + [POLYNOMIAL, BACKLASH, ORDER]
+    names += [GRAVITY] if mechanism.load is not None else []
+    other = {*mechanism.followed, *_KINDS}
+    own = [name for name in measurements.influences if name not in other]
+    return tuple(Kind.of(name) for name in dict.fromkeys((*names, *own)))
+
+
+def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[str, Kind]]:
+    """Return where which kinds of term are tried that measurements can show.
+
+    All kinds at all readings; at lengths, each alone and all as one, what follows a column; at
+    lengths and angles between a leg's joints gravity.
+    """
+    kinds = kinds_of(mechanism, measurements)
+    pairs = [(name, kind) for kind in kinds for name in mechanism.reading_names]
+    long = lengths(mechanism)
+    for kind in kinds:
+        if kind.name == GRAVITY:
+            pairs += [(one, kind) for one in _of_links(mechanism)]
+        elif kind.name not in _KINDS:
+            pairs += [(one, kind) for one in ([GROWTH] if len(long) > 1 else []) + long]
+    return pairs
+
+
+def lengths(mechanism: Mechanism) -> list[str]:
+    """Return the ids of the lengths of a mechanism, those that are not zero."""
+    own = (one for one in mechanism.parameters if one.id in mechanism.load_names)
+    return [one.id for one in own if one.unit == "m" and one.nominal]
+
+
+def _of_links(mechanism: Mechanism) -> list[str]:
+    """Return the ids of lengths and angles between a leg's first joint and its tip."""
+    return [
+        f"{leg.name}.{name}"
+        for leg in mechanism.legs
+        for joint in leg.joints[1:]
+        for name in joint.placement.parameter_units
+    ]
+
+
+def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
+    """Return places and kinds that texts name: ``backlash`` of all, ``leg_1=backlash`` of one.
+
+    Raises:
+        MeasurementError: a text that is not understood, an unknown place, or a kind that it
+            cannot have.
+    """
+    pairs = []
+    for text in terms:
+        place, kind = _parts(text)
+        pairs += [(one, kind) for one in _places(place, mechanism, text)]
+    for place, kind in pairs:
+        check_place(place, kind, mechanism)
+    return pairs
+
+
+def _places(place: str, mechanism: Mechanism, text: str) -> Sequence[str]:
+    """Return what a text's place means: readings, ids of lengths and angles, or all lengths."""
+    if not place:
+        return mechanism.reading_names
+    if place in (*mechanism.load_names, GROWTH):
+        return [place]
+    found = [one for one in mechanism.load_names if one.rpartition(".")[2] == place]
+    if not found:
+        placed = mechanism.load_names[len(mechanism.reading_names) :]
+        raise MeasurementError(
+            f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}; its "
+            f"lengths and angles are {listed(placed)}, {GROWTH!r} is all lengths as one"
+        )
+    return found
+
+
+def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
+    """Raise if there is no such place, or it cannot have a kind of term.
+
+    Raises:
+        MeasurementError: naming both, and what is expected.
+    """
+    if place in mechanism.reading_names:
+        return
+    if place != GROWTH and place not in mechanism.load_names:
+        raise MeasurementError(
+            f"terms of {place!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
+        )
+    barred = (HARMONICS, POLYNOMIAL, BACKLASH, *([GRAVITY] if place == GROWTH else []))
+    if kind.name in barred:
+        raise MeasurementError(
+            f"terms '{place}={kind}': {kind.name} is of readings; lengths and angles follow a "
+            f"column of the measurements{'' if place == GROWTH else ', or gravity'}"
+        )
+
+
+def columns_said(terms: Sequence[str]) -> tuple[str, ...] | None:
+    """Return the columns of measurements that terms name; None if all columns may be tried."""
+    if AUTO in terms:
+        return None
+    names = (_parts(text)[1].name for text in terms)
+    return tuple(name for name in names if name not in _KINDS)
+
+
+def _parts(text: str) -> tuple[str, Kind]:
+    """Return the reading that a text names, empty if it is all, and the kind."""
+    reading, _, kind = text.rpartition("=")
+    return reading.strip(), Kind.of(kind)
