@@ -119,7 +119,7 @@ def test_at_its_reference_a_machine_is_the_one_without_terms() -> None:
     assert not machine.drawing.amplitudes
 
 
-@pytest.mark.parametrize("name", ["3RRR", "6UPS"])
+@pytest.mark.parametrize("name", ["3RRR", pytest.param("6UPS", marks=pytest.mark.slow)])
 def test_links_that_bend_under_load_go_there_and_back(name: str) -> None:
     """Inverse then forward kinematics comes back where lengths and angles follow their loads."""
     _, machine = machine_of(name, "load")
@@ -190,7 +190,10 @@ def test_without_noise_amplitudes_of_large_machines_are_found(name: str, of: str
     recovered(name, of, 60)
 
 
-@pytest.mark.parametrize("name", ["5R", "3RRR", "6UPS", "delta"])
+@pytest.mark.parametrize(
+    "name",
+    ["5R", "3RRR", *(pytest.param(one, marks=pytest.mark.slow) for one in ("6UPS", "delta"))],
+)
 def test_loads_of_lengths_are_what_the_height_loses_with_them(name: str) -> None:
     """A length's load is −∂V/∂p, active joints held, platform and passive joints following."""
     machine = heavy(pincal.load_mechanism(name))
