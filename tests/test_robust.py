@@ -170,7 +170,7 @@ def test_losses_cost_little_on_good_data(name: str, equations: int) -> None:
     assert ((w * x[:, 0]) ** 2).mean() / slope**2 == pytest.approx(inflation, rel=0.05)
 
 
-@pytest.mark.parametrize("loss", slow_or_fuzz(["huber", "reject"], ["cauchy", "tukey"]))
+@pytest.mark.parametrize("loss", slow_or_fuzz(["reject"], ["huber", "cauchy", "tukey"]))
 def test_standard_errors_of_robust_fits_equal_the_spread(loss: str) -> None:
     """Over 100 data sets with a tenth of outliers (none for Huber), within 10 %."""
     mechanism, _truth, clean = machine("5R", 60, EXACT)

@@ -11,6 +11,7 @@ from pincal.calibration.checks.validation import MISSES, Validation
 from pincal.calibration.result import CalibrationResult
 from pincal.design.drift import Drift
 from pincal.design.forecast import Forecast
+from pincal.design.instrument_scale import SCALE, ScaleEffect
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.estimation.observability.weak import WeakPair
 from pincal.model.mechanism import Mechanism
@@ -27,6 +28,11 @@ _NO_FREEDOM = (
 )
 FRAMES = ", but for where the base and platform frames lie"
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
+_SEEN = 3.0  # standard deviations, from which a test would see what is there
+_SAY_SCALE = (
+    "these poses do not tell it from gains and lengths. Say how well the scale is known "
+    "(systematic: {scale: …} in the setup), or measure lengths that are known"
+)
 _MATTERS = 0.5, 1.0  # standard errors: a bias by drift that adds an eighth to what noise leaves
 _VERDICTS = (
     "that does not matter beside the noise",
@@ -268,6 +274,29 @@ def drift_lines(drifts: Sequence[Drift]) -> list[str]:
         text += f": {_VERDICTS[int(np.searchsorted(_MATTERS, much))]}"
         lines.append(text)
     return lines
+
+
+def scale_line(one: ScaleEffect | None) -> list[str]:
+    """Return what a wrong scale of the instrument would do; nothing if no lengths are measured."""
+    if one is None:
+        return []
+    off = amount(one.platform.position, "m")
+    text = f"all lengths measured {1e6 * SCALE:.0f} µm/m too long: the platform off by {off}"
+    if one.seen > _SEEN:
+        return [f"{text}; residuals would show it, by {one.seen:.2g} standard deviations"]
+    known = "that is taken into what is promised" if one.said else _SAY_SCALE
+    return [f"{text}, and no residual shows it ({one.seen:.2g} standard deviations): {known}"]
+
+
+def scale_answer(one: ScaleEffect | None) -> dict[str, Any] | None:
+    """Return what a wrong scale of the instrument would do, as JSON."""
+    if one is None:
+        return None
+    return {
+        "relative": SCALE,
+        "standard_deviations": one.seen,
+        "platform": {"position": one.platform.position, "orientation": one.platform.orientation},
+    }
 
 
 def drift_answer(one: Drift) -> dict[str, Any]:

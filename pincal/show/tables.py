@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from pincal.design.drift import Drift
 from pincal.design.forecast import Forecast
+from pincal.design.instrument_scale import ScaleEffect
 from pincal.design.platform_error import PlatformError
 from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
-from pincal.show.summary import drift_lines, forecast_lines
+from pincal.show.summary import drift_lines, forecast_lines, scale_line
 from pincal.words.numbers import STORED
 from pincal.words.selection import mapped_diagonals
 from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty, UnitOf, Value, columns
@@ -110,6 +111,7 @@ def forecast_table(
     planned: int,
     alone: PlatformError | None = None,
     drifts: Sequence[Drift] = (),
+    scale: ScaleEffect | None = None,
 ) -> Table:
     """Return what a plan will give: standard errors by parameter and leg, and what they mean.
 
@@ -119,6 +121,7 @@ def forecast_table(
         planned: Number of poses in the plan.
         alone: The same error with each leg calibrated alone, if that can be.
         drifts: What a drift over the run would do; then the same of each leg alone.
+        scale: What a wrong scale of the instrument would do.
     """
     mechanism = found.mechanism
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
@@ -138,7 +141,13 @@ def forecast_table(
             (name, UnitOf(unit), *(cell(leg, name, unit) for leg in mechanism.leg_names))
             for name, unit in units.items()
         ],
-        "\n".join((*forecast_lines(found, error, planned, alone), *drift_lines(drifts))),
+        "\n".join(
+            (
+                *forecast_lines(found, error, planned, alone),
+                *drift_lines(drifts),
+                *scale_line(scale),
+            )
+        ),
     )
 
 

@@ -12,9 +12,10 @@ from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.cli.options import PlanOptions, TableOptions
 from pincal.design.drift import drift
 from pincal.design.forecast import forecast
+from pincal.design.instrument_scale import scale_effect
 from pincal.files.tables.measurements import read_poses
-from pincal.kinematics.configurations import check_reached
-from pincal.show.summary import drift_answer, poses_line
+from pincal.kinematics.configurations import as_plan, check_reached
+from pincal.show.summary import drift_answer, poses_line, scale_answer
 from pincal.show.tables import forecast_table
 from pincal.words.numbers import reading_in
 from pincal.workspace.sampling import sample_configurations
@@ -71,12 +72,13 @@ def identifiability(
     alone = None if own is None else own.platform_error(over)
     drifts = [drift(found, over, error)]
     drifts += [] if own is None else [drift(own, over, alone)]
+    scale = scale_effect(found, as_plan(mechanism, poses), over, noise, setup)
     needed = needed_alone = None
     if accuracy is not None:
         needed = found.poses_for(accuracy, over)
         needed_alone = None if own is None else own.poses_for(accuracy, over)
     with reading_in(units.printed):
-        stdout.print(forecast_table(found, error, found.poses, alone, drifts))
+        stdout.print(forecast_table(found, error, found.poses, alone, drifts, scale))
         if accuracy is not None and needed is not None:
             stdout.print(poses_line(accuracy, needed, needed_alone), markup=False)
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
@@ -98,6 +100,7 @@ def identifiability(
             "platform_error": {"position": error.position, "orientation": error.orientation},
             "poses_for_accuracy": needed,
             "drift": drift_answer(drifts[0]),
+            "scale": scale_answer(scale),
             "leg_by_leg": None
             if alone is None
             else {
