@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import loaded
+from measured import workspace
 from test_loads import energy, heavy
 
 import pincal
@@ -66,7 +67,7 @@ def plan_of(mechanism: pincal.Mechanism, count: int) -> pincal.Plan:
     """Return configurations to be measured, and temperatures."""
     draw = np.random.default_rng(1)
     if not mechanism.by_readings:
-        poses = sample_workspace(mechanism.drawing, count, seed=1)
+        poses = workspace(mechanism.name, count, 1)
         return pincal.Plan(poses, influences={"temperature": draw.uniform(15, 35, len(poses))})
     readings = draw.uniform(-1.2, 1.2, (count, len(mechanism.reading_names)))
     poses = pincal.forward(mechanism.drawing, readings).poses
@@ -319,7 +320,7 @@ def test_a_carried_leg_deforms_as_its_image() -> None:
     first = deforming(plain, ("L", "beta_b", "beta"), "temperature").legs[0]
     first = first.with_parameters({"a_L": 2e-4, "a_beta_b": 1e-4, "a_beta": -1e-4})
     platform = plain.platform
-    poses = sample_workspace(plain, 4, seed=1)
+    poses = workspace(plain.name, 4, 1)
     machine = replace(plain, legs=(first, *plain.legs[1:]))
     warm = {"temperature": np.array([10.0, 25.0, 30.0, 40.0])}
     wanted = pincal.inverse(machine, poses, warm).readings[:, 0]
@@ -351,7 +352,7 @@ def test_a_load_turns_over_with_its_joint() -> None:
 
     machine = replace(plain, legs=tuple(map(turned, plain.legs)), load=LOAD)
     other = replace(machine, legs=tuple(map(canonical, machine.legs)))
-    poses = sample_workspace(plain, 4, seed=1)
+    poses = workspace(plain.name, 4, 1)
     there, again = (pincal.inverse(one, poses).readings for one in (machine, other))
     np.testing.assert_allclose(again, there, atol=1e-11)
     assert np.abs(there - pincal.inverse(machine.at_reference, poses).readings).max() > 1e-4

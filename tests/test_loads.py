@@ -9,13 +9,13 @@ import pinocchio as pin
 import pytest
 from arms import ARMS, loaded, urdf
 from marks import quick
+from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.kinematics.configurations import home_of
 from pincal.kinematics.influences.loads import gravity_loads
 from pincal.model.sensors.load import Load
-from pincal.workspace.sampling import sample_workspace
 
 PAYLOAD = Load(5.0, (0.02, 0.01, 0.07), (0.3, -1.0, -9.81))
 
@@ -64,7 +64,7 @@ def test_loads_are_what_the_height_loses_with_each_reading(name: str) -> None:
         readings = home_of(machine).readings + np.linspace(-0.02, 0.02, 12).reshape(4, 3)
         poses = pincal.forward(machine, readings).poses
     else:
-        poses = sample_workspace(machine, 4, seed=1)
+        poses = workspace(name, 4, 1)
         readings = pincal.inverse(machine, poses).readings
     signs = [s.direction for leg in machine.legs for s in leg.sensors]  # of readings over joints
     found = gravity_loads(machine, readings, machine.platform.matrices(poses))

@@ -48,7 +48,7 @@ def sizes(kind: str, seed: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("seed", quick(1, range(2)))
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "cable-4", "linear-delta"))
 def test_readings_are_those_of_the_dimensions(kind: str, seed: int) -> None:
     """Inverse kinematics is the closed form of the dimensions, over the workspace."""
     own = sizes(kind, seed)
@@ -61,7 +61,7 @@ def test_readings_are_those_of_the_dimensions(kind: str, seed: int) -> None:
     np.testing.assert_allclose(np.where(turns, wrapped(off), off), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["cable-4", "cable-8"])
+@pytest.mark.parametrize("kind", quick(1, ["cable-8", "cable-4"]))
 @pytest.mark.parametrize("way", ["straight", "crossed", "turned"])
 def test_cables_go_the_way_that_is_asked_for(kind: str, way: str) -> None:
     own = sizes(kind, 5) | {"cables": way}
@@ -113,7 +113,7 @@ def made(kind: str, folder: Path, *more: object) -> Outcome:
     return done("new", kind, *more, *counts, "--defaults", "-o", folder)
 
 
-@pytest.mark.parametrize("kind", some_slow(KINDS, "hexapod"))
+@pytest.mark.parametrize("kind", some_slow(KINDS, "hexapod", "cable-8", "delta"))
 def test_the_machine_that_was_measured_is_identified(kind: str, tmp_path: Path) -> None:
     """From the folder, with noise of a nanometre: each parameter, within 5 standard errors."""
     folder = pincal.new_mechanism(kind).save(tmp_path / "own")

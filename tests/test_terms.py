@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from arms import loaded
 from command_line import done, run
+from measured import workspace
 
 import pincal
 from pincal.calibration.calibration import Calibration
@@ -23,7 +24,6 @@ from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.columns import influences_of, sides
 from pincal.model.sensors.load import Load
 from pincal.model.sensors.monotonic import turning
-from pincal.workspace.sampling import sample_workspace
 
 EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)
 FORMS = {
@@ -67,7 +67,7 @@ def measured(
 ) -> pincal.Measurements:
     """Return simulated measurements, with all influences."""
     draw = np.random.default_rng(3)
-    poses = sample_workspace(mechanism, count, seed=4)
+    poses = workspace(mechanism.name, count, 4)
     influences = {
         "temperature": draw.uniform(15.0, 30.0, len(poses)),
         "time": np.sort(draw.uniform(0.0, 100.0, len(poses))),
@@ -159,7 +159,7 @@ def test_gravity_bends_an_arm_and_is_identified() -> None:
 
 def test_loads_are_those_of_the_drawing_before_and_after_calibration() -> None:
     machine = extended(pincal.load_mechanism("6UPS"), FORMS["gravity"])
-    poses = sample_workspace(machine, 5, seed=1)
+    poses = workspace(machine.name, 5, 1)
     readings = pincal.inverse(machine.drawing, poses).readings
     loads = influences_of(machine, pincal.Plan(poses, readings=readings))
     assert np.isnan(loads).all()  # followed from readings, where kinematics asks
@@ -247,7 +247,7 @@ def test_a_machine_at_its_reference_needs_no_influences() -> None:
     bare = machine.drawing.with_parameters(
         {p.id: p.nominal for p in machine.parameters if not p.name.startswith("a_")}
     )
-    poses = sample_workspace(plain, 5, seed=1)
+    poses = workspace(plain.name, 5, 1)
     np.testing.assert_array_equal(
         pincal.inverse(machine, poses).readings, pincal.inverse(bare, poses).readings
     )
@@ -311,7 +311,7 @@ def test_a_machine_without_terms_needs_none() -> None:
     plain = pincal.load_mechanism("3RRR")
     truth = pincal.disturb(plain, 1e-3, seed=1)
     noise = pincal.Noise(2e-5, 2e-5, 2e-5)
-    data = pincal.simulate(plain, truth, sample_workspace(plain, 60, seed=1), noise, seed=2)
+    data = pincal.simulate(plain, truth, workspace(plain.name, 60, 1), noise, seed=2)
     found = pincal.explain(plain, data.measurements, noise=noise)
     assert found.verdict == "geometry"
     assert min(one.corrected for one in found.choice.candidates) > 0.01
@@ -321,7 +321,7 @@ def test_a_machine_without_terms_needs_none() -> None:
 def test_a_machine_as_drawn_is_left_alone() -> None:
     plain = pincal.load_mechanism("3RRR")
     noise = pincal.Noise(1e-3, 1e-3, 0.0)
-    data = pincal.simulate(plain, plain, sample_workspace(plain, 15, seed=1), noise, seed=2)
+    data = pincal.simulate(plain, plain, workspace(plain.name, 15, 1), noise, seed=2)
     found = pincal.explain(plain, data.measurements, noise=noise)
     assert found.verdict == "as drawn"
 
@@ -374,7 +374,7 @@ def test_folds_that_leave_geometry_undetermined_are_left_out() -> None:
     plain = pincal.load_mechanism("3RRR")
     truth = pincal.disturb(plain, 1e-3, seed=1)
     noise = pincal.Noise(2e-5, 2e-5, 2e-5)
-    poses = sample_workspace(plain, 40, seed=1)
+    poses = workspace(plain.name, 40, 1)
     data = pincal.simulate(plain, truth, poses, noise, seed=2).measurements
     readings = data.readings.copy()
     readings[np.arange(40) % 4 != 0, 2] = np.nan  # fold 1 of 4 has all of the third reading
@@ -393,7 +393,7 @@ def test_models_that_cannot_be_compared_are_said_to_be() -> None:
     plain = pincal.load_mechanism("3RRR")
     truth = pincal.disturb(plain, 1e-3, seed=1)
     noise = pincal.Noise(2e-5, 2e-5, 2e-5)
-    poses = sample_workspace(plain, 9, seed=1)
+    poses = workspace(plain.name, 9, 1)
     data = pincal.simulate(plain, truth, poses, noise, seed=2).measurements
     found = pincal.explain(plain, data, noise=noise, folds=2, terms="backlash")
     assert found.verdict == "not compared"
