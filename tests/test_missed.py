@@ -48,6 +48,7 @@ def test_intervals_are_of_poses_not_rows() -> None:
     assert widths[0] == pytest.approx(widths[1] / np.sqrt(10), rel=0.1)
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_true_root_mean_square() -> None:
     """Of 40 poses, 400 draws: 90 to 97 %, as percentile intervals of so few do."""
     draw, places = np.random.default_rng(1), rows([str(i) for i in range(40)])

@@ -422,6 +422,7 @@ def test_few_outliers_of_a_loss_contradict_nothing() -> None:
     assert sum(not each.promises for each in found) <= 1
 
 
+@pytest.mark.slow
 def test_groups_of_noise_that_differ_cost_degrees_of_freedom() -> None:
     """Readings far noisier than positions are a group of their own: fewer freedoms than of χ²."""
     one, readings = cramer_rao.machine("3RRR", 60), []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -82,6 +83,19 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         MechanismError: a file that does not say what it should; the message names the place.
     """
     folder = _folder(name_or_path)
+    if folder not in bundled().values():
+        return _read(folder)
+    files = [(one.name, one.stat()) for one in sorted(folder.iterdir())]
+    return _kept(folder, tuple((name, stat.st_mtime_ns, stat.st_size) for name, stat in files))
+
+
+@lru_cache(maxsize=64)
+def _kept(folder: Path, _: tuple[tuple[str, int, int], ...]) -> Mechanism:
+    """Return a mechanism read once, as long as no file of its folder changes."""
+    return _read(folder)
+
+
+def _read(folder: Path) -> Mechanism:
     path = folder / YAML
     try:
         spec = read_spec(_inside(folder, YAML))
