@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from numpy.typing import NDArray
 import pincal
 from pincal.kinematics.chain import leg_chain
 from pincal.kinematics.forest import Forest
+from pincal.kinematics.influences.loads import gravity_loads
+from pincal.model.sensors.load import Load
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from closed_forms import angles, jacobian
@@ -93,6 +96,22 @@ def test_against_pinocchio_alone(
     )
     benchmark.extra_info["ratio"] = own / alone
     benchmark(identification_jacobians, mechanism, transforms)
+
+
+def test_loads_by_gravity(ratios: Any) -> None:
+    machine = replace(pincal.load_mechanism("6UPS"), load=Load(10.0, (0.01, 0.02, 0.05)))
+    poses = pincal.sample_workspace(machine, 4000, seed=0)
+    readings = pincal.inverse(machine, poses).readings
+    matrices = machine.platform.matrices(poses)
+    loads, columns = in_turn(
+        lambda: gravity_loads(machine, readings, matrices),
+        lambda: identification_jacobians(machine, poses),
+    )
+    ratios(
+        "loads by gravity of all joints, lengths and angles of a 6-UPS over the geometry's columns",
+        loads / columns,
+        "<= 1",
+    )
 
 
 def test_against_vectorised_closed_form(

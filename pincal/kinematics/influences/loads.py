@@ -70,6 +70,10 @@ def _forces(
     """
     held, active, left = [], [], weight
     for leg, closed, own in zip(mechanism.legs, closures, weights, strict=True):
+        if not own.any():  # links without masses
+            held.append(np.zeros(closed.gap.shape))
+            active.append(own[:, leg.active])
+            continue
         passive = closed.passive.transpose(0, 2, 1)
         held.append(-least_squares(passive, own[:, leg.passive, None])[:, :, 0])
         active.append(own[:, leg.active] + _along(closed.active, held[-1]))
