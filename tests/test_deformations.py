@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import loaded
+from command_line import done
 from measured import workspace
 from test_loads import energy, heavy
 
@@ -413,3 +414,14 @@ def test_a_place_that_cannot_have_a_term_is_refused(text: str, words: str) -> No
     with pytest.raises(MeasurementError) as error:
         said([text], pincal.load_mechanism("3RRR"))
     assert words in str(error.value)
+
+
+def test_check_says_by_which_columns_amplitudes_are_seen(tmp_path: Path) -> None:
+    """Amplitudes of what follows a column are not called without effect; the rest is observable."""
+    nominal = machine_of("3RRR")[0]
+    nominal.save(tmp_path / "m")
+    own = len(pincal.load_mechanism("3RRR").legs[0].parameters)
+    said = " ".join(done("check", tmp_path / "m").out.split())
+    assert "has no effect" not in said
+    assert "by columns temperature" in said
+    assert f"{own} of {own} parameters observable" in said

@@ -48,9 +48,10 @@ def identifiability(
 
     Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
     calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
-    the platform error over the workspace; with --accuracy how many poses that takes; and what a
-    drift over the run would do if poses are measured in the plan's order. With
-    --per-leg also what 'pincal calibrate --per-leg' will give, where poses are measured in full.
+    the platform error over the workspace; with --accuracy how many poses that takes; what a drift
+    over the run would do if poses are measured in the plan's order, and a wrong scale of the
+    instrument. With --per-leg also what 'pincal calibrate --per-leg' will give, where poses are
+    measured in full.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise.

@@ -83,12 +83,15 @@ def check(mech: Mech, how: UnitOptions) -> None:
         plan = sample_configurations(mechanism, 500)
     for leg, own_answer, own in zip(mechanism.legs, legs, mechanism.reading_columns, strict=True):
         readings = None if plan.readings is None else plan.readings[:, own]
-        rows = leg_demand(mechanism, leg.name, plan.poses, readings=readings)
+        still = leg.at_reference
+        rows = leg_demand(mechanism.at_reference, leg.name, plan.poses, readings=readings)
         if rows.value.shape[1] == len(leg.sensors):
             rows = rows.as_joint()
-        C = rows.parameter.reshape(-1, len(leg.parameters))
-        found = identifiability(C, [f"{leg.name}.{name}" for name in leg.parameter_names])
+        C = rows.parameter.reshape(-1, len(still.parameters))
+        found = identifiability(C, [f"{leg.name}.{name}" for name in still.parameter_names])
         words = "" if found.complete else f": {found.describe()}"
+        if more := [name for name in leg.parameter_names if name not in still.parameter_names]:
+            words += f"; {', '.join(more)} by columns {', '.join(leg.influences)}"
         stdout.print(
             f"{leg.name}: {found.rank} of {found.n_params} parameters observable from full poses "
             f"(condition {found.condition:.3g}){words}",
