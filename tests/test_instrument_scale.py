@@ -19,17 +19,17 @@ def test_a_wrong_scale_does_what_is_said(kind: str) -> None:
     mechanism, _, data = machine(kind, 40, EXACT, sigma=1e-6)
     space, over = mechanism.platform.space, workspace(kind, 30, 7)
     found = pincal.forecast(mechanism, data.poses, NOISE)
-    told = scale_effect(found, pincal.Plan(data.poses), over, NOISE, pincal.Setup())
-    assert told is not None
-    assert not told.said
+    effect = scale_effect(found, pincal.Plan(data.poses), over, NOISE, pincal.Setup())
+    assert effect is not None
+    assert not effect.said
     poses = data.poses.copy()
     poses[:, :space] *= 1.0 + SCALE
     wrong = replace(data, poses=poses)
     ends = [pincal.calibrate(mechanism, one, noise=NOISE) for one in (data, wrong)]
     assert abs(ends[1].reduced_chi2 - ends[0].reduced_chi2) < 1e-6
-    assert told.seen < 1e-6
+    assert effect.seen < 1e-6
     off = pincal.accuracy(ends[1].identified, ends[0].identified, over)
-    assert off.position == pytest.approx(told.platform.position, rel=1e-3)
+    assert off.position == pytest.approx(effect.platform.position, rel=1e-3)
 
 
 def test_only_lengths_have_a_scale() -> None:
@@ -37,9 +37,9 @@ def test_only_lengths_have_a_scale() -> None:
     mechanism, poses = pincal.load_mechanism("3RRR"), pincal.Plan(workspace("3RRR", 40))
     setup = pincal.Setup(systematic=Systematic(scale=2e-5))
     found = pincal.forecast(mechanism, poses, NOISE)
-    told = scale_effect(found, poses, poses, NOISE, setup)
-    assert told is not None
-    assert told.said
+    effect = scale_effect(found, poses, poses, NOISE, setup)
+    assert effect is not None
+    assert effect.said
     turned = replace(found, measured=("phi",))
     assert scale_effect(turned, poses, poses, NOISE, setup) is None
 

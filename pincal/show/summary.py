@@ -30,7 +30,7 @@ FRAMES = ", but for where the base and platform frames lie"
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 _SEEN = 3.0  # standard deviations, from which a test would see what is there
 _SAY_SCALE = (
-    "these poses do not tell it from gains and lengths. Say how well the scale is known "
+    "no poses separate it from gains and lengths. Say how well the scale is known "
     "(systematic: {scale: …} in the setup), or measure lengths that are known"
 )
 _MATTERS = 0.5, 1.0  # standard errors: a bias by drift that adds an eighth to what noise leaves

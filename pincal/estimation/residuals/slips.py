@@ -48,7 +48,7 @@ class Slip:
     p_value: float
     """Of so clear a change anywhere, by chance, all that was tried taken in."""
     or_else: tuple[tuple[What, str], ...] = ()
-    """What else may have slipped: these rows do not tell it apart."""
+    """What else may have slipped: these rows cannot separate it."""
 
 
 @dataclass(frozen=True)
