@@ -4,10 +4,14 @@
 
 Machines are drawn at random, each with one term or two, of amplitudes of so many of their standard
 errors (as the screen of a machine without them finds them), measured with noise and screened with
-all kinds of every reading. Of two terms the first is added, the machine fitted again, and screened
-again: both must be named, in any order. False alarms: machines without terms in which some
-candidate has a corrected chance below one in a hundred. Coverage: the amplitudes' 95 % intervals,
-of calibrations with the true terms. Each line is written as soon as it is known.
+all kinds at every reading, length and angle, alone and together. ``temperature`` is of one reading,
+``growth=temperature`` of all lengths as one, ``length=temperature`` of one length,
+``link=gravity`` of a length or angle between two joints. Of two terms the first is added, the
+machine fitted again, and screened again: both must be named, in any order. Of a length that grows
+or stretches another length of its leg counts too, of an angle that bends another angle. False
+alarms: machines without terms in which some candidate has a corrected chance below one in a
+hundred. Coverage: the amplitudes' 95 % intervals, of calibrations with the true terms. Each line is
+written as soon as it is known.
 """
 
 from __future__ import annotations
@@ -25,8 +29,8 @@ import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
-from pincal.calibration.terms.candidates import with_terms
-from pincal.calibration.terms.kinds import ORDER, Kind, every_pair
+from pincal.calibration.terms.candidates import tied_by, with_terms
+from pincal.calibration.terms.kinds import GRAVITY, GROWTH, ORDER, Kind, every_pair, lengths
 from pincal.calibration.terms.path import RULES
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.model.sensors.load import Load
@@ -37,18 +41,28 @@ from arms import loaded
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 LOAD = Load(10.0, (0.01, 0.02, 0.05))
+UPRIGHT = " upright"
 COUNT = 80
 SIZES = (3.0, 5.0)
 #: What is drawn, machine by machine: terms alone and in pairs.
+GROWS = (("growth=temperature",), ("length=temperature",))
 CASES: dict[str, tuple[tuple[str, ...], ...]] = {
-    "5R": (("temperature",), ("backlash",), ("polynomial",), ("temperature", "backlash")),
+    "5R": (
+        ("temperature",),
+        ("backlash",),
+        ("polynomial",),
+        ("temperature", "backlash"),
+        *GROWS,
+    ),
     "3RRR": (
         ("temperature",),
         ("backlash",),
         ("polynomial",),
         ("harmonics:5",),
         ("temperature", "backlash"),
+        *GROWS,
     ),
+    "3RRR upright": (("gravity",), ("link=gravity",)),
     "6UPS": (
         ("temperature",),
         ("backlash",),
@@ -56,8 +70,16 @@ CASES: dict[str, tuple[tuple[str, ...], ...]] = {
         ("polynomial",),
         ("gravity", "backlash"),
         ("temperature", "polynomial"),
+        *GROWS,
     ),
-    "delta": (("temperature",), ("backlash",), ("gravity",), ("gravity", "backlash")),
+    "delta": (
+        ("temperature",),
+        ("backlash",),
+        ("gravity",),
+        ("gravity", "backlash"),
+        *GROWS,
+        ("link=gravity",),
+    ),
     "ur5": (
         ("temperature",),
         ("backlash",),
@@ -65,6 +87,7 @@ CASES: dict[str, tuple[tuple[str, ...], ...]] = {
         ("harmonics",),
         ("gravity", "harmonics"),
         ("temperature", "backlash"),
+        ("link=gravity",),
     ),
 }
 
@@ -72,7 +95,9 @@ CASES: dict[str, tuple[tuple[str, ...], ...]] = {
 @cache
 def machine(name: str) -> pincal.Mechanism:
     """Return a mechanism that carries something, if it stands upright."""
-    plain = loaded(name) if name == "ur5" else pincal.load_mechanism(name)
+    plain = loaded(name) if name == "ur5" else pincal.load_mechanism(name.removesuffix(UPRIGHT))
+    if name.endswith(UPRIGHT):
+        return replace(plain, load=Load(LOAD.mass, gravity=(0.0, -9.81, 0.0)))
     return plain if plain.platform.space == 2 else replace(plain, load=LOAD)
 
 
@@ -94,7 +119,9 @@ def measured(
     """Return measurements of a machine."""
     readings = rows.readings if mechanism.by_readings else None
     plan = pincal.Plan(rows.poses, readings=readings, influences=rows.influences)
-    return pincal.simulate(mechanism, truth, plan, NOISE, seed=seed).measurements
+    data = pincal.simulate(mechanism, truth, plan, NOISE, seed=seed).measurements
+    given = {name: data.influences[name] for name in rows.influences}
+    return replace(data, influences=given)  # loads and sides are worked out, as of real ones
 
 
 def asked(mechanism: pincal.Mechanism, data: pincal.Measurements) -> Calibration:
@@ -120,16 +147,43 @@ def named(
         added.append((first.reading, first.kind))
 
 
+def drawn(
+    said: Sequence[str],
+    mechanism: pincal.Mechanism,
+    rows: pincal.Measurements,
+    draw: np.random.Generator,
+) -> list[tuple[str, Kind]]:
+    """Return terms at places that are drawn at random, no two of them at one place."""
+    every = {place for place, kind in every_pair(mechanism, rows) if kind.name == GRAVITY}
+    places = {
+        "": list(mechanism.reading_names),
+        "growth": [GROWTH],
+        "length": lengths(mechanism),
+        "link": [one.id for one in mechanism.parameters if one.id in every],
+    }
+    parts = [one.rpartition("=") for one in said]
+    chosen = draw.choice(places[parts[0][0]], len(parts), replace=False)
+    return [(str(place), Kind.of(kind)) for place, (_, _, kind) in zip(chosen, parts, strict=True)]
+
+
+def alike(place: str, mechanism: pincal.Mechanism) -> set[str]:
+    """Return the places that are as good a name for a cause: lengths, or angles, of one leg."""
+    every = mechanism.parameters
+    if place not in {one.id for one in every}:
+        return {place}
+    owner, unit = every[place].owner, every[place].unit
+    return {one.id for one in every if (one.owner, one.unit) == (owner, unit)}
+
+
 def tried(name: str, said: tuple[str, ...], sets: int) -> str:
     """Return a line of a table: how often terms are named first, by size, and coverage."""
-    kinds, mechanism = tuple(map(Kind.of, said)), machine(name)
+    mechanism = machine(name)
     first, clear = np.zeros(len(SIZES)), np.zeros(len(SIZES))
     covered = count = machines = seed = 0
     while machines < sets:
         draw = np.random.default_rng(seed)
         rows = nominal_rows(mechanism, draw)
-        readings = draw.choice(mechanism.reading_names, len(kinds), replace=False)
-        pairs = [(str(one), kind) for one, kind in zip(readings, kinds, strict=True)]
+        pairs = drawn(said, mechanism, rows, draw)
         plain = pincal.disturb(mechanism, 1e-3, seed=seed)
         truth, ids = with_terms(plain, rows, pairs)
         data = measured(mechanism, plain, rows, seed)
@@ -145,16 +199,26 @@ def tried(name: str, said: tuple[str, ...], sets: int) -> str:
             for pair, one in zip(pairs, own, strict=True):
                 way = draw.standard_normal(len(one.std))
                 scaled = size / np.linalg.norm(way / one.std) * way
-                values |= dict(zip(ids[pair], scaled.tolist(), strict=True))
+                names, every_one = ids[pair], len(ids[pair]) // len(way)  # growth: one of all legs
+                values |= dict(zip(names, np.tile(scaled, every_one).tolist(), strict=True))
             data = measured(mechanism, truth.with_parameters(values), rows, seed)
             order = list(named(mechanism, data, every, len(pairs)))
-            first[place] += {(one.reading, one.kind) for one in order} == set(pairs)
+            first[place] += all(
+                any(one.kind == kind and one.reading in alike(at, mechanism) for one in order)
+                for at, kind in pairs
+            )
             clear[place] += all(one.corrected < RULES.level for one in order)
-        extended, _ = with_terms(mechanism, rows, pairs)
-        held = mechanism.by_readings
-        result = pincal.calibrate(extended, data, noise=NOISE, hold_undetermined=held)
-        for id_, value in values.items():
-            covered += result[id_].low <= value <= result[id_].high
+        extended, own_ids = with_terms(mechanism, rows, pairs)
+        result = pincal.calibrate(
+            extended,
+            data,
+            noise=NOISE,
+            hold_undetermined=mechanism.by_readings,
+            tied=tied_by(own_ids),
+        )
+        names = [own[0] if place == GROWTH else own for (place, _), own in own_ids.items()]
+        for id_ in np.hstack(names).tolist():
+            covered += result[id_].low <= values[id_] <= result[id_].high
             count += 1
     shares = zip(100 * first / sets, 100 * clear / sets, strict=True)
     at = " | ".join(f"{n:.0f} % ({s:.0f} %)" for n, s in shares)

@@ -127,6 +127,7 @@ def used(module: str, seen: set[str]) -> list[object]:
 def public() -> dict[str, object]:
     """Return what people call from Python, and of the readers of formats what commands call."""
     found = {name: getattr(pincal, name) for name in pincal.__all__}
+    at_top = [load_arm, *found.values()]  # it is Mechanism.from_urdf there
     for one in (compare_runs, in_workspace, read_result):
         found[f"{one.__module__.removeprefix('pincal.')}.{one.__name__}"] = one
     reached = [one for own in commands().values() for one in own]
@@ -137,7 +138,7 @@ def public() -> dict[str, object]:
             for name, what in vars(imported).items()
             if getattr(what, "__module__", "") == module.name
             and inspect.isfunction(what)
-            and what is not load_arm
+            and not any(what is one for one in at_top)
             and any(what is one for one in reached)
         }
     return found

@@ -23,6 +23,7 @@ from .errors import (
 from .estimation.observability.indices import indices
 from .estimation.residuals.losses import Loss
 from .files.mechanism_folders import load_mechanism
+from .formats.corrections.poses import Corrections, corrections
 from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
 from .kinematics.inverse import inverse
@@ -57,6 +58,7 @@ from .workspace.sampling import sample_configurations, sample_workspace
 __all__ = [
     "CalibrationResult",
     "Condition",
+    "Corrections",
     "Distance",
     "Element",
     "Explanation",
@@ -101,6 +103,7 @@ __all__ = [
     "articular_symmetry",
     "calibrate",
     "compute_workspace",
+    "corrections",
     "cyclic",
     "dihedral",
     "disturb",

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pincal
 
-from . import five_bar, hexapod, three_rrr
+from . import errors, five_bar, hexapod, three_rrr
 from .study import Study
 
 #: Title, paper and content of each study.
@@ -25,6 +25,11 @@ STUDIES: dict[str, tuple[str, str, Callable[[Study], None]]] = {
         "Hexapod (6-UPS): symmetrical workspace, calibrated",
         "Symmetrical workspace of 6-UPS parallel robot using tilt and torsion angles",
         hexapod.run,
+    ),
+    "errors": (
+        "Errors beyond geometry: named, modelled, kept if they pay",
+        "",
+        errors.run,
     ),
 }
 
@@ -50,7 +55,7 @@ def run_study(
     """Return a study.
 
     Args:
-        name: ``5R``, ``3RRR`` or ``6UPS``.
+        name: ``5R``, ``3RRR``, ``6UPS`` or ``errors``.
         seed: Of all random choices.
         quick: Fewer draws and coarser grids.
         progress: Called with what is being done.

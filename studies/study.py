@@ -28,10 +28,10 @@ class Study:
     """What is asked of a study, and its text, tables and figures in the order of their adding."""
 
     name: str
-    """Of the mechanism."""
+    """Of the mechanism, or of what is looked at."""
     title: str
     paper: str
-    """Title of the paper that it follows."""
+    """Title of the paper that it follows; empty if it follows none."""
     seed: int = 0
     """Of all random choices."""
     quick: bool = False
@@ -78,7 +78,8 @@ class Study:
         """Return the page, its figures and tables in a folder relative to it."""
         options = f" --seed {self.seed}" * bool(self.seed) + " --quick" * self.quick
         command = f"pincal study {self.name}{options} -o FOLDER"
-        head = f"# {self.title}\n\nAfter *{self.paper}*. Written by `{command}`."
+        after = f"After *{self.paper}*. " if self.paper else ""
+        head = f"# {self.title}\n\n{after}Written by `{command}`."
         text = "\n\n".join([head, *self.parts])
         if folder:
             text = text.replace("](figures/", f"]({folder}/figures/")

@@ -68,6 +68,20 @@ def test_measuring_page_runs(tmp_path: Path) -> None:
     assert table[9].startswith(",,,")  # the ninth row has no position
 
 
+@pytest.mark.slow
+def test_what_commands_answer_is_what_the_page_says(tmp_path: Path) -> None:
+    """``python docs/what_now.py`` makes the page that is there, but for digits."""
+    made = runpy.run_path(str(ROOT / "docs" / "what_now.py"))
+    page = (ROOT / "docs" / "what_now.md").read_text(encoding="utf-8")
+    made["write_measurements"](tmp_path)
+    again = made["filled"](page, tmp_path)
+
+    def words(text: str) -> list[str]:
+        return re.sub(r"[\d.]+", "#", text).split()
+
+    assert words(again) == words(page)
+
+
 def test_measuring_page_names_columns_and_units() -> None:
     """All columns that are read and all units, and what cables alone do not tell."""
     text = (ROOT / "docs" / "measuring.md").read_text(encoding="utf-8")

@@ -19,7 +19,7 @@ from measured import workspace
 
 import pincal
 from pincal.errors import FileError, MechanismError, PincalError
-from pincal.files import mechanism_folders as files
+from pincal.files import mechanism_writing
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import tips_by_reader
@@ -175,7 +175,7 @@ def test_failed_saving_leaves_nothing(
     def fail(*_: object) -> str:
         raise error
 
-    monkeypatch.setattr(files, "platform_urdf", fail)  # written last
+    monkeypatch.setattr(mechanism_writing, "platform_urdf", fail)  # written last
     target = folder if force else folder.parent / "new"
     expected = FileError if isinstance(error, OSError) else KeyboardInterrupt
     with pytest.raises(expected) as caught:

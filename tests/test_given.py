@@ -97,3 +97,21 @@ def test_another_type_is_refused(name: str, wrong: object) -> None:
     """What is of a wrong type is refused by pincal, not by what it calls."""
     with pytest.raises(pincal.PincalError):
         REFUSE[name](wrong)
+
+
+def test_tables_of_poses_measured_in_part_are_read_as_the_command_reads_them(tmp_path) -> None:
+    """A column of the pose that is missing, or an empty cell: all legs at once need neither."""
+    three = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(three, 30, seed=1)
+    noise = pincal.Noise(2e-5, 2e-5, 2e-5)
+    data = pincal.simulate(three, pincal.disturb(three, 1e-3, seed=1), poses, noise).measurements
+    frame = data.to_dataframe(three).drop(columns="phi [rad]")
+    frame.loc[3, "x [m]"] = np.nan
+    frame.to_csv(tmp_path / "part.csv", index=False)
+    results = [
+        pincal.calibrate(three, given, noise=noise) for given in (frame, tmp_path / "part.csv")
+    ]
+    left = 30 * 2 - 1 - 23  # how the platform frame is turned is a choice
+    assert results[0].degrees_of_freedom == results[1].degrees_of_freedom == left
+    with pytest.raises(pincal.MeasurementError, match="only all legs together"):
+        pincal.calibrate(three, frame, noise=noise, method="per-leg")

@@ -9,10 +9,11 @@ import pinocchio as pin
 import pytest
 from arms import ARMS, loaded, urdf
 from marks import quick
-from measured import workspace
+from measured import seen_from_elsewhere, workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.calibration.calibrate import prepared, started
 from pincal.kinematics.configurations import home_of
 from pincal.kinematics.influences.loads import gravity_loads
 from pincal.model.sensors.load import Load
@@ -110,3 +111,30 @@ def test_masses_are_read_from_a_urdf_and_written_again(tmp_path) -> None:
     again = pincal.load_mechanism(tmp_path / "heavy")
     assert again == machine
     assert again.legs[0].joints[0].mass > 0.0
+
+
+@pytest.mark.parametrize("elsewhere", [False, True], ids=["in the base", "unknown frame"])
+def test_loads_are_those_where_the_platform_is(*, elsewhere: bool) -> None:
+    """A 3-RRR off by 2 mm and 2 mrad: loads within a tenth of its own, where it was measured.
+
+    Its readings would take the machine as drawn elsewhere: near a type-2 singularity to a load
+    three times the largest.
+    """
+    plain = replace(pincal.load_mechanism("3RRR"), load=Load(50.0, gravity=(0.0, -9.81, 0.0)))
+    truth = pincal.disturb(plain, 2e-3, seed=3)
+    poses = np.vstack((workspace("3RRR", 40), [0.41995, -0.11685, -0.26683]))
+
+    def loads(machine: pincal.Mechanism, there: np.ndarray) -> np.ndarray:
+        found = gravity_loads(machine, readings, machine.platform.matrices(there))
+        return np.column_stack([found[leg] for leg in plain.leg_names])
+
+    readings = pincal.inverse(truth, poses).readings
+    own, drawn = loads(truth, poses), loads(plain, pincal.forward(plain, readings, poses).poses)
+    assert np.abs(drawn - own).max() > 3.0 * np.abs(own).max()
+    data = pincal.Measurements(poses=poses, readings=readings)
+    data = seen_from_elsewhere(plain, data) if elsewhere else data
+    given = {"setup": pincal.Setup(unknown_frame=elsewhere), "terms": "gravity"}
+    asked = started(prepared(plain, data, noise=pincal.Noise(1e-5, 1e-5, 0.0), **given))
+    found = asked.measurements.influences
+    used = np.column_stack([found[f"load_{leg}"] for leg in plain.leg_names])
+    assert np.abs(used - own).max() < 0.1 * np.abs(own).max()

@@ -241,7 +241,7 @@ def test_terms_of_sensors_are_differentiated(name: str) -> None:
 
     def demand(step: Array, readings: Array) -> Demand:
         condition = LegCondition(leg, robot.platform, readings, "closure", np.arange(1))
-        return condition(leg.nominal + step, matrices)[0]
+        return condition(leg.nominal + step, matrices).demand
 
     n = len(leg.nominal)
     here = demand(np.zeros(n), psi)

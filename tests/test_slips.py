@@ -54,9 +54,13 @@ def _of_reading(
     return replace(data, readings=readings)
 
 
-def measured(name: str, seed: int = 1) -> tuple[pincal.Mechanism, pincal.Measurements]:
-    """Return a mechanism, and measurements of a machine like it."""
+def measured(
+    name: str, seed: int = 1, gain: float = 1.0
+) -> tuple[pincal.Mechanism, pincal.Measurements]:
+    """Return a mechanism, its readings geared, and measurements of a machine like it."""
     plain = pincal.load_mechanism(name)
+    if gain != 1.0:
+        plain = plain.with_parameters({f"{leg.name}.k": gain for leg in plain.legs})
     truth = pincal.disturb(plain, 1e-3, seed=seed)
     poses = workspace(name, COUNT)
     return plain, pincal.simulate(plain, truth, poses, NOISE, seed=seed).measurements
@@ -159,8 +163,10 @@ def test_steps_of_columns_are_found(step: float) -> None:
     assert step_of(np.round(values[:5] / step) * step) == 0.0  # too few to say
 
 
-def test_play_bounds_the_noise_of_a_reading() -> None:
-    plain, data = measured("3RRR")
+@pytest.mark.parametrize("gain", [1.0, 0.5])
+def test_play_bounds_the_noise_of_a_reading(gain: float) -> None:
+    """Half of the play that a reading has is its noise, however it is geared."""
+    plain, data = measured("3RRR", gain=gain)
     side = np.sign(np.diff(data.readings[:, 1], prepend=np.nan))
     readings = data.readings.copy()
     readings[:, 1] -= 1e-4 * np.nan_to_num(side)
@@ -170,7 +176,7 @@ def test_play_bounds_the_noise_of_a_reading() -> None:
     (one,) = (one for one in found.choice.bounds if one.cause == "play")
     assert one.quantity == "leg_2"
     assert one.size == pytest.approx(2e-4, rel=0.2)
-    assert one.least == one.size / 2.0
+    assert one.least == pytest.approx(1e-4, rel=0.2)
     assert one.too_small
 
 
@@ -178,3 +184,21 @@ def test_fine_steps_are_not_said() -> None:
     plain, data = measured("3RRR")
     readings = np.round(data.readings / 1e-6) * 1e-6
     assert not bounds(prepared(plain, replace(data, readings=readings), noise=NOISE))
+
+
+def test_one_row_is_no_slip() -> None:
+    """The last row six deviations off is an outlier: no slip is said."""
+    plain, data = measured("3RRR")
+    poses = data.poses.copy()
+    poses[-1, 0] += 1.2e-4
+    robust = fitted(prepared(plain, replace(data, poses=poses), noise=NOISE)).fits[0]
+    assert not slips(robust.fit)
+
+
+def test_residuals_of_readings_are_not_asked() -> None:
+    """They are not white: the answer is a refusal, not that geometry is enough."""
+    plain, data = measured("3RRR")
+    with pytest.raises(pincal.MeasurementError, match="are not; leave that out"):
+        pincal.explain(plain, data, noise=NOISE, residual="joint")
+    with pytest.raises(pincal.MeasurementError, match="are not; leave that out"):
+        pincal.calibrate(plain, data, noise=NOISE, residual="joint", terms="auto")

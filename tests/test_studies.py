@@ -167,3 +167,19 @@ def test_root_mean_square_and_its_standard_error() -> None:
     means, errors = np.array(found).T
     assert means.mean() == pytest.approx(1.0, abs=0.01)
     assert errors.mean() == pytest.approx(means.std(), rel=0.1)
+
+
+def test_beyond_geometry(folders: dict[str, Path]) -> None:
+    """Errors withdraw the promise, are named, and mended: the limit is kept with their terms."""
+    folder = folders["5R"].parent / "errors"
+    promised = column(folder, "simulated", "promised")
+    assert promised[0] == "2 of 2"
+    assert promised[1] == "0 of 2"
+    named = column(folder, "simulated", "named")
+    assert named[:2] == ["nothing (2)", "readings gravity (2)"]
+    before, after, limits = (
+        np.array(column(folder, "simulated", name), dtype=float)
+        for name in ("off", "off then", "limit then")
+    )
+    assert (before[1:] > 1.2 * after[1:]).all()
+    assert (after < limits).all()

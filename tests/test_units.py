@@ -196,6 +196,17 @@ def test_the_report_is_in_the_units_asked_for(counted: Path, tmp_path: Path) -> 
     assert "x [m]" not in own
 
 
+@pytest.mark.slow
+def test_without_units_the_report_is_in_mm_and_mrad(counted: Path, tmp_path: Path) -> None:
+    """None of what ``--units in,deg`` prints stands there, and the terminal says the accuracy."""
+    said = (*GIVEN, "--counts", "4096/turn", "--folds", 0)
+    out = done("calibrate", "3RRR", counted, *said, "-o", tmp_path / "mm").out
+    usual = (tmp_path / "mm" / "report.html").read_text()
+    for text in ("position [in]", "orientation [°]", " in in position", "° in orientation"):
+        assert text not in usual
+    assert "was off by" in out
+
+
 def without_code(page: str) -> str:
     """Return a page without the command that was typed."""
     return re.sub(r"<pre>.*?</pre>", "", page, flags=re.DOTALL)

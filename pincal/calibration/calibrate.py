@@ -74,7 +74,8 @@ def prepared(
     chosen = Options.of(options, **more)
     machine = as_mechanism(mechanism)
     columns = columns_said(chosen.terms)
-    data = as_measurements(measurements, machine, chosen.setup, influences=columns)
+    partly = chosen.latent  # all legs at once need no whole poses
+    data = as_measurements(measurements, machine, chosen.setup, partial=partly, influences=columns)
     return Calibration(machine, replace(data), chosen)  # a copy: the user's may be changed
 
 

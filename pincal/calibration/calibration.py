@@ -58,10 +58,27 @@ class Calibration:
 
     def _follow_influences(self) -> None:
         """Add columns of influences that follow from all rows in order, which parts do not know."""
-        columns = planned_influences(self.mechanism, self.measurements)
-        own = by_name(self.mechanism, columns)
+        loads = set(self.mechanism.loaded) - set(self.measurements.influences)
+        there = self.located if loads else self.measurements
+        own = by_name(self.mechanism, planned_influences(self.mechanism, there))
         data = replace(self.measurements, influences={**self.measurements.influences, **own})
         object.__setattr__(self, "measurements", data)
+
+    @cached_property
+    def located(self) -> Measurements:
+        """The measurements with whole poses in the base frame, by the machine as drawn.
+
+        Those that were measured in full there, or as a search starts from them.
+
+        Raises:
+            MeasurementError: frames that cannot be aligned, or too little measured in a row.
+        """
+        drawing, options = self.mechanism.drawing, self.options
+        asked = Options(noise=options.noise, setup=options.setup)
+        bare = Calibration(drawing, self.measurements, asked, known_noise=self.known_noise)
+        nominal = np.concatenate([leg.nominal for leg in drawing.legs])
+        state = align_start(drawing, bare.latent_problem, self.measurements, nominal)
+        return replace(self.measurements, poses=drawing.platform.from_matrices(state.matrices))
 
     @property
     def shift(self) -> Array:
@@ -187,7 +204,7 @@ class Calibration:
 
     @cached_property
     def influences(self) -> Array | None:
-        """What terms of sensors depend on, row by row, shape (N, n_influences); None if nothing."""
+        """What terms depend on, row by row, shape (N, n_influences); None if nothing."""
         data = self.measurements
         own = {name: data.influences[name] for name in self.mechanism.influences}
         return influence_columns(self.mechanism, own, len(data))

@@ -17,9 +17,10 @@ from pincal.estimation.curvature import curvature
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 from pincal.estimation.observability.unobservable import Held
+from pincal.estimation.residuals.chances import together
+from pincal.estimation.residuals.courses import Score, scores
 from pincal.estimation.residuals.losses import FALSE_ALARM
 from pincal.estimation.residuals.robust import Robust
-from pincal.estimation.residuals.score import Score, scores
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ROUNDING
@@ -163,10 +164,10 @@ def _proportion(fits: Fits) -> list[Finding]:
 
 
 def lacking(fits: Fits) -> list[Finding]:
-    """Return what residuals follow that the model lacks: the most improbable of all tests.
+    """Return what residuals follow that the model lacks: all tests as one, the clearest named.
 
-    And of what was measured of one pose again and again. Of all tests together (Bonferroni) one in
-    a hundred sound calibrations has such findings.
+    And of what was measured of one pose again and again. What all readings have in common weighs as
+    much as all single ones. One in a hundred sound calibrations has such findings.
     """
     data = fits.calibration.measurements
     found = [
@@ -174,13 +175,19 @@ def lacking(fits: Fits) -> list[Finding]:
         for robust in fits.fits
         for score in scores(robust.fit, _again(data, robust.rows))
     ]
-    clear = [(one.p_value * len(found), one, robust) for one, robust in found]
-    clear = sorted((one for one in clear if one[0] < FALSE_ALARM), key=lambda one: one[0])
-    again = [one for one in clear if one[1].term == "again"]
-    return [
-        *(_lacks(*one) for one in [one for one in clear if one not in again][:1]),
-        *(_moved(*one, data) for one in again[:1]),
-    ]
+    if not found:  # residuals that are not white
+        return []
+    common = np.array([score.common for score, _ in found])
+    weights = np.where(common, 0.5 / max(common.sum(), 1), 0.5 / max((~common).sum(), 1))
+    again = np.array([score.term == "again" for score, _ in found], dtype=bool)
+    p_values = np.array([score.p_value for score, _ in found])
+    clear = []
+    for kind, some in ((_lacks, ~again), (_moved, again)):
+        p_value = together(p_values[some], weights[some])
+        if p_value < FALSE_ALARM:
+            worst, robust = found[np.flatnonzero(some)[np.argmin(p_values[some])]]
+            clear.append(kind(p_value, worst, robust, data))
+    return clear
 
 
 def _again(data: Measurements, rows: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
@@ -202,7 +209,7 @@ def _moved(p_value: float, worst: Score, robust: Robust, data: Measurements) -> 
     return finding("reference-moved", rows, **values, unit=unit, p_value=p_value)
 
 
-def _lacks(p_value: float, worst: Score, robust: Robust) -> Finding:
+def _lacks(p_value: float, worst: Score, robust: Robust, _: Measurements) -> Finding:
     """Return what residuals follow."""
     if worst.term == "step":
         row = int(robust.rows[worst.row])

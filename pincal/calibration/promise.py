@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-UNLIKELY = 1e-3  # probability at which fit and held-out rows part, runs differ
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 #: Findings that contradict the model or its noise.
 CONTRADICT = frozenset(

@@ -19,7 +19,8 @@ from pincal.calibration.result import CalibrationResult, Page
 from pincal.calibration.result_data import restored, stored
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, read_text
-from pincal.files.mechanism_folders import load_mechanism, own_files, write_mechanism
+from pincal.files.mechanism_folders import load_mechanism, own_files
+from pincal.files.mechanism_writing import write_mechanism
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.table import write_table
 from pincal.model.measurements import Plan

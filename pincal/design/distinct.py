@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from pincal.model.checks import ALIKE
 from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
-SAME = 1e-6
 """Of the candidates' extent, within which two of them are one; and the least extent, of the size
 of coordinates."""
 _LINES = 3  # along which places are looked at before they are looked at in full
@@ -33,7 +33,7 @@ def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -
     parts += [] if readings is None else list(readings.T[:, :, None])
     sizes = [np.abs(part).max(initial=0.0) for part in parts]
     extents = [
-        max(np.ptp(part, axis=0).max(), SAME * size) if size > 0.0 else 1.0
+        max(np.ptp(part, axis=0).max(), ALIKE * size) if size > 0.0 else 1.0
         for part, size in zip(parts, sizes, strict=True)
     ]
     return np.concatenate([p / e for p, e in zip(parts, extents, strict=True)], axis=1)
@@ -58,7 +58,7 @@ def distinct(platform: Platform, poses: Poses, readings: Array | None = None) ->
         distance, other = KDTree(places[kept]).query(places[kept], k=2, p=np.inf)
         own = np.arange(len(kept))
         nearest = np.where(other[:, 0] == own, 1, 0)
-        copies = (distance[own, nearest] <= SAME) & (other[own, nearest] < own)
+        copies = (distance[own, nearest] <= ALIKE) & (other[own, nearest] < own)
         if not copies.any():
             break
         kept = kept[~copies]
@@ -71,7 +71,7 @@ def perhaps_alike(places: Array) -> NDArray[np.bool_]:
     for line in np.random.default_rng(0).uniform(-1.0, 1.0, (_LINES, places.shape[1])):
         along = places[alike] @ line
         order = np.argsort(along)
-        together = np.diff(along[order]) <= SAME * np.abs(line).sum()
+        together = np.diff(along[order]) <= ALIKE * np.abs(line).sum()
         own = np.zeros(len(along), dtype=bool)
         own[order[:-1][together]] = own[order[1:][together]] = True
         alike[alike] = own

@@ -56,7 +56,7 @@ def all_legs(legs: Legs, known: Information) -> Estimable:
     rows, off, n_legs = known.rows, known.off, legs.parameter.shape[2]
     flat = rows.reshape(-1, rows.shape[2])
     rank, equations = identifiability(flat, known.unknowns), rows.shape[1]
-    root, lost = _pseudo_inverse(flat, rank.rank)
+    root, lost = pseudo_inverse(flat, rank.rank)
     own = root[:, :n_legs]
     influence = (own.T @ root) @ rows.transpose(0, 2, 1) @ known.white.by_noise
     moved = own.T @ (root @ (flat.T @ off.reshape(len(flat), -1)))
@@ -103,7 +103,7 @@ def each_leg(
         flat = J.reshape(-1, J.shape[2])
         names = [f"{leg.name}.{name}" for name in leg.parameter_names]
         ranks.append(identifiability(flat, names))
-        root, own_lost = _pseudo_inverse(flat, ranks[-1].rank)
+        root, own_lost = pseudo_inverse(flat, ranks[-1].rank)
         moved = (root.T @ root) @ J.transpose(0, 2, 1) @ white.by_noise
         own = np.arange(place, place := place + J.shape[2])
         kinds = np.r_[n_readings : n_readings + len(sigma), columns.start : columns.stop]
@@ -126,7 +126,7 @@ def each_leg(
     return Estimable(measured, equations, least, rank, covariance, gone, noisy[reached])
 
 
-def _pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:
+def pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:
     """Return a root R of the pseudo-inverse Rᵀ R of rows' information, and what it lacks."""
     lengths, s, axes = scaled_axes(rows)
     return axes[:rank] / lengths / s[:rank, None], null_directions(lengths, axes, rank)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.estimable import pseudo_inverse
 from pincal.design.forecast import Forecast
 from pincal.design.information import information_rows
 from pincal.design.platform_error import PlatformError, platform_error
@@ -56,7 +57,8 @@ def scale_effect(
     rows, off = known.rows.reshape(-1, known.rows.shape[2]), known.off.reshape(-1)
     if not off.size or not off.any():
         return None
-    taken = np.linalg.lstsq(rows, off, rcond=None)[0]
+    root, _ = pseudo_inverse(rows, found.rank.rank)
+    taken = root.T @ (root @ (rows.T @ off))
     n = legs.parameter.shape[2]
     shift = nearest_to_nominal(mechanism, found.gauge) @ taken[:n]
     return ScaleEffect(

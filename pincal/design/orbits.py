@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from pincal.design.distinct import SAME, perhaps_alike, places_of
+from pincal.design.distinct import perhaps_alike, places_of
 from pincal.errors import SymmetryError
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.singularity import margins
+from pincal.model.checks import ALIKE
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
@@ -141,19 +142,19 @@ def images(
     places = places_of(platform, found.reshape(-1, platform.dof)).reshape(count, len(poses), -1)
     own = np.ones((count, len(poses)), dtype=bool)
     for later in range(1, count):  # some element leaves a pose where it is, or none does
-        own[later] = np.abs(places[later] - places[0]).max(axis=1) > SAME
+        own[later] = np.abs(places[later] - places[0]).max(axis=1) > ALIKE
     fixed = np.flatnonzero(~own.all(axis=0))
     for later in range(2, count):
         for earlier in range(1, later):
             apart = np.abs(places[later, fixed] - places[earlier, fixed]).max(axis=1)
-            own[later, fixed] &= apart > SAME
+            own[later, fixed] &= apart > ALIKE
     alike = perhaps_alike(places.reshape(count * len(poses), -1)).reshape(count, -1)
     repeated, first = np.zeros(len(poses), dtype=bool), np.flatnonzero(alike[0])
     tree = KDTree(places[0, first])
     for image, where in zip(places[1:], alike[1:], strict=True):
         rows = np.flatnonzero(where) if len(first) else first
         distance, other = tree.query(image[rows], p=np.inf)
-        repeated[rows] |= (distance <= SAME) & (first[other] < rows)
+        repeated[rows] |= (distance <= ALIKE) & (first[other] < rows)
     return found, own, repeated
 
 
@@ -169,7 +170,7 @@ def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
     kept: list[int] = []
     wanted: list[list[str]] = []
     for row, leg in enumerate(legs):
-        same = np.flatnonzero(np.abs(places[kept] - places[row]).max(axis=1) <= SAME)
+        same = np.flatnonzero(np.abs(places[kept] - places[row]).max(axis=1) <= ALIKE)
         if len(same):
             wanted[int(same[0])].append(leg)
         else:

@@ -23,7 +23,7 @@ from pincal.words.numbers import amount
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 CONFIDENCE = 0.95
-_DRAWS = 10_000
+DRAWS = 10_000
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,10 @@ class PlatformError:
         if not self.determined.any():
             return np.nan, np.nan
         rng = np.random.default_rng(0)
-        squares = rng.standard_normal((_DRAWS, self.weights.shape[1])) ** 2
+        squares = rng.standard_normal((DRAWS, self.weights.shape[1])) ** 2
         if self.degrees_of_freedom is not None:
             dof = max(self.degrees_of_freedom, 1)
-            squares *= dof / rng.chisquare(dof, (_DRAWS, 1))
+            squares *= dof / rng.chisquare(dof, (DRAWS, 1))
         position, orientation = np.sqrt(np.quantile(squares @ self.weights.T, CONFIDENCE, axis=0))
         return self.unseen * float(position), self.unseen * float(orientation)
 
@@ -235,7 +235,7 @@ def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:
 
     Args:
         mechanism: The mechanism.
-        measured: Poses in the base frame, readings, and what terms of sensors depend on.
+        measured: Poses in the base frame, readings, and what terms depend on.
     """
     readings = measured.readings
     twists = np.full(measured.poses.shape, np.nan)

@@ -29,10 +29,10 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.derivatives import leg_demand
-from pincal.model.checks import count_of, described
+from pincal.model.checks import ALIKE, count_of, described
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.words.selection import ALIKE, mapped_diagonals
+from pincal.words.selection import mapped_diagonals
 
 if TYPE_CHECKING:
     from pandas import DataFrame

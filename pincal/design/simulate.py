@@ -20,7 +20,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward
-from pincal.kinematics.influences.columns import by_name
+from pincal.kinematics.influences.columns import by_name, influences_of
 from pincal.kinematics.inverse import inverse
 from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
@@ -133,8 +133,8 @@ def _driven(
     driven = np.flatnonzero([not reason for reason in reasons])
     reasons = [reason and f"nominal mechanism: {reason}" for reason in reasons]
     commanded = replace(planned.rows(driven), readings=readings[driven])
-    influences = planned_influences(truth, commanded)
-    solution = forward(truth, readings[driven], wanted[driven], influences)
+    solution = forward(truth, readings[driven], wanted[driven], influences_of(truth, commanded))
+    influences = planned_influences(truth, replace(commanded, poses=solution.poses))
     there = None if influences is None else np.full((len(reasons), influences.shape[1]), np.nan)
     if there is not None:
         there[driven] = influences
@@ -198,8 +198,7 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
     errors = np.full(wanted.shape, np.nan)
     driven = np.flatnonzero([not reason for reason in reasons])
     commanded = replace(plan.rows(driven), readings=readings[driven])
-    influences = planned_influences(truth, commanded)
-    solution = forward(truth, readings[driven], wanted[driven], influences)
+    solution = forward(truth, readings[driven], wanted[driven], influences_of(truth, commanded))
     reached = driven[solution.converged]
     errors[reached] = platform.twists_between(wanted[reached], solution.poses[solution.converged])
     return errors

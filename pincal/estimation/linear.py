@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.conditions.external import External
+from pincal.estimation.conditions.leg_condition import Met
 from pincal.estimation.rows import WhiteRows
 from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.derivatives import Demand
@@ -27,7 +28,8 @@ class State:
     matrices: Array
     """Poses ``T_base_platform``, shape (N, 4, 4)."""
     joints: tuple[Array | None, ...]
-    """Joint positions of each leg, shape (N, n_joints); None before the first evaluation."""
+    """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed]);
+    None before the first evaluation."""
     external: External
     """Unknowns outside the mechanism."""
 
@@ -52,8 +54,7 @@ class Stack:
     """Conditions at a state, before anything is eliminated: k rows at each of N poses."""
 
     state: State
-    demands: list[Demand]
-    """Of each leg."""
+    legs: tuple[Met, ...]
     value: Array
     """e, shape (N, k), [m] and [rad]."""
     blocks: tuple[Block, ...]
@@ -62,6 +63,11 @@ class Stack:
     """B, by the platform's twist, shape (N, k, dof); no columns where poses are as measured."""
     noise: Array
     """S, root of the noise, shape (N, k, s)."""
+
+    @property
+    def demands(self) -> list[Demand]:
+        """What each leg demands."""
+        return [one.demand for one in self.legs]
 
     @property
     def finite(self) -> bool:

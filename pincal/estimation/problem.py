@@ -188,14 +188,14 @@ class Problem:
         Raises:
             MeasurementError: a residual that does not exist.
         """
-        found = [
+        found = tuple(
             condition(state.parameters[columns], state.matrices, joints)
             for condition, columns, joints in zip(
                 self.conditions, self.columns, state.joints, strict=True
             )
-        ]
-        demands = [demand for demand, _ in found]
-        state = replace(state, joints=tuple(joints for _, joints in found))
+        )
+        demands = [one.demand for one in found]
+        state = replace(state, joints=tuple(one.joints for one in found))
         n_legs, outside = self.leg_rows[-1].stop, len(self.observation.external)
         count, dof = len(self.used), self.platform.dof
         seen = self.observation.evaluate(state.matrices, state.external) if self.latent else None
@@ -218,7 +218,7 @@ class Problem:
         blocks.append(Block(slice(n_legs, n_legs + r), slice(n, n + outside), by_outside))
         noise = self._noise(demands)
         return Stack(
-            state, demands, value, tuple(blocks), pose if self.latent else pose[:, :, :0], noise
+            state, found, value, tuple(blocks), pose if self.latent else pose[:, :, :0], noise
         )
 
     def _noise(self, demands: Sequence[Demand]) -> Array:
@@ -325,12 +325,14 @@ class Problem:
         state, stack, n = linear.state, linear.stack, self.n_parameters
         external = self.observation.external.moved(state.external, step[n:])
         parameters = state.parameters + step[:n]
-        matrices = state.matrices
+        matrices, twists = state.matrices, np.zeros((len(state.matrices), self.platform.dof))
         if self.latent:
             twists = linear.white.pose_step(stack.after(step))
             there = self._carried(stack, step, twists, parameters)
             matrices = self.platform.displaced(matrices, twists) if there is None else there
-        return State(parameters, matrices, state.joints, external)
+        own = zip(stack.legs, self.columns, strict=True)
+        joints = tuple(leg.after(step[columns], twists) for leg, columns in own)
+        return State(parameters, matrices, joints, external)
 
     def _carried(self, stack: Stack, step: Array, twists: Array, parameters: Array) -> Array | None:
         """Return poses at which an arm's closure is what a step was to make it, (N, 4, 4).

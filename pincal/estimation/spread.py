@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from pincal.estimation.linear import Linear
+from pincal.estimation.residuals.losses import FALSE_ALARM
 from pincal.estimation.system import Normal, System
 
 Array = NDArray[np.float64]
-_TYPICAL = 0.01  # probability of a good row's χ², from which a row counts as what it is
 _FALLEN = 0.9  # of what determines a direction, that falling slopes may take away
 
 
@@ -59,7 +59,7 @@ class Spread:
             linear.equations,
             max(variance, 1e-300),
         )
-        far = squares > chdtri(np.maximum(equations, 1), _TYPICAL)
+        far = squares > chdtri(np.maximum(equations, 1), FALSE_ALARM)
         good, n = counts & ~far, system.unknowns.map.shape[1]
         slope, square, factor = system.loss.moments(squares[good], equations[good], n)
         return cls(

@@ -9,25 +9,21 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
-import yaml
-
 from pincal.errors import FileError, MechanismError, PincalError
+from pincal.files.mechanism_writing import YAML, write_mechanism
 from pincal.files.output import writing
-from pincal.files.schema import FORMAT, LegSpec, LoadSpec, MechanismSpec, SensorSpec, read_spec
-from pincal.files.terms import described, term_of
+from pincal.files.schema import LegSpec, LoadSpec, MechanismSpec, SensorSpec, read_spec
+from pincal.files.terms import term_of
 from pincal.files.urdf import read_chain, read_points
-from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.model.checks import must_be
 from pincal.model.home import check_home
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
-from pincal.model.platform_kind import KINDS, PlatformKind
+from pincal.model.platform_kind import PlatformKind
 from pincal.model.sensors.load import Load
 from pincal.model.sensors.sensor import Sensor
-
-YAML = "mechanism.yaml"
 
 _log = logging.getLogger(__name__)
 
@@ -280,111 +276,3 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
     with writing(folder, force=force, folder=YAML, own=own_files(folder)) as scratch:
         write_mechanism(mechanism, scratch)
     return Path(folder)
-
-
-def write_mechanism(mechanism: Mechanism, folder: Path) -> None:
-    """Write a mechanism's files into a folder that exists."""
-    (folder / YAML).write_text(_dump(mechanism), encoding="utf-8")
-    for leg in mechanism.legs:
-        (folder / f"{leg.name}.urdf").write_text(leg_urdf(leg), encoding="utf-8")
-    platform = platform_urdf(mechanism.name, mechanism.legs)
-    (folder / "platform.urdf").write_text(platform, encoding="utf-8")
-
-
-def _dump(mechanism: Mechanism) -> str:
-    platform = mechanism.platform
-    data = {
-        "pincal": FORMAT,
-        "name": mechanism.name,
-        **({"description": mechanism.description} if mechanism.description else {}),
-        "platform": {
-            "kind": platform.kind
-            if platform.kind in KINDS
-            else _Flow(name=platform.kind, freedoms=list(platform.form.freedoms)),
-            "urdf": "platform.urdf",
-            "home": _Flow(zip(platform.coordinates, platform.home, strict=True)),
-        },
-        "legs": [_dump_leg(leg) for leg in mechanism.legs],
-        **({"labels": dict(mechanism.labels)} if mechanism.labels else {}),
-        **({} if mechanism.load is None else {"load": _dump_load(mechanism.load)}),
-    }
-    header = "# A mechanism of pincal. Lengths in m, angles in rad. See docs/mechanism_files.md\n"
-    return header + yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=100)
-
-
-def _dump_load(load: Load) -> dict[str, Any]:
-    return {
-        "mass": float(load.mass),
-        "centre": [float(v) for v in load.centre],
-        "gravity": [float(v) for v in load.gravity],
-        **({"drawn": {name: float(value) for name, value in load.drawn}} if load.drawn else {}),
-    }
-
-
-def _dump_leg(leg: Leg) -> dict[str, Any]:
-    """Return a leg as plain data.
-
-    Raises:
-        MechanismError: a term that is code.
-    """
-    return {
-        "name": leg.name,
-        "urdf": f"{leg.name}.urdf",
-        "tip": leg.tip,
-        "platform_point": leg.point.name,
-        **({} if leg.closes == "point" else {"closes": leg.closes}),
-        "home": _Flow((joint.name, float(joint.home)) for joint in leg.moving),
-        "sensors": [
-            (dict if sensor.terms else _Flow)(
-                joint=sensor.joint,
-                form=sensor.form,
-                gain=sensor.gain,
-                offset=sensor.offset,
-                direction=sensor.direction,
-                zero=sensor.zero if isinstance(sensor.zero, str) else float(sensor.zero),
-                **({} if (by := sensor.counts_per_unit) is None else {"counts_per_unit": by}),
-                **({"terms": _dump_terms(sensor, leg.name)} if sensor.terms else {}),
-            )
-            for sensor in leg.sensors
-        ],
-        "parameters": {name: float(value) for name, value in leg.parameters},
-        "placements": {
-            joint.name: [_Flow({c.kind: _values(c)}) for c in joint.placement.coordinates]
-            for joint in (*leg.joints, leg.point)
-            if joint.placement.coordinates
-        },
-        **({"terms": _dump_own_terms(leg)} if leg.terms else {}),
-    }
-
-
-def _dump_terms(sensor: Sensor, leg: str) -> dict[str, Any]:
-    return {term.parameter: _Flow(described(term, leg)) for term in sensor.terms}
-
-
-def _dump_own_terms(leg: Leg) -> dict[str, Any]:
-    """Return the terms of a leg's parameters as plain data."""
-    return {
-        name: {
-            one.parameter: _Flow(described(one, leg.name)) for of, one in leg.terms if of == name
-        }
-        for name in leg.deformed
-    }
-
-
-def _values(coordinate: Coordinate) -> Any:
-    values = coordinate.values
-    return values[0] if len(values) == 1 else list(values)
-
-
-class _Flow(dict[str, Any]):
-    """A mapping that YAML writes on one line."""
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes ``_Flow`` mappings on one line."""
-
-
-_Dumper.add_representer(
-    _Flow,
-    lambda dumper, data: dumper.represent_mapping("tag:yaml.org,2002:map", data, flow_style=True),
-)

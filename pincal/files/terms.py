@@ -8,6 +8,7 @@ a_sin: {sine: 50}                          # sin 50 ψ; cosine likewise
 screw: {power: 2, range: 0.25}             # (ψ / 0.25 m)²; centre: 0
 e1: {knots: [0.0, 0.1, 0.2, 0.3], knot: 1} # table of errors, cubic between; periodic: false
 warm: {of: temperature, per: 10, reference: 20}
+sag: {of: time, power: 2, range: 100}      # any of these forms, of a column
 play: {of: approach}
 """
 
@@ -21,12 +22,13 @@ from pincal.errors import MechanismError
 from pincal.files.strict import Number, Strict
 from pincal.model.sensors.terms import Harmonic, Knot, Power, Share, Term
 
+#: Forms of what an amplitude multiplies: of the reading, or of a column (``of``).
 _OWN = {
     "sine": ("period",),
     "cosine": ("period",),
     "power": ("range", "centre"),
     "knots": ("knot", "periodic"),
-    "of": ("per", "reference"),
+    "per": ("reference",),
 }
 
 
@@ -60,10 +62,11 @@ def term_of(parameter: str, spec: TermSpec, where: str) -> Term:
             a number that it cannot have.
     """
     said = {key: value for key, value in spec.model_dump().items() if value is not None}
-    kinds = [key for key in _OWN if key in said]
+    of = str(said.pop("of", ""))
+    kinds = [key for key in _OWN if key in said] or ["per"] * bool(of)
     if len(kinds) != 1:
         raise MechanismError(
-            f"{where}, term {parameter!r}: expected one of {', '.join(_OWN)}; got "
+            f"{where}, term {parameter!r}: expected one of {', '.join(_OWN)}, or of alone; got "
             f"{' and '.join(kinds) or 'none'}"
         )
     kind = kinds[0]
@@ -75,17 +78,25 @@ def term_of(parameter: str, spec: TermSpec, where: str) -> Term:
     needed = {"power": "range", "knots": "knot"}.get(kind)
     if needed and needed not in said:
         raise MechanismError(f"{where}, term {parameter!r}: {kind!r} needs {needed!r} beside it")
-    value = said.pop(kind)
     try:
-        if kind in ("sine", "cosine"):
-            return Term(parameter, Harmonic(value, kind, **said))  # type: ignore[arg-type]
-        if kind == "power":
-            return Term(parameter, Power(value, **said))
-        if kind == "knots":
-            return Term(parameter, Knot(tuple(value), **said))
-        return Term(parameter, Share(**said), of=value)
+        return Term(parameter, _basis(kind, said), of=of)
     except MechanismError as error:
         raise MechanismError(f"{where}, term {parameter!r}: {error}") from error
+
+
+def _basis(kind: str, said: dict[str, Any]) -> Harmonic | Power | Knot | Share:
+    """Return what an amplitude multiplies.
+
+    Raises:
+        MechanismError: a number that it cannot have.
+    """
+    if kind in ("sine", "cosine"):
+        return Harmonic(said.pop(kind), kind, **said)  # type: ignore[arg-type]
+    if kind == "power":
+        return Power(said.pop(kind), **said)
+    if kind == "knots":
+        return Knot(tuple(said.pop(kind)), **said)
+    return Share(**said)
 
 
 def described(term: Term, where: str) -> dict[str, Any]:
@@ -94,21 +105,22 @@ def described(term: Term, where: str) -> dict[str, Any]:
     Raises:
         MechanismError: it is a function of one's own, which is code.
     """
-    basis = term.basis
-    if not term.plain or bool(term.of) != isinstance(basis, Share):
+    basis, of = term.basis, {"of": term.of} if term.of else {}
+    if not term.has_form:
         raise MechanismError(
             f"{where}: the term of {term.parameter!r} is code, which a mechanism's folder "
             "does not hold; save the mechanism without terms, and its parameters "
             "(mechanism.parameters)"
         )
     if isinstance(basis, Harmonic):
-        return {basis.phase: basis.order, **_changed(basis, "period")}
+        return {**of, basis.phase: basis.order, **_changed(basis, "period")}
     if isinstance(basis, Power):
-        return {"power": basis.power, "range": basis.range, **_changed(basis, "centre")}
+        return {**of, "power": basis.power, "range": basis.range, **_changed(basis, "centre")}
     if isinstance(basis, Knot):
         own = _changed(basis, "periodic")
-        return {"knots": list(basis.knots), "knot": basis.knot, **own}
-    return {"of": term.of, **_changed(basis, "per", "reference")}
+        return {**of, "knots": list(basis.knots), "knot": basis.knot, **own}
+    share = _changed(basis, "per", "reference")
+    return {**of, **share} if of else {"per": 1.0, **share}
 
 
 def _changed(basis: Any, *names: str) -> dict[str, Any]:

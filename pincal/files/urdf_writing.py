@@ -7,6 +7,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pincal.model.leg import Joint, Leg
+from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -20,7 +21,7 @@ def leg_urdf(leg: Leg) -> str:
     read = {sensor.joint for sensor in leg.sensors}
     links = _link_names(leg)
     link = _link_element(robot, links[0])
-    foot = _triple_text(leg.joints[0].placement.xyz)
+    foot = leg.joints[0].placement.xyz
     _visual(link, "box", size=(3 * size, 3 * size, size), xyz=foot, rgba=_GREY)
     for index, joint in enumerate(leg.joints):
         if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
@@ -108,15 +109,15 @@ def _rod(link: etree._Element, end: Triple, size: float) -> None:
     """Add a cylinder from the link's origin to a point of it."""
     vector = np.array(end)
     length = float(np.linalg.norm(vector))
-    centre = _triple_text((end[0] / 2, end[1] / 2, end[2] / 2))
+    centre = (end[0] / 2, end[1] / 2, end[2] / 2)
     rpy = _axis_rpy((end[0] / length, end[1] / length, end[2] / length))
     _visual(link, "cylinder", radius=size / 2, length=length, xyz=centre, rpy=rpy, rgba=_GREY)
 
 
-def _axis_rpy(axis: Triple) -> str:
+def _axis_rpy(axis: Triple) -> Triple:
     """Return the roll-pitch-yaw that turns z onto a unit axis."""
     x, y, z = axis
-    return _triple_text((0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x))))
+    return (0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x)))
 
 
 def _visual(
@@ -124,19 +125,24 @@ def _visual(
     shape: str,
     *,
     rgba: str,
-    xyz: str = "",
-    rpy: str = "",
+    xyz: Triple = Placement.xyz,
+    rpy: Triple = Placement.rpy,
     **size: float | Triple,
 ) -> None:
-    """Add a shape to a link; sizes in [m], rounded for reading."""
+    """Add a shape to a link; lengths in [m] and angles in [rad], rounded for reading."""
     visual = etree.SubElement(link, "visual")
-    if xyz or rpy:
-        etree.SubElement(visual, "origin", xyz=xyz or "0 0 0", rpy=rpy or "0 0 0")
-    texts = {key: " ".join(f"{v:.9g}" for v in np.atleast_1d(value)) for key, value in size.items()}
+    if any((*xyz, *rpy)):
+        etree.SubElement(visual, "origin", xyz=_rounded(xyz), rpy=_rounded(rpy))
+    texts = {key: _rounded(value) for key, value in size.items()}
     etree.SubElement(etree.SubElement(visual, "geometry"), shape, texts)
     colours = {_ORANGE: "orange", _BLUE: "blue", _GREY: "grey"}
     material = etree.SubElement(visual, "material", name=colours[rgba])
     etree.SubElement(material, "color", rgba=rgba)
+
+
+def _rounded(values: float | Triple) -> str:
+    """Return twelve digits: the same on every processor, whose arctangents differ."""
+    return " ".join(f"{np.round(v, 12) + 0.0:.12g}" for v in np.atleast_1d(values))
 
 
 def _f(value: float) -> str:

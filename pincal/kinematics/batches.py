@@ -45,9 +45,11 @@ def solve(a: Array, b: Array) -> Array:
     if np.isfinite(a).all():
         with suppress(np.linalg.LinAlgError):  # hardly ever is one exactly singular
             return np.asarray(np.linalg.solve(a, b), np.float64)
-    singular = ~np.isfinite(a).all(axis=(1, 2)) | (np.linalg.det(a) == 0.0)
-    safe = np.where(singular[:, None, None], np.eye(a.shape[1]), a)
-    return np.where(singular[:, None, None], np.nan, np.linalg.solve(safe, b))
+    finite = np.isfinite(a).all(axis=(1, 2), keepdims=True)
+    safe = np.where(finite, a, np.eye(a.shape[1]))
+    solvable = finite & (np.linalg.det(safe) != 0.0)[:, None, None]
+    safe = np.where(solvable, safe, np.eye(a.shape[1]))
+    return np.where(solvable, np.linalg.solve(safe, b), np.nan)
 
 
 def least_squares(a: Array, b: Array) -> Array:

@@ -7,7 +7,7 @@ position at the platform's home pose, which is a leg closed too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -43,7 +43,9 @@ class ClosedLeg:
     """Closure and derivatives there; of no meaning where not reached."""
 
 
-def close(leg: LegClosure, matrices: Array, influences: Array | None = None) -> ClosedLeg:
+def close(
+    leg: LegClosure, matrices: Array, influences: Array | None = None, near: Array | None = None
+) -> ClosedLeg:
     """Return one leg closed at poses.
 
     Args:
@@ -51,20 +53,32 @@ def close(leg: LegClosure, matrices: Array, influences: Array | None = None) -> 
         matrices: Poses ``T_base_platform``, shape (N, 4, 4).
         influences: Of the leg, by which its parameters deform, shape (N, n_influences); at their
             reference if not given.
+        near: Positions of the moving joints near those that close it, shape (N, n_joints); where
+            NaN it counts as not reached. Found in its working mode if not given.
     """
-    start, possible = start_joints(leg, matrices)
+    if near is None:
+        start, possible = start_joints(leg, matrices)
+        attempts, about = _ATTEMPTS, leg.leg.home[None]
+    else:
+        possible = np.asarray(np.isfinite(near).all(axis=1))
+        attempts, start = 1, np.where(possible[:, None], near, leg.leg.home)
+        about = start
     joints, n = leg.deformed(start, influences), start.shape[1]
-    possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
+    if near is None:
+        possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
     closure = leg.evaluate(joints, matrices)
     closed = possible & _small(leg, closure)
     step = _newton_step(leg, closure)
     last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
     joints = np.where((closed & ~last)[:, None], joints, joints + step)
     if not (closed | ~possible).all():
-        joints, closed = _search(leg, matrices, joints, closed, possible)
+        joints, closed = _search(leg, matrices, joints, closed, possible, attempts)
+        turning = [i for i, joint in enumerate(leg.leg.moving) if joint.kind == "revolute"]
+        around = wrapped(joints[:, turning] - about[:, turning])
+        joints[:, turning] = about[:, turning] + around  # Newton's method may have gone round
         home = leg.deformed(leg.leg.home[None])
         closure = leg.evaluate(np.where(closed[:, None], joints, home), matrices)
-    joints = _within_limits(leg, joints[:, :n])
+    joints = _within_limits(leg, joints[:, :n]) if near is None else joints[:, :n]
     reached = closed & in_home_mode(leg, closure)
     return ClosedLeg(np.where(reached[:, None], joints, np.nan), reached, closure)
 
@@ -83,11 +97,11 @@ def _within_limits(leg: LegClosure, joints: Array) -> Array:
 
 
 def _search(
-    leg: LegClosure, matrices: Array, joints: Array, closed: Mask, possible: Mask
+    leg: LegClosure, matrices: Array, joints: Array, closed: Mask, possible: Mask, attempts: int
 ) -> tuple[Array, Mask]:
     """Return joints and where they close the leg, by Newton's method from several starts."""
     joints, closed = joints.copy(), closed.copy()
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(attempts):
         rows = np.flatnonzero(possible & ~closed)
         if attempt:
             again, may = start_joints(leg, matrices[rows], attempt)
@@ -106,9 +120,6 @@ def _search(
         closed[found] = _small(leg, part) & in_home_mode(leg, part)
         if (closed | ~possible).all():
             break
-    turning = [i for i, joint in enumerate(leg.leg.moving) if joint.kind == "revolute"]
-    home = leg.leg.home[turning]  # Newton's method may have gone round
-    joints[:, turning] = home + wrapped(joints[:, turning] - home)
     return joints, closed
 
 
@@ -179,7 +190,10 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
 
 
 def close_chunks(
-    mechanism: Mechanism, placed: RigidTransform | Array, influences: Array | None = None
+    mechanism: Mechanism,
+    placed: RigidTransform | Array,
+    influences: Array | None = None,
+    near: Mapping[str, Array] | None = None,
 ) -> Iterator[tuple[slice, Array, list[ClosedLeg]]]:
     """Yield the closed legs of poses in chunks of bounded memory: rows, matrices, one per leg.
 
@@ -187,14 +201,16 @@ def close_chunks(
         mechanism: The mechanism, at its nominal parameters.
         placed: N poses.
         influences: Of all legs, shape (N, n_influences); at their reference if not given.
+        near: By leg, positions of its moving joints near those that close it, found if not given.
     """
     legs = nominal_legs(mechanism)
     for rows, matrices in matrix_chunks(placed):
-        own: list[Array | None] = [None] * len(legs)
-        if influences is not None:
-            own = [mechanism.influences_at(i, influences[rows]) for i in range(len(legs))]
-        pairs = zip(legs, own, strict=True)
-        yield rows, matrices, [close(leg, matrices, by) for leg, by in pairs]
+        closed = []
+        for index, leg in enumerate(legs):
+            own = None if influences is None else mechanism.influences_at(index, influences[rows])
+            start = None if near is None else near[leg.leg.name][rows]
+            closed.append(close(leg, matrices, own, start))
+        yield rows, matrices, closed
 
 
 def matrix_chunks(placed: RigidTransform | Array) -> Iterator[tuple[slice, Array]]:

@@ -69,16 +69,16 @@ def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
 def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
     """Return the columns of influences of planned configurations, commanded in their order.
 
-    Shape (N, n_influences); None if no term depends on any.
+    Shape (N, n_influences); None if no term depends on any. Poses are where the platform is, in the
+    base frame; NaN where that is not known.
     """
     if not mechanism.influences:
         return None
     readings = plan.readings
     if readings is None and mechanism.followed & set(mechanism.influences):
         readings = inverse(mechanism, plan.poses, influences_of(mechanism, plan)).readings
-    guess = plan.poses if np.isfinite(plan.poses).all() else None
     found = influences_of(mechanism, plan, readings)
-    return found if readings is None else with_loads(mechanism, found, readings, guess)
+    return found if readings is None else with_loads(mechanism, found, readings, plan.poses)
 
 
 def home_of(mechanism: Mechanism) -> Plan:
@@ -132,7 +132,7 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
         found = np.asarray(there.reached.all(axis=1))
         poses, readings = poses[found], there.readings[found]
     elif readings is not None:
-        solution = forward(mechanism, readings, poses, planned_influences(mechanism, plan))
+        solution = forward(mechanism, readings, poses, influences_of(mechanism, plan))
         found = solution.converged
         poses, readings = solution.poses[found], readings[found]
     demands = leg_demands(mechanism, replace(plan.rows(found), poses=poses, readings=readings))
@@ -180,7 +180,7 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is not None:
-        influences = planned_influences(mechanism, plan)
+        influences = influences_of(mechanism, plan)
         solution = forward(mechanism, plan.readings, plan.poses, influences)
         return solution.poses, plan.readings, list(solution.reasons)
     solved = inverse(mechanism, plan.poses, planned_influences(mechanism, plan))

@@ -41,7 +41,7 @@ class Demand:
     def as_joint(self) -> Demand:
         """Return the rows of the joint residual: predicted less measured readings.
 
-        They are (∂e/∂ψ)⁻¹ times those of e, of least squares where e has more rows than readings.
+        They are −(∂e/∂ψ)⁻¹ times those of e, of least squares where e has more rows than readings.
         """
 
         def turned(rows: Array) -> Array:

@@ -20,13 +20,13 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closing import CHUNK, close, driven, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
+from pincal.kinematics.closure import Closure, LegClosure, Newton, largest_size, nominal_legs
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.influences.loads import gravity_loads
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import in_home_mode, start_joints
-from pincal.model.checks import numbers_of
+from pincal.model.checks import ROUNDING, numbers_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.model.sensors.terms import LOAD
@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _WAY = 8  # steps on the way from home
 _NEWTON = Newton(steps=40, small=1e-9, largest=0.2, closed=1e-8)
+LOADS = Newton(steps=20, small=ROUNDING)
+"""Loads follow from where the machine is, which follows from loads: found again."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -104,10 +106,27 @@ def forward(
     transforms = platform.transforms(guess)
     if len(transforms) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
-    legs = nominal_legs(mechanism)
-    columns = with_loads(
-        mechanism, influence_columns(mechanism, influences, len(readings)), readings, guess
-    )
+    columns = influence_columns(mechanism, influences, len(readings))
+    found = _forward(mechanism, readings, transforms, columns)
+    if columns is None or not needs_loads(mechanism, columns):
+        return found
+    start = platform.from_matrices(transforms.as_matrix())
+    for _ in range(LOADS.steps):  # loads follow from the pose, and move it little
+        ok, before = found.converged, found.poses
+        loaded, near = columns.copy(), np.where(ok[:, None], before, start)
+        loaded[ok] = with_loads(mechanism, columns[ok], readings[ok], before[ok])
+        found = _forward(mechanism, readings, platform.transforms(near), loaded)
+        change = np.abs(found.poses - before)[ok & found.converged].max(initial=0.0)
+        if change <= LOADS.small * max(1.0, largest_size(mechanism.legs)):
+            break
+    return found
+
+
+def _forward(
+    mechanism: Mechanism, readings: Array, guess: RigidTransform, columns: Array | None
+) -> ForwardSolution:
+    """Return forward kinematics at given influences, shape (N, n_influences)."""
+    legs, platform = nominal_legs(mechanism), mechanism.platform
     known = [mechanism.known(leg, readings, columns) for leg in range(len(legs))]
     poses = np.full((len(readings), platform.dof), np.nan)
     gap = np.full((len(readings), len(legs)), np.nan)
@@ -116,7 +135,7 @@ def forward(
     for begin in range(0, len(readings), CHUNK):
         rows = slice(begin, begin + CHUNK)
         own = [one[rows] for one in known]
-        matrices, why, apart, steps = _solve(mechanism, legs, own, transforms[rows])
+        matrices, why, apart, steps = _solve(mechanism, legs, own, guess[rows])
         found = np.array([not reason for reason in why], dtype=bool)
         poses[rows][found] = platform.from_matrices(matrices[found])
         gap[rows][found] = apart[found]
@@ -127,29 +146,35 @@ def forward(
 
 
 def with_loads(
-    mechanism: Mechanism, influences: Array | None, readings: Array, guess: Poses | None = None
+    mechanism: Mechanism, influences: Array | None, readings: Array, poses: Array | None = None
 ) -> Array | None:
     """Return columns of influences with the loads of joints and links, where they were not given.
 
-    They are those of the machine as drawn, at the poses to which these readings would take it: a
-    term depends on nothing but what a row says.
+    They are those of the machine as drawn at the poses where the platform is: a term depends on
+    nothing that is identified. Where a pose is not known, at that to which the readings would take
+    the machine as drawn: near type-2 singularities another.
 
     Args:
         mechanism: The mechanism.
         influences: Shape (N, n_influences), None if no term depends on any.
         readings: Shape (N, n_readings), [rad] or [m].
-        guess: N poses near those of the readings; found from home if not given.
+        poses: Coordinates in the base frame, shape (N, dof); NaN where they are not known.
     """
     if influences is None or not needs_loads(mechanism, influences):
         return influences
     drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
-    poses = _reached(drawing, readings[known], None if guess is None else guess[known])
-    loads = gravity_loads(drawing, readings[known], drawing.platform.matrices(poses))
+    there = (
+        np.full((len(readings), drawing.platform.dof), np.nan) if poses is None else poses.copy()
+    )
+    lost = known & ~np.isfinite(there).all(axis=1)
+    if lost.any():
+        there[lost] = _reached(drawing, readings[lost])
+    loads = gravity_loads(drawing, readings[known], drawing.platform.matrices(there[known]))
     found = influences.copy()
     for name in mechanism.loaded:
         column = mechanism.influences.index(name)
-        own, there = found[known, column], loads[name.removeprefix(f"{LOAD}_")]
-        found[known, column] = np.where(np.isnan(own), there, own)
+        own, at = found[known, column], loads[name.removeprefix(f"{LOAD}_")]
+        found[known, column] = np.where(np.isnan(own), at, own)
     return found
 
 
@@ -159,26 +184,19 @@ def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
     return bool(np.isnan(influences[:, places]).any())
 
 
-def _reached(drawing: Mechanism, readings: Array, guess: Poses | None) -> Array:
-    """Return the poses of readings, from a guess or on the way from home, shape (N, dof).
+def _reached(drawing: Mechanism, readings: Array) -> Array:
+    """Return the poses of readings, on the way from home, shape (N, dof).
 
     Where the machine as drawn cannot go so far, the farthest pose on the way.
     """
-    platform = drawing.platform
-    near = np.tile(platform.home, (len(readings), 1))
-    if guess is not None:
-        near = platform.coordinates_of(guess)
-        solution = forward(drawing, readings, near)
-        if solution.converged.all():
-            return solution.poses
     legs = nominal_legs(drawing)
     at_home = [sensor_law(leg).reading(leg.leg.home[None, leg.leg.active]) for leg in legs]
     home = np.concatenate(at_home, axis=1)
-    near = np.tile(platform.home, (len(readings), 1))
+    near = np.tile(drawing.platform.home, (len(readings), 1))
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
         solution = forward(drawing, home + share * (readings - home), near)
         near = np.where(solution.converged[:, None], solution.poses, near)
-    return np.asarray(np.where(solution.converged[:, None], solution.poses, near))
+    return np.asarray(near)
 
 
 def _solve(

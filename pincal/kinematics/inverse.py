@@ -5,20 +5,22 @@ A pose that a leg cannot reach in its mode is NaN with a reason, never a wrong b
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, close_chunks, matrix_chunks, sensor_law
-from pincal.kinematics.closure import Newton, largest_size, nominal_legs
-from pincal.kinematics.forward import needs_loads, with_loads
+from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.forward import LOADS, needs_loads, with_loads
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.starts import start_joints
-from pincal.model.checks import ROUNDING
+from pincal.model.checks import ROUNDING, array_of
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
@@ -26,7 +28,6 @@ from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_LOADS = Newton(steps=20, small=ROUNDING)  # loads found again
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,7 +64,10 @@ class InverseSolution:
 
 
 def inverse(
-    mechanism: GivenMechanism, poses: Poses, influences: Influences | None = None
+    mechanism: GivenMechanism,
+    poses: Poses,
+    influences: Influences | None = None,
+    near: Mapping[str, Array] | None = None,
 ) -> InverseSolution:
     """Return joints and readings of poses; NaN where a leg cannot reach in its working mode.
 
@@ -72,6 +76,9 @@ def inverse(
         poses: N platform poses: coordinates, shape (N, dof), [m] and [rad], or transforms.
         influences: What terms depend on, by column (``Mechanism.influences``): a number
             for all poses, or one for each, shape (N,); at their reference if not given.
+        near: By leg, positions of its moving joints near the solution, shape (N, n_joints), as
+            ``joints`` of another one; of arms they say which of several is meant. Those of the
+            working mode if not given.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
@@ -81,24 +88,37 @@ def inverse(
     mechanism = as_mechanism(mechanism)
     placed = mechanism.platform.placed(poses)
     columns = influence_columns(mechanism, influences, len(placed))
-    found = _inverse(mechanism, placed, columns)
+    if near is not None:
+        near = {
+            leg.name: array_of(
+                near.get(leg.name),
+                (len(placed), len(leg.moving)),
+                f"joints of {leg.name} near the solution",
+                MechanismError,
+            )
+            for leg in mechanism.legs
+        }
+    found = _inverse(mechanism, placed, columns, near)
     if columns is None or not needs_loads(mechanism, columns):
         return found
     reached = found.reached.all(axis=1)
     matrices = placed.as_matrix() if isinstance(placed, RigidTransform) else placed
-    near = mechanism.platform.from_matrices(matrices[reached])
-    for _ in range(_LOADS.steps):  # loads follow from readings, and bend them little
+    poses = mechanism.platform.from_matrices(matrices[reached])
+    for _ in range(LOADS.steps):  # loads follow from joints, and bend them little
         loaded, before = columns.copy(), found.readings[reached]
-        loaded[reached] = with_loads(mechanism, columns[reached], before, near)
-        found = _inverse(mechanism, placed, loaded)
+        loaded[reached] = with_loads(mechanism, columns[reached], before, poses)
+        found = _inverse(mechanism, placed, loaded, near)
         change = np.abs(found.readings[reached] - before).max(initial=0.0)
-        if change <= _LOADS.small * max(1.0, largest_size(mechanism.legs)):
+        if change <= LOADS.small * max(1.0, largest_size(mechanism.legs)):
             break
     return found
 
 
 def _inverse(
-    mechanism: Mechanism, placed: RigidTransform | Array, columns: Array | None
+    mechanism: Mechanism,
+    placed: RigidTransform | Array,
+    columns: Array | None,
+    near: Mapping[str, Array] | None,
 ) -> InverseSolution:
     """Return inverse kinematics at given influences, shape (N, n_influences)."""
     laws = [sensor_law(leg) for leg in nominal_legs(mechanism)]
@@ -106,7 +126,7 @@ def _inverse(
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
     readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
-    for rows, _, closed in close_chunks(mechanism, placed, columns):
+    for rows, _, closed in close_chunks(mechanism, placed, columns, near):
         for index, (leg, law, one) in enumerate(zip(mechanism.legs, laws, closed, strict=True)):
             joints[leg.name][rows] = one.joints
             own = None if columns is None else mechanism.influences_at(index, columns[rows])

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import lengths, product
-from pincal.kinematics.closing import driven
+from pincal.kinematics.closing import driven, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton
 from pincal.kinematics.starts import start_joints
+from pincal.model.checks import EXACT
 
 Array = NDArray[np.float64]
-_NEWTON = Newton(steps=60, small=1e-8)  # of the square of that step, Nᵀ c is off at most
+# of the square of the small step, Nᵀ c is off at most
+_NEWTON = Newton(steps=60, small=1e-8, largest=0.1)
 _FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
-_FLAT = 1e-9  # of the steepest direction, below which one counts as flat
 
 
 def nearest_closure(
@@ -52,9 +53,38 @@ def nearest_closure(
         if far.any() and passive and closed.gap.shape[1] <= 3:  # of points
             step[far] = _curved_step(closed, far)
         joints[:, passive] += step
-        if np.abs(step).max(initial=0.0) <= _NEWTON.small * max(1.0, leg.size):
+        if np.abs(step / leg.leg.passive_scales).max(initial=0.0) <= _NEWTON.small:
             break
     return closed, joints
+
+
+def followed(
+    leg: LegClosure, closed: Closure, known: Array, parameters: Array, twists: Array
+) -> Array:
+    """Return how far passive joints follow changes, to first order, shape (N, n_passive).
+
+    Where first order says nothing, near a singularity, they stay.
+
+    Args:
+        leg: The leg at its parameter values.
+        closed: Its nearest closure there.
+        known: Readings and influences, as for ``nearest_closure``.
+        parameters: Change of the leg's parameters, shape (n_params,).
+        twists: Of the poses, shape (N, dof).
+    """
+    driven_by = sensor_law(leg).by_parameter(known) @ parameters
+    change = closed.parameter @ parameters
+    if leg.leg.deformed:
+        rates = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :]) @ parameters
+        own = closed.parameter[:, :, leg.deformations.parameters]
+        change += product(own, rates[:, :, None])[:, :, 0]
+    change += product(closed.active, driven_by[:, :, None])[:, :, 0]
+    change += product(closed.pose, twists[:, :, None])[:, :, 0]
+    step = closed.passive_step(change)
+    with np.errstate(invalid="ignore"):
+        far = (~(np.abs(step / leg.leg.passive_scales) <= _NEWTON.largest)).any(axis=1)
+    step[far] = 0.0
+    return step
 
 
 def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:
@@ -80,7 +110,7 @@ def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:
     values, vectors = np.linalg.eigh(product(transposed, J) + bend)
     downhill = vectors.transpose(0, 2, 1) @ product(transposed, gap[:, :, None])
     steepest = np.abs(values).max(axis=1, keepdims=True)
-    steps = vectors @ (downhill[:, :, 0] / np.maximum(np.abs(values), _FLAT * steepest))[:, :, None]
+    steps = vectors @ (downhill[:, :, 0] / np.maximum(np.abs(values), EXACT * steepest))[:, :, None]
     return -np.asarray(steps)[:, :, 0]
 
 

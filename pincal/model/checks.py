@@ -18,6 +18,8 @@ ROUNDING = 1e-12
 """Of the sizes that a number is made of, and angles [rad]: what rounding errors may reach."""
 EXACT = 1e-9
 """Of lengths relative to the size, and of unit vectors: what agrees so far is equal."""
+ALIKE = 1e-6
+"""Of the size: what agrees so far is the same place, though digits were cut in between."""
 
 
 def described(value: object) -> str:

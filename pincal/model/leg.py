@@ -300,6 +300,12 @@ class Leg:
         return self._arms + sum(abs(j.home) for j in self._slides) or self.reach or 1.0
 
     @cached_property
+    def passive_scales(self) -> Array:
+        """What steps of passive joints are measured by: a radian, or the size, (n_passive,)."""
+        kinds = (self.moving[place].kind for place in self.passive)
+        return np.array([self.size if kind == "prismatic" else 1.0 for kind in kinds])
+
+    @cached_property
     def reach(self) -> float:
         """Largest distance of the platform's origin from the leg's base, [m]."""
         return self._arms + sum(max(abs(j.lower), abs(j.upper)) for j in self._slides)

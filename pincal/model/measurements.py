@@ -66,7 +66,7 @@ class Plan:
     places: tuple[str, ...] | None = field(default=None, kw_only=True)
     """Name of the pose of each row: rows of one name are repeated measurements."""
     influences: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
-    """Influence quantities by column, on which terms of sensors depend (``Mechanism.influences``),
+    """Influence quantities by column, on which terms depend (``Mechanism.influences``),
     each of shape (N,); NaN where not known, which counts as at its reference."""
     lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
     """Line of the file that holds each row, if they were read from one."""

@@ -134,6 +134,15 @@ class Mechanism:
         """Columns of the influence quantities on which terms depend, of all legs."""
         return tuple(dict.fromkeys(name for leg in self.legs for name in leg.influences))
 
+    @property
+    def reads_positions(self) -> bool:
+        """Whether all readings are joint positions: no sensor has gain, offset, zero or terms."""
+        return all(
+            sensor.reads_position(leg.nominal_by_name)
+            for leg in self.legs
+            for sensor in leg.sensors
+        )
+
     @cached_property
     def amplitudes(self) -> frozenset[str]:
         """Ids of the parameters that are amplitudes of terms."""
@@ -163,11 +172,15 @@ class Mechanism:
         return replace(self, legs=tuple(leg.at_reference for leg in self.legs))
 
     @cached_property
+    def without_terms(self) -> Mechanism:
+        """The machine of geometry, gains and offsets alone, as files of other programs hold it."""
+        return replace(self, legs=tuple(leg.without_terms for leg in self.legs))
+
+    @cached_property
     def drawing(self) -> Mechanism:
         """The machine whose loads count: at parameters as drawn, without terms."""
         drawn = {} if self.load is None else dict(self.load.drawn)
-        plain = replace(self, legs=tuple(leg.without_terms for leg in self.legs))
-        return plain.with_parameters(drawn)
+        return self.without_terms.with_parameters(drawn)
 
     def known(self, leg: int, readings: Array, influences: Array | None = None) -> Array:
         """Return what is known of rows for a leg's terms: its readings, then its influences.

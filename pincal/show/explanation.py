@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pincal.calibration.terms.bounds import Bound
 from pincal.calibration.terms.explain import Explanation
-from pincal.calibration.terms.kinds import GROWTH, ORDER
+from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
 from pincal.calibration.terms.path import RULES
 from pincal.calibration.terms.screen import Candidate
+from pincal.estimation.residuals.losses import CLEAR
 from pincal.estimation.residuals.slips import Slip
-from pincal.words.numbers import SMALL, amount, chance
+from pincal.words.numbers import SMALL, amount, chance, listed
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
 from pincal.words.terms import (
-    ALL_LENGTHS,
     AMPLITUDES,
     BOUNDS,
     CAUSES,
@@ -26,20 +28,22 @@ from pincal.words.terms import (
     NO_LOAD,
     NO_TERM,
     NOTHING,
+    OF_LEGS,
     OR_ELSE,
+    PLACES,
     SEEN,
     SLIP,
     SLIPPED,
     TOO_SMALL,
+    UNPROMISED,
     VERDICTS,
 )
-
-_SHOWN = 12  # candidates
+from pincal.words.wording import NAMED
 
 
 def screen_table(found: Explanation) -> Table:
     """Return what was tried, the least probable by chance first."""
-    rows = [_row(one) for one in found.choice.candidates[:_SHOWN]]
+    rows = [_row(one) for one in found.choice.candidates[:NAMED]]
     more = len(found.choice.candidates) - len(rows)
     return Table(
         f"{found.result.nominal.name}: what geometry does not explain",
@@ -57,7 +61,7 @@ def _row(one: Candidate) -> tuple[Value, ...]:
         Quantity(float(value), one.unit, float(std))
         for value, std in zip(one.amplitudes[clear], one.std[clear], strict=True)
     ]
-    names = [name.partition(".")[2] for name in np.array(one.names)[clear]]
+    names = [_amplitude(one, name) for name in np.array(one.names)[clear].tolist()]
     said = ", ".join(
         f"{name} {size.text(SMALL)} {SMALL[one.unit]}"
         for name, size in zip(names, sizes, strict=True)
@@ -70,6 +74,18 @@ def _row(one: Candidate) -> tuple[Value, ...]:
         one.F,
         chance(one.corrected),
     )
+
+
+def _amplitude(one: Candidate, id_: str) -> str:
+    """Return what an amplitude is called: by its id where several legs have one."""
+    alone = len({name.partition(".")[0] for name in one.names}) == 1
+    return id_.partition(".")[2] if alone else id_
+
+
+def _place(found: Explanation, place: str) -> str:
+    """Return what a place is called."""
+    single = (*found.result.nominal.load_names, *PLACES)
+    return PLACES.get(place, place) if place in single else OF_LEGS.format(name=place)
 
 
 def models_table(found: Explanation) -> Table:
@@ -104,16 +120,7 @@ def explanation_lines(found: Explanation) -> list[str]:
     tried = found.choice.candidates
     seen = [one for one in tried if one.corrected < RULES.level]
     lines = slip_lines(found)
-    lines += [
-        SEEN.format(
-            reading=ALL_LENGTHS if one.reading == GROWTH else one.reading,
-            kind=one.kind,
-            cause=CAUSES.get(one.kind.name, GROWN if _is_length(found, one) else COLUMN),
-            share=one.share,
-            chance=chance(one.corrected),
-        )
-        for one in seen[:_SHOWN]
-    ]
+    lines += _seen_lines(found, seen)
     if not seen:
         least = min((one.corrected for one in tried), default=1.0)
         lines.append(NOTHING.format(count=len(tried), least=f"{least:.2g}"))
@@ -129,6 +136,36 @@ def explanation_lines(found: Explanation) -> list[str]:
             held_out=f"{found.choice.model.held_out:.2f} σ", before=f"{models[1].held_out:.2f} σ"
         )
     )
+    terms = [one for one in seen if one.kind.name != ORDER]
+    if terms and found.verdict == "geometry" and not found.result.promises:
+        lines.append(UNPROMISED.format(terms=term_said(terms[0].reading, terms[0].kind)))
+    return lines
+
+
+def _seen_lines(found: Explanation, seen: Sequence[Candidate]) -> list[str]:
+    """Return what is seen, with what these rows do not separate from it."""
+    lines, left = list[str](), list(seen)
+    chi2 = found.result.reduced_chi2 * found.result.degrees_of_freedom
+    while left and len(lines) < NAMED:
+        one = left.pop(0)
+        alike = [
+            other
+            for other in left
+            if (other.kind, other.rank) == (one.kind, one.rank)
+            and (one.share - other.share) * chi2 < CLEAR**2
+        ]
+        left = [other for other in left if other not in alike]
+        others = [_place(found, other.reading) for other in alike]
+        lines.append(
+            SEEN.format(
+                reading=_place(found, one.reading),
+                kind=one.kind,
+                cause=CAUSES.get(one.kind.name, GROWN if _is_length(found, one) else COLUMN),
+                share=one.share,
+                or_else=OR_ELSE.format(what=listed(others, "or")) if alike else "",
+                chance=chance(one.corrected),
+            )
+        )
     return lines
 
 
@@ -172,8 +209,10 @@ def bound_line(one: Bound) -> str:
 
 def _is_length(found: Explanation, one: Candidate) -> bool:
     """Return whether a candidate is of a length, or of all."""
-    units = {known.id: known.unit for known in found.result.nominal.parameters}
-    return one.reading == GROWTH or units.get(one.reading) == "m"
+    mechanism = found.result.nominal
+    units = {known.id: known.unit for known in mechanism.parameters}
+    parts = parts_of(one.reading, mechanism)
+    return one.reading == GROWTH or all(units.get(part) == "m" for part in parts)
 
 
 def explanation_page(found: Explanation) -> str:

@@ -14,6 +14,7 @@ from pincal.design.forecast import Forecast
 from pincal.design.instrument_scale import SCALE, ScaleEffect
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.estimation.observability.weak import WeakPair
+from pincal.estimation.residuals.losses import CLEAR
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_errors import WorkspaceErrors
@@ -28,7 +29,6 @@ _NO_FREEDOM = (
 )
 FRAMES = ", but for where the base and platform frames lie"
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
-_SEEN = 3.0  # standard deviations, from which a test would see what is there
 _SAY_SCALE = (
     "no poses separate it from gains and lengths. Say how well the scale is known "
     "(systematic: {scale: …} in the setup), or measure lengths that are known"
@@ -282,7 +282,7 @@ def scale_line(one: ScaleEffect | None) -> list[str]:
         return []
     off = amount(one.platform.position, "m")
     text = f"all lengths measured {1e6 * SCALE:.0f} µm/m too long: the platform off by {off}"
-    if one.seen > _SEEN:
+    if one.seen > CLEAR:
         return [f"{text}; residuals would show it, by {one.seen:.2g} standard deviations"]
     known = "that is taken into what is promised" if one.said else _SAY_SCALE
     return [f"{text}, and no residual shows it ({one.seen:.2g} standard deviations): {known}"]

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from pincal.model.checks import ALIKE
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import Element, Isometry
 
 Array = NDArray[np.float64]
-_FLAT = 1e-6  # of the size, below which points lie in a plane or on a line
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Points:
             float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
             for points in (self.base, self.platform)
         ]
-        base, platform = (spread if spread > _FLAT * self.size else 0.0 for spread in found)
+        base, platform = (spread if spread > ALIKE * self.size else 0.0 for spread in found)
         return base or self.size, platform or base or self.size
 
     @cached_property
@@ -128,7 +128,7 @@ class Points:
     def _rank(self, points: Array) -> int:
         """Return how many directions points span, seen from their centre."""
         s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        return int(np.count_nonzero(s > _FLAT * self.size))
+        return int(np.count_nonzero(s > ALIKE * self.size))
 
     def _row(self, row: int, leg: int) -> int:
         """Return the row of another leg's point of the same kind."""
@@ -155,7 +155,7 @@ class Points:
         carried = element.matrices(matrices)
         again = platform.matrices(platform.from_matrices(carried)) - carried
         again[:, :3, 3] /= self.size
-        return bool(np.abs(again).max() <= _FLAT)
+        return bool(np.abs(again).max() <= ALIKE)
 
 
 def candidates(points: Points, nearly: float) -> list[Element]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import SymmetryError
+from pincal.model.checks import ALIKE
 from pincal.model.leg import Joint, Leg
 from pincal.model.placement import Placement, Value
 from pincal.model.sensors.sensor import Sensor
@@ -27,7 +28,6 @@ from pincal.symmetry.placements import LOCAL_MIRROR, mirror_coordinate, on_body
 
 Array = NDArray[np.float64]
 _STEP = 1e-3  # [m] or [rad], by which a parameter is moved to see where it goes
-_SMALL = 1e-6  # of that, up to which it goes nowhere else
 
 
 def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
@@ -94,7 +94,7 @@ def _turned_terms(leg: Leg, element: Element, moved: Leg) -> Leg:
         change = np.where([leg.placed[own] == "rad" for own in names], turned, change) / _STEP
         sides[name] = float(np.round(change[place]))
         change[place] -= sides[name]
-        if abs(sides[name]) != 1.0 or np.abs(change).max() > _SMALL:
+        if abs(sides[name]) != 1.0 or np.abs(change).max() > ALIKE:
             raise SymmetryError(
                 f"{leg.name}: {name!r} has terms, and the {element} makes another direction of it; "
                 "give the point by polar or spherical coordinates"

@@ -155,7 +155,7 @@ RESULTS: dict[str, Wording] = {
         _chi2,
         "Residuals are larger than the noise given makes them: intervals are too narrow, and the "
         "model may lack something, such as play, bending, temperature, a wrong unit or frame.",
-        "Look at the residuals in the report for what they follow, and at outlying rows",
+        "See what they follow (pincal explain), and look at outlying rows",
     ),
     "chi2-too-small": Wording(
         "Residuals smaller than the noise",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-ALIKE = 1e-6
-"""Part below which |R_ii| of a leg and of its reference leg differ by rounding alone."""
+from pincal.model.checks import ALIKE
 
 
 def mapped_diagonals(differ: float) -> str:

@@ -225,11 +225,12 @@ class Table:
 
         style, cells = box.SIMPLE_HEAD if self.heads else None, self.cells()
 
-        def drawn(*, wrap: bool) -> RichTable:
+        def drawn(*, wrap: bool, narrow: bool = False) -> RichTable:
             found = RichTable(box=style, pad_edge=False, show_header=self.heads)
             for place, (column, side) in enumerate(zip(self.columns, self.aligned, strict=True)):
                 fold = wrap and side == "left" and not (place and self.grouped)
-                found.add_column(Text(column.head), justify=side, no_wrap=not fold, overflow="fold")
+                head = Text(column.head.replace(" [", "\n[") if narrow else column.head)
+                found.add_column(head, justify=side, no_wrap=not fold, overflow="fold")
             for row, after in zip(cells, [*cells[1:], [""]], strict=False):
                 found.add_row(*map(Text, row), end_section=self.grouped and bool(after[0]))
             return found
@@ -237,7 +238,7 @@ class Table:
         whole = drawn(wrap=self.wrap)
         wide = console.measure(whole, options=options.update(max_width=_WIDE)).maximum
         yield Text(self.title, style="bold")
-        yield whole if wide <= options.max_width else drawn(wrap=True)
+        yield whole if wide <= options.max_width else drawn(wrap=True, narrow=True)
         if self.caption:
             yield Text(self.caption + "\n")
 

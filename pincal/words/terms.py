@@ -12,12 +12,16 @@ CAUSES = {
 }
 COLUMN = "warming, a load or a setting that is in this column"
 GROWN = "lengths that grow with this column"
-ALL_LENGTHS = "all lengths"
+PLACES = {"growth": "every length", "readings": "each reading"}
+OF_LEGS = "{name} of each leg"
 NOTHING = (
     "nothing that was tried is seen in the residuals: the least probable of {count} has a chance "
     "of {least}, their number taken in"
 )
-SEEN = "{reading} follows {kind}: {cause}; {share:.0%} of χ² ({chance})"
+SEEN = "{reading} follows {kind}: {cause}; {share:.0%} of χ²{or_else} ({chance})"
+UNPROMISED = (
+    "but no limit is promised while residuals follow something: with --terms {terms} it is modelled"
+)
 VERDICTS = {
     "as drawn": (
         "keep the nominal machine: identified parameters predict rows that were held out no "
@@ -39,6 +43,28 @@ VERDICTS = {
 TURNS_BACK = (
     "{reading}: with its terms the joint turns back at a reading of {where:.4g} {unit}, so that "
     "readings mean two positions; give smaller amplitudes, or a narrower range of the joint"
+)
+#: How to make up for what an exported file has no place for.
+OFFERS = {
+    "table": (
+        "to correct for terms pose by pose (what to add to readings, or which pose to command "
+        "instead): pincal export {mech} -o corrections.csv{more}{columns}"
+    ),
+    "code": (
+        "to turn joint positions into readings and back, as code: pincal export {mech} -o "
+        "corrections.py{more} (or .h, for C)"
+    ),
+}
+WITH_COLUMNS = " (with what terms follow: {columns})"
+AT_REFERENCE = (
+    "all terms of {name!r} follow {columns}: at their reference there is nothing to correct; give "
+    "poses with these columns (--poses)"
+)
+NOT_IN_LAWS = (
+    "terms of {parameters} are in no law of a joint; a table over poses (.csv) corrects for them"
+)
+NO_CORRECTION = (
+    "{name!r} has no terms: a controller with its geometry, gains and offsets needs no correction"
 )
 #: What slipped, and what to do about it.
 SLIPPED = {

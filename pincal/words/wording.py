@@ -13,6 +13,8 @@ from pincal.words.numbers import chance
 Words: TypeAlias = str | Callable[[Finding], str]
 #: Groups of parameters in a sentence; result.json has all.
 LISTED = 4
+#: Names in a message, rows of a long table.
+NAMED = 12
 #: What a p-value of a finding is.
 P_VALUE = "probability of such a value, or a larger one, if the model is right"
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.model.checks import ALIKE
 from pincal.model.units import UNITS
 
 Array = NDArray[np.float64]
@@ -28,8 +29,6 @@ class Most:
 
 
 MOST = Most()
-FIT = 1e-6
-"""Part of a step by which values may be off: written by hand, they are rounded."""
 #: Units of all axes that a grid may have.
 DIMENSIONS = {
     **dict.fromkeys(("x", "y", "z", "radius"), "m"),
@@ -97,9 +96,9 @@ class Axis:
             raise WorkspaceError(
                 f"axis {name!r} has more than {MOST.values:,} values; a larger step"
             )
-        count = int(np.floor((high - low) / step + FIT)) + 1
+        count = int(np.floor((high - low) / step + ALIKE)) + 1
         last = low + (count - 1) * step
-        if abs(high - last) <= FIT * step:
+        if abs(high - last) <= ALIKE * step:
             last = high
         values = np.linspace(low, last, count)
         if name in TURNING and count > 1 and np.isclose(last - low, 2 * np.pi, rtol=1e-9):

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
+from pincal.model.checks import ALIKE
 from pincal.symmetry.elements import IDENTITY, SAME, Element, Isometry
-from pincal.workspace.axes import FIT, MOST, Axis
+from pincal.workspace.axes import MOST, Axis
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -65,12 +66,12 @@ class Grid:
             )
         for axis in self.axes:
             steps = np.diff(axis.values)
-            if len(steps) and np.ptp(steps) > FIT * axis.step:
+            if len(steps) and np.ptp(steps) > ALIKE * axis.step:
                 raise WorkspaceError(
                     f"axis {axis.name!r} of positions is not evenly spaced; each value is "
                     "a cell of one step"
                 )
-            if axis.name == "bearing" and axis.step * len(axis.values) > 2 * np.pi * (1 + FIT):
+            if axis.name == "bearing" and axis.step * len(axis.values) > 2 * np.pi * (1 + ALIKE):
                 raise WorkspaceError(
                     "axis 'bearing' goes round more than once, or its step does not divide the "
                     "full turn; expected for example 'bearing [deg]=0:360:5'"

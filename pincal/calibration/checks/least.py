@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtrc, fdtrc
 
+from pincal.design.platform_error import DRAWS
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Orthonormal
 from pincal.estimation.residuals.robust import Robust
 
 Array = NDArray[np.float64]
-_DRAWS = 9999
 _RANK = 1e-10  # least share of a direction in a fold
 
 
@@ -50,7 +50,7 @@ def least_of_folds(
         rest = own.sum(axis=1, keepdims=True) - inside
         chances = fdtrc(equations, dof - equations, inside / equations / rest * (dof - equations))
     below = int((np.asarray(chances).min(axis=1) <= least).sum())
-    return (1 + below) / (1 + _DRAWS) if below else min(bound, 1 / (1 + _DRAWS))
+    return (1 + below) / (1 + DRAWS) if below else min(bound, 1 / (1 + DRAWS))
 
 
 def _drawn(
@@ -69,14 +69,14 @@ def _drawn(
         has = share > _RANK
         roots.append((np.sqrt(share[has])[:, None] * V[:, has].T, 1.0 - share[has]))
         kept.append(int(one.last.equations[folds == fold][weights[folds == fold, 0, 0]].sum()))
-    drawn = [random.standard_normal((_DRAWS, len(left))) for _, left in roots]
+    drawn = [random.standard_normal((DRAWS, len(left))) for _, left in roots]
     taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
     if len(prior):
-        taken = taken + random.standard_normal((_DRAWS, len(prior))) @ by(prior)
-    inside, own = np.empty((_DRAWS, count)), np.empty((_DRAWS, count))
+        taken = taken + random.standard_normal((DRAWS, len(prior))) @ by(prior)
+    inside, own = np.empty((DRAWS, count)), np.empty((DRAWS, count))
     for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):
         e = u - taken @ root.T
-        rest = random.chisquare(max(kept[fold] - len(left), 1e-9), _DRAWS)
+        rest = random.chisquare(max(kept[fold] - len(left), 1e-9), DRAWS)
         inside[:, fold] = (e**2 / np.maximum(left, _RANK)).sum(axis=1) + rest
         own[:, fold] = (e**2).sum(axis=1) + rest
     return inside, own, np.array(kept, dtype=float)

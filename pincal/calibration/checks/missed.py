@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import clusters
 from pincal.calibration.fits import Fits
+from pincal.design.platform_error import CONFIDENCE, DRAWS
 from pincal.kinematics.forward import forward
 from pincal.model.setup import ORIGIN
 
 Array = NDArray[np.float64]
-_DRAWS = 2000
-_ENDS = (0.025, 0.975)
 
 
 @dataclass(frozen=True)
@@ -161,9 +160,9 @@ def _ends(
     poses = len(counts)
     if poses < 2:
         return (0.0, np.inf), (0.0, np.inf), poses
-    drawn = np.random.default_rng(0).multinomial(poses, np.full(poses, 1.0 / poses), _DRAWS)
+    drawn = np.random.default_rng(0).multinomial(poses, np.full(poses, 1.0 / poses), DRAWS)
     means = (drawn @ sums.T) / (drawn @ counts)[:, None]
-    low, high = np.quantile(means, _ENDS, axis=0)
+    low, high = np.quantile(means, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=0)
     return (
         (float(low[0]), float(high[0])),
         (float(np.sqrt(low[1])), float(np.sqrt(high[1]))),

@@ -13,8 +13,8 @@ from pincal.calibration.calibrate import identify, prepared
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.confidence import exceeded
 from pincal.calibration.options import Options
-from pincal.calibration.promise import UNLIKELY
 from pincal.errors import MeasurementError
+from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism

@@ -26,8 +26,9 @@ from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
-from pincal.calibration.promise import UNEXPLAINED, UNLIKELY
+from pincal.calibration.promise import UNEXPLAINED
 from pincal.errors import MeasurementError
+from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism

@@ -1,1 +1,1 @@
-"""What geometry does not explain: terms of sensors, screened, chosen and kept if they pay."""
+"""What geometry does not explain: terms, screened, chosen and kept if they pay."""

@@ -1,7 +1,8 @@
 """Noise that is surely there: of columns that come in steps, and of play that no term models.
 
 What is rounded to steps of h is off by up to h/2 either way: its noise is h/√12 at least. Play of
-2a puts a joint a to one side or the other: unmodelled, that is a noise of a in its reading.
+2a puts a joint a to one side or the other: unmodelled, that is a noise of a in its position, and of
+a over the sensor's slope in its reading.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ from numpy.typing import NDArray
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.kinds import BACKLASH
 from pincal.calibration.terms.screen import Candidate
+from pincal.estimation.residuals.losses import CLEAR
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import nominal_legs
 
 Array = NDArray[np.float64]
 _FEW = 8  # values that differ: of fewer nothing is said
 _EVEN = 1e-2  # of a step: how nearly values are whole numbers of it
 _FINE = 1e-7  # of the range: steps so small matter nowhere
-_CLEAR = 3.0  # standard errors of play
 _MATTERS = 1.0 / 3.0  # of the noise that is reckoned with
 
 
@@ -35,7 +38,7 @@ class Bound:
     """``"m"`` or ``"rad"``."""
     cause: Literal["steps", "play"]
     size: float
-    """The step, or the whole play, [m] or [rad]."""
+    """The step, or the whole play, of the reading, [m] or [rad]."""
     least: float
     """Standard deviation that it makes at least, [m] or [rad]."""
     reckoned: float
@@ -106,12 +109,13 @@ def _of_steps(calibration: Calibration) -> Iterator[Bound]:
 
 def _of_play(calibration: Calibration, candidates: Sequence[Candidate]) -> Iterator[Bound]:
     mechanism = calibration.mechanism
+    slopes = np.concatenate([sensor_law(leg).slope for leg in nominal_legs(mechanism)])
     for one in candidates:
-        if one.kind.name != BACKLASH or not one.rank:
+        if one.kind.name != BACKLASH or len(one.names) > 1 or not one.rank:
             continue
-        half = float(np.abs(one.amplitudes[0]))
-        if half < _CLEAR * one.std[0]:
+        if abs(one.amplitudes[0]) < CLEAR * one.std[0]:
             continue
         place = mechanism.reading_names.index(one.reading)
+        half = float(abs(one.amplitudes[0] / slopes[place]))
         usual = float(np.median(calibration.noise.readings[:, place]))
-        yield Bound(one.reading, one.unit, "play", 2.0 * half, half, usual)
+        yield Bound(one.reading, mechanism.reading_units[place], "play", 2.0 * half, half, usual)

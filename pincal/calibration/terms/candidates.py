@@ -20,6 +20,7 @@ from pincal.calibration.terms.kinds import (
     POLYNOMIAL,
     Kind,
     check_place,
+    parts_of,
 )
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import planned_influences
@@ -46,30 +47,34 @@ def with_terms(
     Args:
         mechanism: The mechanism.
         measurements: Say over what range terms are scaled.
-        kinds: Places, and what is added to each (see ``kinds``).
+        kinds: Places, single or several as one, and what is added to each (see ``kinds``).
 
     Raises:
         MeasurementError: an unknown place, a kind that it cannot have, or a column that was not
             measured.
     """
-    pairs = list(kinds)
+    parts = {pair: [(one, pair[1]) for one in parts_of(pair[0], mechanism)] for pair in kinds}
+    pairs = list(dict.fromkeys(one for own in parts.values() for one in own))
     wanted: dict[str, list[Kind]] = {}
     for place, kind in pairs:
         check_place(place, kind, mechanism)
-        wanted.setdefault(place, []).append(kind)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
+    idle = _idle(data)
+    for place, kind in pairs:
+        if kind.name != GRAVITY or place not in idle:
+            wanted.setdefault(place, []).append(kind)
     legs, labels, column = [], list(mechanism.labels), 0
     ids: dict[tuple[str, Kind], tuple[str, ...]] = dict.fromkeys(pairs, ())
     for leg in mechanism.legs:
         grown = _Extended(leg)
         for index, reading in enumerate(leg.reading_names):
-            for kind in _weighed(wanted.get(reading, ()), reading, data):
+            for kind in wanted.get(reading, ()):
                 for one in _terms(leg, index, kind, data.readings[:, column], data):
                     grown.at_sensor(index, one, (reading, kind))
             column += 1
         for name in leg.placed:
             id_ = f"{leg.name}.{name}"
-            for kind in _weighed(wanted.get(id_, ()), id_, data):
+            for kind in wanted.get(id_, ()):
                 one = _of_influence(name, id_, kind, data)
                 label = f"of {name} {_label(one, leg.placed[name])}"
                 grown.at_parameters({name: one}, label, (id_, kind))
@@ -81,7 +86,8 @@ def with_terms(
         labels += grown.labels
         for pair, names in grown.ids.items():
             ids[pair] += tuple(names)
-    return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), ids
+    found = {pair: tuple(id_ for one in own for id_ in ids[one]) for pair, own in parts.items()}
+    return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), found
 
 
 class _Extended:
@@ -133,7 +139,8 @@ def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Cal
 
     Growth of all lengths is one amplitude for all legs: they are tied.
     """
-    mechanism, ids = with_terms(calibration.mechanism, calibration.measurements, pairs)
+    data = with_columns(calibration, [kind for _, kind in pairs])
+    mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     tied = [one for one in tied_by(ids) if one not in calibration.options.tied]
     options = replace(calibration.options, tied=(*calibration.options.tied, *tied))
     return replace(calibration, mechanism=mechanism, options=options)
@@ -274,16 +281,28 @@ def with_influences(
     return replace(measurements, influences={**by_name(asked, columns), **given})
 
 
-def _weighed(kinds: Iterable[Kind], owner: str, measurements: Measurements) -> list[Kind]:
-    """Return kinds without gravity where it loads nothing, as joints about the vertical."""
+def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurements:
+    """Return measurements of a calibration with the columns that terms of kinds would depend on.
+
+    Loads are those where the platform is, wherever it was measured from. Errors are those of
+    ``with_influences`` and ``Calibration.located``.
+    """
+    asked, data, mechanism = list(kinds), calibration.measurements, calibration.mechanism
+    missing = {f"{LOAD}_{name}" for name in mechanism.load_names} - set(data.influences)
+    weigh = missing and mechanism.load is not None and any(one.name == GRAVITY for one in asked)
+    found = with_influences(mechanism, calibration.located if weigh else data, asked)
+    return replace(data, influences=found.influences)
+
+
+def _idle(measurements: Measurements) -> set[str]:
+    """Return readings and ids on which gravity loads nothing, as joints about the vertical."""
     loads = {
-        name: float(np.nanmax(np.abs(one), initial=0.0))
+        name.removeprefix(f"{LOAD}_"): float(np.nanmax(np.abs(one), initial=0.0))
         for name, one in measurements.influences.items()
         if name.startswith(f"{LOAD}_")
     }
     least = ROUNDING * max(loads.values(), default=0.0)
-    idle = loads.get(f"{LOAD}_{owner}", 0.0) <= least
-    return [one for one in kinds if not (idle and one.name == GRAVITY)]
+    return {owner for owner, load in loads.items() if load <= least}
 
 
 def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:

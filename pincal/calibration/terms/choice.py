@@ -19,10 +19,11 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import clusters, folds_of
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.bounds import Bound, bounds
-from pincal.calibration.terms.candidates import with_influences
+from pincal.calibration.terms.candidates import with_columns
 from pincal.calibration.terms.kinds import Kind
 from pincal.calibration.terms.path import RULES, TROUBLE, Step, grown, held_out
 from pincal.calibration.terms.screen import Candidate, screen
+from pincal.errors import MeasurementError
 from pincal.estimation.residuals.slips import Slip, slips
 from pincal.model.measurements import Measurements
 
@@ -71,7 +72,7 @@ class Choice:
     calibration: Calibration
     """Of the model that was chosen; of the geometry, if the machine as drawn was."""
     slips: tuple[Slip, ...] = ()
-    """What slipped or drifted by the geometry's residuals, rows those of the measurements."""
+    """What slipped or drifted, unless a term explains it better; rows those of the measurements."""
     bounds: tuple[Bound, ...] = ()
     """Noise that is surely there."""
     lost: tuple[tuple[int, str], ...] = ()
@@ -94,10 +95,15 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
         pairs: Readings, lengths and angles, and kinds of term that they may lack.
 
     Raises:
-        PincalError: the geometry itself cannot be identified by all rows; fewer poses than folds.
+        PincalError: the geometry itself cannot be identified by all rows; fewer poses than folds;
+            residuals of readings, which are not white.
     """
-    data, kinds = calibration.measurements, [kind for _, kind in pairs]
-    data = with_influences(calibration.mechanism, data, kinds)
+    if calibration.options.residual == "joint":
+        raise MeasurementError(
+            "what residuals follow is asked of white ones, which those of readings (--residual "
+            "joint) are not; leave that out, and name the terms that it is to have (--terms)"
+        )
+    data = with_columns(calibration, [kind for _, kind in pairs])
     calibration = replace(calibration, measurements=data)
     kept = np.flatnonzero(~data.verifying)
     if len(kept) < len(data):
@@ -106,16 +112,12 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     found = fitted(calibration)
     first = found.calibration.at_this_noise()
     screened = tuple(screen(found, pairs))
-    slipped = tuple(
-        replace(one, row=int(kept[robust.rows[one.row]]))
-        for robust in found.fits
-        for one in slips(robust.fit)
-    )
-    beside = (slipped, bounds(found.calibration, screened))
     pinned = dict.fromkeys((one.id for one in calibration.mechanism.parameters), RULES.pinned)
     drawn = first.with_options(priors=pinned)
     tried = [Step((), 1.0, drawn, fitted(drawn)), Step((), 1.0, first, found)]
     tried += grown(first, screened, pairs)
+    slipped = tuple(replace(one, row=int(kept[one.row])) for one in _slips(tried[1:]))
+    beside = (slipped, bounds(found.calibration, screened))
     groups = folds_of(data, calibration.options.folds, "turn")
     lost = []
     squares = np.full((len(tried), len(data), 2), np.nan)
@@ -138,6 +140,28 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     models, chosen = _compared(tried, squares[:, known], misses[:, known], data.rows(known))
     own = tried[max(chosen, 1)].calibration
     return Choice(models, chosen, screened, own, *beside, tuple(lost))
+
+
+def _slips(steps: Sequence[Step]) -> list[Slip]:
+    """Return what slipped or drifted, its rows those of the measurements.
+
+    By the residuals of the geometry; or, while a term is likelier than the clearest slip, of the
+    model with that term: a slip may only follow it, as terms may follow a slip.
+
+    Args:
+        steps: The geometry, and models that grow by the likeliest term each time.
+    """
+    found: list[Slip] = []
+    for index, step in enumerate(steps):
+        if index and not (found and step.chance < found[0].p_value):
+            break
+        found = [
+            replace(one, row=int(robust.rows[one.row]))
+            for robust in step.found.fits
+            for one in slips(robust.fit)
+        ]
+    given = steps[0].found.calibration.options.noise is not None  # or estimated with slips in it
+    return found if given else found[:1]
 
 
 def _compared(

@@ -13,7 +13,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.choice import Choice, choose
-from pincal.calibration.terms.kinds import AUTO, every_pair, said
+from pincal.calibration.terms.kinds import AUTO, every_pair, said, term_said
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
@@ -42,7 +42,7 @@ class Explanation:
     @property
     def terms(self) -> tuple[str, ...]:
         """The terms that pay, as options say them: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
-        return tuple(f"{reading}={kind}" for reading, kind in self.choice.model.added)
+        return tuple(term_said(*one) for one in self.choice.model.added)
 
     def __str__(self) -> str:
         """Return a page: what residuals follow, the models compared, and what to do."""
@@ -84,6 +84,7 @@ def explained(calibration: Calibration) -> Explanation:
     asked = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
     named = said([one for one in asked if one != AUTO], plain.mechanism)
-    pairs = named or every_pair(plain.mechanism, plain.measurements)
+    every = every_pair(plain.mechanism, plain.measurements) if AUTO in asked else []
+    pairs = list(dict.fromkeys((*named, *every)))
     result = identify(plain)
     return Explanation(result, choose(started(plain), pairs))

@@ -29,6 +29,8 @@ _KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY, ORDER)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
 GROWTH = "growth"
 """In the place of a reading: all lengths of the machine, which grow by one part of them."""
+READINGS = "readings"
+"""In the place of one: all of them, each with amplitudes of its own."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class Kind:
     """A kind of term, such as harmonics of orders 1 and 2."""
 
     name: str
-    """``"harmonics"``, ``"polynomial"``, ``"backlash"``, ``"gravity"``, or a column."""
+    """One of ``"harmonics"``, ``"polynomial"``, ``"backlash"``, ``"gravity"`` and ``"order"``, or a
+    column."""
     numbers: tuple[float, ...] = ()
     """Orders of harmonics, powers of a polynomial."""
 
@@ -81,17 +84,34 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[s
     """Return where which kinds of term are tried that measurements can show.
 
     All kinds at all readings; at lengths, each alone and all as one, what follows a column; at
-    lengths and angles between a leg's joints gravity.
+    lengths and angles between a leg's joints gravity. Each place alone, and what machines are built
+    of several times together: all readings, and the lengths and angles of one name.
     """
     kinds = kinds_of(mechanism, measurements)
-    pairs = [(name, kind) for kind in kinds for name in mechanism.reading_names]
+    every = [READINGS] * (len(mechanism.reading_names) > 1)
+    pairs = [(name, kind) for kind in kinds for name in (*mechanism.reading_names, *every)]
     long = lengths(mechanism)
     for kind in kinds:
         if kind.name == GRAVITY:
-            pairs += [(one, kind) for one in _of_links(mechanism)]
+            pairs += [(one, kind) for one in _with_names(_of_links(mechanism))]
         elif kind.name not in _KINDS:
-            pairs += [(one, kind) for one in ([GROWTH] if len(long) > 1 else []) + long]
+            pairs += [(one, kind) for one in [GROWTH] * (len(long) > 1) + _with_names(long)]
     return pairs
+
+
+def _with_names(ids: Sequence[str]) -> list[str]:
+    """Return ids, and the names that several of them share."""
+    names = [one.rpartition(".")[2] for one in ids]
+    return [*ids, *(name for name in dict.fromkeys(names) if names.count(name) > 1)]
+
+
+def parts_of(place: str, mechanism: Mechanism) -> list[str]:
+    """Return the single places that a place means: readings, ids of lengths and angles, growth."""
+    if place == READINGS:
+        return list(mechanism.reading_names)
+    if place in (*mechanism.load_names, GROWTH):
+        return [place]
+    return [one for one in mechanism.load_names if one.rpartition(".")[2] == place] or [place]
 
 
 def lengths(mechanism: Mechanism) -> list[str]:
@@ -101,17 +121,19 @@ def lengths(mechanism: Mechanism) -> list[str]:
 
 
 def _of_links(mechanism: Mechanism) -> list[str]:
-    """Return the ids of lengths and angles between a leg's first joint and its tip."""
+    """Return the ids of lengths and angles between a leg's first moving joint and its tip."""
     return [
         f"{leg.name}.{name}"
         for leg in mechanism.legs
-        for joint in leg.joints[1:]
+        for joint in leg.joints[leg.joints.index(leg.moving[0]) + 1 :]
         for name in joint.placement.parameter_units
     ]
 
 
 def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
     """Return places and kinds that texts name: ``backlash`` of all, ``leg_1=backlash`` of one.
+
+    Several places that one text names are there one by one, and together.
 
     Raises:
         MeasurementError: a text that is not understood, an unknown place, or a kind that it
@@ -120,26 +142,29 @@ def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
     pairs = []
     for text in terms:
         place, kind = _parts(text)
-        pairs += [(one, kind) for one in _places(place, mechanism, text)]
-    for place, kind in pairs:
-        check_place(place, kind, mechanism)
+        found = _places(place, mechanism, text)
+        pairs += [(one, kind) for one in found]
+        pairs += [(place or READINGS, kind)] * (len(found) > 1)
+        for one in found:
+            check_place(one, kind, mechanism)
     return pairs
+
+
+def term_said(place: str, kind: Kind) -> str:
+    """Return how options say a term: ``backlash``, ``leg_1=backlash``."""
+    return str(kind) if place == READINGS else f"{place}={kind}"
 
 
 def _places(place: str, mechanism: Mechanism, text: str) -> Sequence[str]:
     """Return what a text's place means: readings, ids of lengths and angles, or all lengths."""
-    if not place:
-        return mechanism.reading_names
-    if place in (*mechanism.load_names, GROWTH):
-        return [place]
-    found = [one for one in mechanism.load_names if one.rpartition(".")[2] == place]
-    if not found:
-        placed = mechanism.load_names[len(mechanism.reading_names) :]
-        raise MeasurementError(
-            f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}; its "
-            f"lengths and angles are {listed(placed)}, {GROWTH!r} is all lengths as one"
-        )
-    return found
+    found = parts_of(place or READINGS, mechanism)
+    if set(found) <= {*mechanism.load_names, GROWTH}:
+        return found
+    placed = mechanism.load_names[len(mechanism.reading_names) :]
+    raise MeasurementError(
+        f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}; its "
+        f"lengths and angles are {listed(placed)}, {GROWTH!r} is all lengths as one"
+    )
 
 
 def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
@@ -154,11 +179,15 @@ def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
         raise MeasurementError(
             f"terms of {place!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
         )
-    barred = (HARMONICS, POLYNOMIAL, BACKLASH, *([GRAVITY] if place == GROWTH else []))
-    if kind.name in barred:
+    if kind.name in (HARMONICS, POLYNOMIAL, BACKLASH):
         raise MeasurementError(
             f"terms '{place}={kind}': {kind.name} is of readings; lengths and angles follow a "
-            f"column of the measurements{'' if place == GROWTH else ', or gravity'}"
+            "column of the measurements, or gravity"
+        )
+    if (place, kind.name) == (GROWTH, GRAVITY):
+        raise MeasurementError(
+            f"terms '{place}={kind}': gravity loads each length otherwise, and they do not grow as "
+            "one; name a length or an angle, such as leg_1.l=gravity"
         )
 
 
@@ -171,6 +200,6 @@ def columns_said(terms: Sequence[str]) -> tuple[str, ...] | None:
 
 
 def _parts(text: str) -> tuple[str, Kind]:
-    """Return the reading that a text names, empty if it is all, and the kind."""
+    """Return the place that a text names, empty if it is every reading, and the kind."""
     reading, _, kind = text.rpartition("=")
     return reading.strip(), Kind.of(kind)

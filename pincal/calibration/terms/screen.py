@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
-from pincal.calibration.terms.candidates import with_influences, with_terms
+from pincal.calibration.terms.candidates import with_columns, with_terms
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind
 from pincal.estimation.linear import State
 from pincal.estimation.residuals.robust import Robust
@@ -30,7 +30,8 @@ class Candidate:
     """One kind of term in one place, and what residuals say of it."""
 
     reading: str
-    """The place: a reading, a length or angle by its id, or ``"growth"`` of all lengths."""
+    """The place: a reading, a length or angle by its id, or ``"growth"`` of all lengths;
+    ``"readings"``, or a name, of all such, each with its own amplitudes."""
     kind: Kind
     unit: str
     """Of the amplitudes."""
@@ -61,7 +62,7 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
     """
     calibration = found.calibration
     kinds = [kind for _, kind in pairs]
-    data = with_influences(calibration.mechanism, calibration.measurements, kinds)
+    data = with_columns(calibration, kinds)
     order = {ORDER: np.linspace(-1.0, 1.0, len(data))}
     data = replace(data, influences={**order, **data.influences})
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
@@ -73,9 +74,13 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
             continue
         residuals = Residuals.of(robust.fit)
         names, W = _columns(asked, robust, residuals.used)
+        asked_for = set()
         for (reading, kind), own in ids.items():
             places = [names.index(name) for name in own if name in names]
-            if places:
+            alike = len({units[name] for name in own}) == 1
+            whole = alike and (len(places) == len(own) or reading == GROWTH)
+            if places and whole and own not in asked_for:  # not of several places where one has it
+                asked_for.add(own)
                 by = W[:, :, places]
                 if reading == GROWTH:  # one amplitude of all legs
                     by, own = by.sum(axis=2, keepdims=True), own[:1]

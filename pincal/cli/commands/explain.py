@@ -1,4 +1,4 @@
-"""``pincal explain``: what geometry does not explain, and which terms of sensors pay."""
+"""``pincal explain``: what geometry does not explain, and which terms pay."""
 
 from __future__ import annotations
 

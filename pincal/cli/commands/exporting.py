@@ -1,8 +1,9 @@
-"""``pincal export``: a mechanism as URDF, MJCF, or a delta printer's configuration."""
+"""``pincal export``: a mechanism for other programs, and corrections of what they cannot hold."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -12,8 +13,14 @@ import typer
 from pincal.calibration.result_files import read_result
 from pincal.cli.app import Force, Mech, command, output_option, remark, stdout, warn, wrote
 from pincal.cli.commands.importing import SUFFIXES, TREES
+from pincal.cli.corrections import (
+    CORRECTIONS,
+    CorrectionOptions,
+    offer,
+    write_code,
+    write_corrections,
+)
 from pincal.errors import MechanismError
-from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.formats.printers.delta import delta_printer
 from pincal.formats.printers.klipper import write_klipper
@@ -34,34 +41,49 @@ class Form(StrEnum):
     mjcf = "mjcf"
     klipper = "klipper"
     reprap = "reprap"
+    table = "table"
+    python = "python"
+    c = "c"
 
 
-@command("export")
-def export(
-    mech: Mech,
-    output: Annotated[
-        Path, output_option("FILE", "URDF, MJCF, printer.cfg section, or M665 and M666.")
-    ],
-    form: Annotated[
-        Form | None,
-        typer.Option(
-            "--format", help="What to write, if FILE's ending (.urdf, .xml, .cfg, .g) is other."
-        ),
-    ] = None,
+@dataclass(frozen=True)
+class OriginalOptions:
+    """The URDF into which is written."""
+
     original: Annotated[
         Path | None,
         typer.Option(
             metavar="URDF",
             help="Your own URDF: its joints get the calibrated origins, all else stays.",
         ),
-    ] = None,
+    ] = None
     leg: Annotated[
         str | None,
         typer.Option(metavar="LEG", help="Whose URDF it is, if it is not named so."),
+    ] = None
+
+
+@command("export")
+def export(
+    mech: Mech,
+    output: Annotated[
+        Path,
+        output_option(
+            "FILE", "URDF, MJCF, printer.cfg section, M665 and M666, or corrections (CSV, code)."
+        ),
+    ],
+    own: OriginalOptions,
+    how: CorrectionOptions,
+    form: Annotated[
+        Form | None,
+        typer.Option(
+            "--format",
+            help="What to write, if FILE's ending (.urdf, .xml, .cfg, .g; .csv, .py, .h) is other.",
+        ),
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write URDF, MJCF, or a delta printer's configuration.
+    """Write URDF, MJCF, printer configurations, or corrections.
 
     With --original FILE is a copy of that URDF in which only the origins of calibrated joints are
     other. Without it URDF (.urdf, with a .yaml beside it that closes the loops) and MJCF (.xml)
@@ -70,21 +92,47 @@ def export(
     Of a delta printer FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
     RepRapFirmware (.g). What a file has no place for is said. MECH may be a result of 'pincal
     calibrate', whose legs as URDFs are in its own folder 'mechanism'.
+
+    Terms of sensors, lengths and angles have no place in these. Corrections make up for them: over
+    poses as a table (.csv: what to add to readings, or which pose to command instead), or the
+    sensors' laws as code (.py, .h: readings of joint positions, and back).
     """
-    whose = form or SUFFIXES.get(output.suffix.lower())
+    whose = form or (SUFFIXES | CORRECTIONS).get(output.suffix.lower())
     if whose is None:
         raise MechanismError(
             f"{output.name!r} does not say what to write; give it the ending .urdf, .xml (MJCF), "
-            ".cfg (Klipper) or .g (RepRapFirmware), or say --format"
+            ".cfg (Klipper), .g (RepRapFirmware), .csv (table of corrections), .py or .h (code), "
+            "or say --format"
         )
-    if whose in TREES:
-        mechanism = load_mechanism(mech)
-        _export_tree(mechanism, output, whose, original=original, leg=leg, force=force)
-        return
-    if original is not None or leg is not None:
+    if whose not in TREES and (own.original is not None or own.leg is not None):
         raise MechanismError(f"--original and --leg go with URDF, not with {whose}")
+    if whose != "table" and how.poses is not None:
+        raise MechanismError(f"--poses goes with a table of corrections (.csv), not with {whose}")
+    if whose not in CORRECTIONS.values() and (how.units or how.counts):
+        raise MechanismError(f"--units and --counts go with corrections, not with {whose}")
     refuse_existing(output, force=force)
-    found = delta_printer(load_mechanism(mech))
+    mechanism = how.load(mech)
+    if whose == "table":
+        write_corrections(mechanism, output, how, force=force)
+    elif whose in CORRECTIONS.values():
+        write_code(mechanism, output, whose, how.written_in(mechanism), force=force)
+    elif whose in TREES:
+        _export_tree(mechanism, output, whose, original=own.original, leg=own.leg, force=force)
+        offer(mech, mechanism)
+    else:
+        _export_printer(mech, mechanism, output, whose, force=force)
+        offer(mech, mechanism, firmware=True)
+
+
+def _export_printer(
+    mech: str, mechanism: Mechanism, output: Path, whose: str, *, force: bool
+) -> None:
+    """Write a delta printer's configuration.
+
+    Raises:
+        MechanismError: no linear delta, or readings that do not count down from endstops.
+    """
+    found = delta_printer(mechanism)
     text = _finite(write_klipper(found) if whose == "klipper" else write_reprap(found), mech)
     with writing(output, force=force) as scratch:
         scratch.write_text(text, encoding="utf-8")

@@ -12,13 +12,8 @@ import typer
 
 from pincal.cli.app import Force, command, output_option, remark, stdout, warn, wrote
 from pincal.errors import FileError, MeasurementError, MechanismError
-from pincal.files.mechanism_folders import (
-    YAML,
-    load_mechanism,
-    own_files,
-    save_mechanism,
-    write_mechanism,
-)
+from pincal.files.mechanism_folders import load_mechanism, own_files, save_mechanism
+from pincal.files.mechanism_writing import YAML, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.tables.measurement_writing import write_measurements
 from pincal.files.tables.measurements import read_poses

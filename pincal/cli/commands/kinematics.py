@@ -28,6 +28,7 @@ from pincal.files.tables.measurement_writing import columns_of, reason_column, w
 from pincal.files.tables.measurements import read_influences, read_poses, read_readings
 from pincal.files.tables.table import write_table
 from pincal.kinematics.forward import forward as solve_forward
+from pincal.kinematics.influences.columns import own_influences
 from pincal.kinematics.inverse import InverseSolution, outside_limits
 from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.model.measurements import Plan
@@ -54,20 +55,19 @@ def inverse(
     units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     plan = read_poses(poses, mechanism)
-    solution = solve_inverse(mechanism, plan.poses, plan.influences)
+    influences = own_influences(mechanism, plan.influences)
+    solution = solve_inverse(mechanism, plan.poses, influences)
     lost = np.atleast_1d(~solution.reached.all(axis=1))
     reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
     values = np.where(lost[:, None], np.nan, solution.readings)
-    write_readings(
-        output, mechanism, values, plan.influences, reasons=reasons, units=units, force=force
-    )
-    _say_reference(mechanism, plan.influences)
+    write_readings(output, mechanism, values, influences, reasons=reasons, units=units, force=force)
+    say_reference(mechanism, influences)
     wrote(output)
     _warn_of_limits(poses, [plan.place(row) for row in range(len(lost))], mechanism, solution)
     read = mechanism.reading_names, mechanism.reading_units
     found = {"mechanism": mechanism.name, "readings": _columns(*read, values)}
     answer(found | {"reasons": reasons})
-    _leave_if_lost(poses, [plan.place(row) for row in range(len(lost))], reasons, "pose")
+    leave_if_lost(poses, [plan.place(row) for row in range(len(lost))], reasons, "pose")
 
 
 @command(answers=True)
@@ -88,13 +88,14 @@ def forward(
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
     refuse_existing(output, force=force)
-    values, influences = read_readings(readings, mechanism), read_influences(readings, mechanism)
+    values = read_readings(readings, mechanism)
+    influences = own_influences(mechanism, read_influences(readings, mechanism))
     with working("sampling the workspace for start poses"):
         samples = sample_workspace(mechanism, 3000, least=Margins(0.05, 0.02))
     tree = KDTree(solve_inverse(mechanism, samples).readings)
     guess = samples[np.minimum(tree.query(values)[1], len(samples) - 1)]
     solution = solve_forward(mechanism, values, guess, influences)
-    _say_reference(mechanism, influences)
+    say_reference(mechanism, influences)
     lost = ~solution.converged
     reasons = [solution.reasons[row] if lost[row] else "" for row in range(len(lost))]
     found = np.where(lost[:, None], np.nan, solution.poses)
@@ -117,10 +118,10 @@ def forward(
             "reasons": reasons,
         }
     )
-    _leave_if_lost(readings, [f"row {row + 1}" for row in range(len(lost))], reasons, "reading")
+    leave_if_lost(readings, [f"row {row + 1}" for row in range(len(lost))], reasons, "reading")
 
 
-def _say_reference(mechanism: Mechanism, given: Mapping[str, object]) -> None:
+def say_reference(mechanism: Mechanism, given: Mapping[str, object]) -> None:
     """Say which influences were not given."""
     if missing := [n for n in mechanism.influences if n not in given and n not in mechanism.loaded]:
         remark(f"{', '.join(missing)} not given: the machine is taken at their reference")
@@ -143,22 +144,22 @@ def _warn_of_limits(
     if found:
         warn(
             f"{path}: {len(found)} of {len(places)} poses are outside the limits of joints; their "
-            f"readings are written all the same. {_some(found)}"
+            f"readings are written all the same. {some(found)}"
         )
 
 
-def _some(lines: list[str]) -> str:
+def some(lines: Sequence[str], between: str = "; ") -> str:
     """Return the first lines, and how many more there are."""
-    more = f"; and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
-    return "; ".join(lines[:LISTED]) + more
+    more = f"{between}and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
+    return between.join(lines[:LISTED]) + more
 
 
-def _leave_if_lost(path: Path, places: list[str], reasons: list[str], what: str) -> None:
+def leave_if_lost(path: Path, places: list[str], reasons: list[str], what: str) -> None:
     """Leave with exit code 1, and say why, if some rows have no solution."""
     lost = [f"{place}: {why}" for place, why in zip(places, reasons, strict=True) if why]
     if lost:
         warn(
             f"{path}: {len(lost)} of {len(places)} {what}s without a solution; their rows are "
-            f"empty, with the reason. {_some(lost)}"
+            f"empty, with the reason. {some(lost)}"
         )
         raise typer.Exit(1)

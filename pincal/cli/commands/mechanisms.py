@@ -73,12 +73,8 @@ def check(mech: Mech, how: UnitOptions) -> None:
         stdout.print(f"{leg.name}: {close}", markup=False)
         readers = " and ".join(tips)
         stdout.print(f"{leg.name}: URDF read alike by {readers} within {off:.2g} m", markup=False)
-        turns = turning(sensor_law(closure), *(end[leg.active] for end in joint_range(leg)))
-        for reading, unit, where in zip(leg.reading_names, leg.reading_units, turns, strict=True):
-            if np.isfinite(where):
-                warn(TURNS_BACK.format(reading=reading, unit=unit, where=where))
         legs.append({"name": leg.name, "home_gap": gap, "readers_differ_by": off})
-        legs[-1]["turns_back_at"] = [one if np.isfinite(one) else None for one in turns.tolist()]
+        legs[-1]["turns_back_at"] = warn_of_turns(closure)
     with working("sampling the workspace"):
         plan = sample_configurations(mechanism, 500)
     for leg, own_answer, own in zip(mechanism.legs, legs, mechanism.reading_columns, strict=True):
@@ -114,6 +110,16 @@ def check(mech: Mech, how: UnitOptions) -> None:
             "symmetry": group.name,
         }
     )
+
+
+def warn_of_turns(closure: LegClosure) -> list[float]:
+    """Say where q(ψ) of a leg's sensors turns back; return the readings, NaN where it does not."""
+    leg = closure.leg
+    turns = turning(sensor_law(closure), *(end[leg.active] for end in joint_range(leg)))
+    for reading, unit, where in zip(leg.reading_names, leg.reading_units, turns, strict=True):
+        if np.isfinite(where):
+            warn(TURNS_BACK.format(reading=reading, unit=unit, where=where))
+    return [float(one) for one in turns]
 
 
 @command(answers=True)

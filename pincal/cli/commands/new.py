@@ -30,7 +30,8 @@ from pincal.cli.options import in_si, with_unit
 from pincal.design.order import in_turns, with_verification
 from pincal.design.select_configurations import ConfigurationChoice, select_configurations
 from pincal.errors import MechanismError
-from pincal.files.mechanism_folders import YAML, own_files, write_mechanism
+from pincal.files.mechanism_folders import own_files
+from pincal.files.mechanism_writing import YAML, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.measuring_sheet import write_sheet

@@ -25,12 +25,8 @@ from pincal.cli.options import NoiseOptions, TableOptions
 from pincal.design.simulate import disturb as disturbed
 from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
-from pincal.files.mechanism_folders import (
-    YAML,
-    load_mechanism,
-    own_files,
-    write_mechanism,
-)
+from pincal.files.mechanism_folders import load_mechanism, own_files
+from pincal.files.mechanism_writing import YAML, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.tables.measurement_writing import write_measurements
 from pincal.files.tables.measurements import read_poses

@@ -19,7 +19,7 @@ _BESIDE = Path(__file__).resolve().parents[3]
 
 @command(answers=True)
 def study(
-    name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|all", help="Whose paper.")],
+    name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|errors|all", help="Which study.")],
     output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer draws, coarser grids: seconds, not minutes.")
@@ -34,7 +34,8 @@ def study(
     """Compute a paper's figures and tables anew.
 
     And what it lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical
-    workspace and, after its paper, the calibration. FOLDER gets study.md, tables as
+    workspace and, after its paper, the calibration. errors: errors that are no geometry,
+    simulated and, where PINCAL_DATA has them, of real arms. FOLDER gets study.md, tables as
     CSV and Markdown, figures as SVG and PNG; with 'all' one folder for each. The same seed
     gives the same text and tables; times are in figures only.
     """

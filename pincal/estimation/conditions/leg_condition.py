@@ -8,6 +8,7 @@ reading (3-RRR paper, Eq. 24) and exists within reach only.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,13 +19,24 @@ from pincal.errors import MeasurementError
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
-from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.kinematics.nearest_closure import followed, nearest_closure
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
 Array = NDArray[np.float64]
 Residual = Literal["closure", "joint"]
 _TWISTS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Met:
+    """What a leg demands at a state, and where its joints are."""
+
+    demand: Demand
+    joints: Array
+    """Positions, with deformations behind them if there are any, shape (N, n_joints …)."""
+    after: Callable[[Array, Array], Array]
+    """Returns joints near those after a change of parameters, (n_params,), and twists (N, dof)."""
 
 
 @dataclass(frozen=True)
@@ -81,15 +93,13 @@ class LegCondition:
             self.leg, self.platform, self.known[chosen], self.kind, self.rows[chosen]
         )
 
-    def __call__(
-        self, parameters: Array, matrices: Array, joints: Array | None = None
-    ) -> tuple[Demand, Array]:
+    def __call__(self, parameters: Array, matrices: Array, joints: Array | None = None) -> Met:
         """Return the condition's value and derivatives, and the joint positions there.
 
         Args:
             parameters: Parameter values, shape (n_params,).
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-            joints: Where the search for passive joints starts, shape (N, n_joints).
+            joints: Where the search for passive joints starts, shape (N, n_joints [+ n_deformed]).
 
         Raises:
             MeasurementError: joint residual, and a pose out of reach.
@@ -99,9 +109,15 @@ class LegCondition:
         if self.kind == "joint":
             return self._joint(closure, matrices)
         closed, joints = nearest_closure(closure, matrices, self.known, joints)
-        return demand(closure, closed, self.known), joints
 
-    def _joint(self, closure: LegClosure, matrices: Array) -> tuple[Demand, Array]:
+        def after(change: Array, twists: Array) -> Array:
+            there = joints.copy()
+            there[:, self.leg.passive] += followed(closure, closed, self.known, change, twists)
+            return there
+
+        return Met(demand(closure, closed, self.known), joints, after)
+
+    def _joint(self, closure: LegClosure, matrices: Array) -> Met:
         influences = self.known[:, len(self.leg.sensors) :]
         closed = close(closure, matrices, influences)
         if not closed.reached.all():
@@ -115,4 +131,5 @@ class LegCondition:
         there = np.hstack((predicted, influences))
         rows = demand(closure, closed.closure, there).as_joint()
         difference = predicted - self.readings
-        return Demand(difference, rows.parameter, rows.pose, rows.reading), closed.joints
+        found = Demand(difference, rows.parameter, rows.pose, rows.reading)
+        return Met(found, closed.joints, lambda *_: closed.joints)

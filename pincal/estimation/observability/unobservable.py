@@ -25,9 +25,9 @@ from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import listed
+from pincal.words.wording import NAMED
 
 Array = NDArray[np.float64]
-_NAMED = 8  # parameters in a message
 
 
 @dataclass(frozen=True)
@@ -159,8 +159,8 @@ def check_covariance(
 
 
 def _weak(ids: Sequence[str]) -> ObservabilityError:
-    alone, more = len(ids) == 1, len(ids) - _NAMED
-    named = listed([*ids[:_NAMED], f"{more} more parameters"] if more > 1 else ids)
+    alone, more = len(ids) == 1, len(ids) - NAMED
+    named = listed([*ids[:NAMED], f"{more} more parameters"] if more > 1 else ids)
     them = "it" if alone else "them"
     return ObservabilityError(
         f"{named} {'is' if alone else 'are'} weakly determined by the measured poses: noise moves "

@@ -20,9 +20,10 @@ from pincal.errors import MeasurementError
 
 Array = NDArray[np.float64]
 LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
-OUTLYING = 1e-3  # probability that a good row is left out
+UNLIKELY = 1e-3  # probability that a good row is left out; that fit and held-out rows part
 _STEP = 1e-4  # of the logarithm of a residual, for slopes
 _LEAST_BEND = 1e-2
+CLEAR = 3.0  # standard errors, from which what is seen is there
 FALSE_ALARM = 0.01  # probability of anything found, of a kind, where the model holds
 
 
@@ -115,13 +116,13 @@ LOSSES: dict[str, Loss] = {
     "huber": Loss("huber", _huber, float(chdtr(1, 1.345**2))),
     "cauchy": Loss("cauchy", _cauchy, float(chdtr(1, 2.385**2))),
     "tukey": Loss("tukey", _tukey, float(chdtr(1, 4.685**2))),
-    "reject": Loss("reject", _reject, 1.0 - OUTLYING),
+    "reject": Loss("reject", _reject, 1.0 - UNLIKELY),
 }
 
 
 def outlying(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return which rows have a χ² that one good row in a thousand exceeds, shape (N,)."""
-    return np.asarray(squares > chdtri(np.maximum(equations, 1), OUTLYING))
+    return np.asarray(squares > chdtri(np.maximum(equations, 1), UNLIKELY))
 
 
 def suspected(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.residuals.losses import FALSE_ALARM
-from pincal.estimation.residuals.score import Residuals, errors_of
+from pincal.estimation.residuals.courses import errors_of, of_frame, of_target
+from pincal.estimation.residuals.losses import CLEAR, FALSE_ALARM
+from pincal.estimation.residuals.score import Residuals
 from pincal.model.setup import ORIGIN
 
 Array = NDArray[np.float64]
 What = Literal["frame", "target", "orientation", "reading"]
 _MOST = 3
-_ALIKE = 9.0  # of χ²: three standard errors
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def slips(one: Fit) -> list[Slip]:
         alike = tuple(
             (other.slip.what, other.slip.name)
             for other in tried[1:]
-            if other.slip.steady == first.slip.steady and first.inside - other.inside < _ALIKE
+            if other.slip.steady == first.slip.steady and first.inside - other.inside < CLEAR**2
             if other.slip.unit == first.slip.unit and len(other.slip.size) == len(first.slip.size)
         )
         chance = first.slip.p_value * len(tried)
@@ -111,23 +111,17 @@ def _candidates(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[Slip, Array]
     if not problem.latent:
         return
     seen, state, axes = problem.observation, one.last.state, "xyz"[: platform.space]
-    none = np.zeros(next(iter(errors.values())).shape)
-    own = {name: errors[f"measured {name}"] for name in seen.names}
     turns = (state.external.frame[:3, :3] @ state.matrices[used, :3, :3])[:, :, : len(axes)]
-    of_all = np.zeros((*none.shape, len(axes)))
     for target in seen.setup.targets:
-        stem = "" if target == ORIGIN else f"{target}_"
-        there = np.stack([own.get(f"{stem}{axis}", none) for axis in axes], axis=2)
+        there = of_target(problem, errors, target)
         if there.any():
             turned = np.einsum("nma,nab->nmb", there, turns[:, : len(axes)])
             yield _slip("target", target, tuple(axes), "m"), turned
-            of_all += there
-    known = np.asarray(of_all.any(axis=(0, 1)))
-    if known.any():
-        along = tuple(axis for axis, is_ in zip(axes, known, strict=True) if is_)
-        yield _slip("frame", "", along, "m"), of_all[:, :, known]
+    moved, known = of_frame(problem, errors)
+    if known:
+        yield _slip("frame", "", known, "m"), moved
     pairs = zip(platform.freedoms, platform.units, strict=True)
     angles = tuple(name for name, unit in pairs if unit == "rad")
-    if angles and all(own[name].any() for name in angles):
-        W = np.stack([own[name] for name in angles], axis=2)
+    if angles and all(errors[f"measured {name}"].any() for name in angles):
+        W = np.stack([errors[f"measured {name}"] for name in angles], axis=2)
         yield _slip("orientation", ORIGIN, angles, "rad"), W

@@ -16,10 +16,10 @@ from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
 from pincal.model.units import UNITS
+from pincal.words.wording import NAMED
 
 Source = Any  # a path, or a pandas DataFrame
 _log = logging.getLogger(__name__)
-_LISTED = 12  # names in a message
 
 
 def table_for(
@@ -68,8 +68,8 @@ def table_for(
         if name != "row" and not name.startswith("planned_")  # of a measuring sheet
     ]
     if unused:
-        names = [name if name.isprintable() else ascii(name) for name in unused[:_LISTED]]
-        names += [f"and {len(unused) - _LISTED} more"] * (len(unused) > _LISTED)
+        names = [name if name.isprintable() else ascii(name) for name in unused[:NAMED]]
+        names += [f"and {len(unused) - NAMED} more"] * (len(unused) > NAMED)
         _log.info("%s: columns not used: %s", table.path, ", ".join(names))
     return table
 

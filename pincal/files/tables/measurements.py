@@ -41,6 +41,7 @@ def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False
         places=_names(table, "pose"),
         influences=_influences(table, mechanism),
         lines=table.file_lines,
+        written=_way(table) if mechanism.platform.turns == 3 else None,
     )
 
 
@@ -56,7 +57,7 @@ def read_readings(path: Source, mechanism: GivenMechanism) -> Array:
 
 
 def read_influences(path: Source, mechanism: Mechanism) -> dict[str, Array]:
-    """Return the columns on which terms of sensors depend, those that a file has.
+    """Return the columns on which terms depend, those that a file has.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -245,7 +246,7 @@ def _readings(table: Table, mechanism: Mechanism) -> Array:
 
 
 def _influences(table: Table, mechanism: Mechanism) -> dict[str, Array]:
-    """Return the columns on which terms of sensors depend, numbers as they stand."""
+    """Return the columns on which terms depend, numbers as they stand."""
     names = (*mechanism.influences, *sorted(mechanism.followed - set(mechanism.influences)))
     return {name: table.plain(name, blank=True) for name in names if name in table}
 

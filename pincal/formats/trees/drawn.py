@@ -9,12 +9,11 @@ from pincal.errors import MechanismError
 from pincal.formats.trees.tree import Tree
 from pincal.kinematics.assembly import opening
 from pincal.kinematics.closure import largest_size
+from pincal.model.checks import ALIKE
 from pincal.model.home import ROUGH
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
-
-_SMALL = 1e-6  # of the size: rounding of what is written
 
 
 def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
@@ -52,7 +51,7 @@ def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
         for leg in mechanism.legs
     ]
     gap = opening(legs, mechanism.platform.form)
-    if gap <= _SMALL * largest_size(mechanism.legs, mechanism.platform):
+    if gap <= ALIKE * largest_size(mechanism.legs, mechanism.platform):
         return f"the loops close as drawn, within {gap:.2g} m", False
     moved: dict[str, tuple[float, str]] = {}
     for joint in (one for leg in mechanism.legs for one in leg.moving if one.name in drawn):

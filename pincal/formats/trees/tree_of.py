@@ -116,7 +116,7 @@ def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
         leg.name
         for leg in mechanism.legs
         for sensor in leg.sensors
-        if sensor.constants(leg.nominal_by_name) != (1.0, 0.0) or sensor.zero != 0.0 or sensor.terms
+        if not sensor.reads_position(leg.nominal_by_name)
     ]
     grown = [leg.name for leg in mechanism.legs if leg.terms]
     lost = [

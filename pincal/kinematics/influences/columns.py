@@ -68,7 +68,7 @@ def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = Non
     Returns:
         Shape (N, n_influences); None if no term depends on any.
     """
-    own = {name: plan.influences[name] for name in mechanism.influences if name in plan.influences}
+    own = own_influences(mechanism, plan.influences)
     columns = influence_columns(mechanism, own, len(plan))
     readings = plan.readings if readings is None else readings
     if columns is None or readings is None:
@@ -81,6 +81,11 @@ def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = Non
     return columns
 
 
+def own_influences(mechanism: Mechanism, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Return those of given columns on which terms of a mechanism depend."""
+    return {name: given[name] for name in mechanism.influences if name in given}
+
+
 def by_name(mechanism: Mechanism, columns: Array | None) -> dict[str, Array]:
     """Return columns of a mechanism's influences by name, each of shape (N,); none if None."""
     return {} if columns is None else dict(zip(mechanism.influences, columns.T, strict=True))
@@ -89,8 +94,8 @@ def by_name(mechanism: Mechanism, columns: Array | None) -> dict[str, Array]:
 def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
     """Return from which side readings were come to, +1 from below, -1 from above, shape (N,).
 
-    A reading that stays keeps its side: one that moves by less than a thousandth of its range,
-    which is noise. NaN until it first moves, in each run, and where it was not read.
+    A reading that stays keeps its side, and one that goes back by less than a thousandth of its
+    range, which is noise. NaN until it first moves, in each run, and where it was not read.
 
     Args:
         readings: In order of time, shape (N,).
@@ -100,11 +105,27 @@ def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
     read = np.flatnonzero(np.isfinite(readings))
     if not len(read):
         return found
-    own, names = readings[read], None if runs is None else np.array(runs)[read]
-    moved = np.diff(own, prepend=np.nan)
-    moved[np.abs(moved) <= _STILL * np.ptp(own)] = 0.0
-    if names is not None:
-        moved[1:][names[1:] != names[:-1]] = np.nan
-    at = np.where(moved == 0.0, 0, np.arange(len(moved)))
-    found[read] = np.sign(moved[np.maximum.accumulate(at)])
+    noise = _STILL * float(np.ptp(readings[read]))
+    begins = [0]
+    if runs is not None:
+        names = np.array(runs)[read]
+        begins += (1 + np.flatnonzero(names[1:] != names[:-1])).tolist()
+    for rows in np.split(read, begins[1:]):
+        found[rows] = _sides_of_run(readings[rows].tolist(), noise)
+    return found
+
+
+def _sides_of_run(readings: Sequence[float], noise: float) -> list[float]:
+    """Return the sides of one run, what moves by more than the noise from where it last turned.
+
+    However finely rows follow a motion, it has the same sides.
+    """
+    side, turned, found = np.nan, readings[0], []
+    for reading in readings:
+        moved = reading - turned
+        if abs(moved) > noise and not moved * side > 0.0:
+            side = float(np.sign(moved))
+        if moved * side > 0.0:
+            turned = reading  # the farthest so far
+        found.append(side)
     return found

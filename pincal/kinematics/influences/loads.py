@@ -10,13 +10,14 @@ is h + (∂c/∂φ)ᵀ λ.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import block_diagonal, least_squares, left_null, product
 from pincal.kinematics.chain import body_chain
-from pincal.kinematics.closure import Closure, LegClosure, nominal_legs
+from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensors.load import Load
@@ -32,65 +33,86 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
     freedoms, those of the least that hold the machine.
 
     Args:
-        mechanism: The mechanism, with its load; its terms do not count.
+        mechanism: The mechanism, with its load; what terms follow is loads of its ``drawing``.
         readings: Of all legs, shape (N, n_readings), [rad] or [m].
         matrices: Poses that belong to them, ``T_base_platform``, shape (N, 4, 4).
     """
     load = mechanism.load or Load()
-    closures, weights = [], []
-    for index, own in enumerate(nominal_legs(mechanism)):
-        closed, joints = nearest_closure(own, matrices, mechanism.known(index, readings))
-        closures.append(closed)
-        weights.append(_links(own, joints, np.array(load.gravity)))
-    forces = _forces(mechanism, closures, weights, _weight(mechanism, load, matrices))
+    gravity = np.array(load.gravity)
+    legs = [
+        _held(own, matrices, mechanism.known(index, readings), gravity)
+        for index, own in enumerate(nominal_legs(mechanism))
+    ]
     found: dict[str, Array] = {}
     of_parameters: dict[str, Array] = {}
-    for leg, closed, lost, force in zip(mechanism.legs, closures, weights, forces, strict=True):
-        by_joint = lost[:, leg.active] + _along(closed.active, force)
-        by_parameter = lost[:, len(leg.moving) :] + _along(closed.parameter, force)
-        found |= zip(leg.reading_names, by_joint.T, strict=True)
+    forces = _carrying(legs, _weight(mechanism, load, matrices))
+    for leg, own, mu in zip(mechanism.legs, legs, forces, strict=True):
+        found |= zip(leg.reading_names, (own.joints + _along(own.drive, mu)).T, strict=True)
         ids = (f"{leg.name}.{name}" for name in leg.parameter_names)
+        by_parameter = own.parameters + _along(own.parameter, mu)
         of_parameters |= zip(ids, by_parameter.T, strict=True)
     return found | of_parameters
 
 
-def _forces(
-    mechanism: Mechanism, closures: Sequence[Closure], weights: Sequence[Array], weight: Array
-) -> list[Array]:
-    """Return by what force each leg's closure holds it to the platform: λ, shape (N, m) each.
+@dataclass(frozen=True)
+class _Held:
+    """A leg whose links are held on its passive joints, and what more it can carry.
 
-    λ = λ₀ + N μ: λ₀ holds the links on passive joints, and N μ is what these do not feel, of which
-    (Nᵀ ∂c/∂x)ᵀ μ carries the platform.
+    The force by which its closure holds it to the platform is λ = λ₀ + N μ: λ₀ holds the links on
+    passive joints, and N μ is what these do not feel.
+    """
+
+    joints: Array
+    """Loads of active joints by the links, λ₀ at work, shape (N, n_active)."""
+    parameters: Array
+    """The same of parameters, shape (N, n_params)."""
+    platform: Array
+    """What λ₀ does along the platform's freedoms, shape (N, dof)."""
+    drive: Array
+    """Nᵀ ∂c/∂θ, shape (N, k, n_active)."""
+    parameter: Array
+    """Nᵀ ∂c/∂φ, shape (N, k, n_params)."""
+    pose: Array
+    """Nᵀ ∂c/∂x, shape (N, k, dof)."""
+
+
+def _held(leg: LegClosure, matrices: Array, known: Array, gravity: Array) -> _Held:
+    """Return a leg at poses and what is known of its readings and influences."""
+    closed, joints = nearest_closure(leg, matrices, known)
+    lost, n = _links(leg, joints, gravity), len(leg.leg.moving)
+    by_joint, by_parameter = lost[:, leg.leg.active], lost[:, n:]
+    platform = np.zeros((len(matrices), leg.platform.dof))
+    if lost.any():  # links with masses
+        passive = closed.passive.transpose(0, 2, 1)
+        force = -least_squares(passive, lost[:, leg.leg.passive, None])[:, :, 0]
+        by_joint = by_joint + _along(closed.active, force)
+        by_parameter = by_parameter + _along(closed.parameter, force)
+        platform = _along(closed.pose, force)
+    rows = (closed.drive, closed.project(closed.parameter), closed.project(closed.pose))
+    return _Held(by_joint, by_parameter, platform, *rows)
+
+
+def _carrying(legs: Sequence[_Held], weight: Array) -> list[Array]:
+    """Return by what forces the legs carry the platform: μ, shape (N, k) each.
+
+    With Σ (Nᵀ ∂c/∂x)ᵀ μ, its weight and what the links do to it are nothing; of forces of legs
+    against each other, those of the least in joints.
 
     Args:
-        mechanism: The mechanism.
-        closures: Of its legs.
-        weights: What links of each leg lose in height with each joint, times weight, shape (N, n).
-        weight: The same of the platform with each freedom, shape (N, dof).
+        legs: The legs.
+        weight: What the platform loses in height with each freedom, times weight, shape (N, dof).
     """
-    held, active, left = [], [], weight
-    for leg, closed, own in zip(mechanism.legs, closures, weights, strict=True):
-        if not own.any():  # links without masses
-            held.append(np.zeros(closed.gap.shape))
-            active.append(own[:, leg.active])
-            continue
-        passive = closed.passive.transpose(0, 2, 1)
-        held.append(-least_squares(passive, own[:, leg.passive, None])[:, :, 0])
-        active.append(own[:, leg.active] + _along(closed.active, held[-1]))
-        left = left + _along(closed.pose, held[-1])
-    lines = np.concatenate([one.project(one.pose) for one in closures], axis=1)
+    left = weight + sum(one.platform for one in legs)
+    lines = np.concatenate([one.pose for one in legs], axis=1)
     mu = -least_squares(lines.transpose(0, 2, 1), left[:, :, None])
-    if lines.shape[1] > lines.shape[2]:  # forces of legs against each other: the least in joints
-        drive = block_diagonal([one.drive for one in closures]).transpose(0, 2, 1)
+    if lines.shape[1] > lines.shape[2]:
+        drive = block_diagonal([one.drive for one in legs]).transpose(0, 2, 1)
         inner = left_null(lines)
-        joints = np.concatenate(active, axis=1)[:, :, None] + product(drive, mu)
+        joints = np.concatenate([one.joints for one in legs], axis=1)
+        joints = joints[:, :, None] + product(drive, mu)
         mu = mu - product(inner, least_squares(product(drive, inner), joints))
-    ends = np.cumsum([one.constraint.shape[1] for one in closures])[:-1]
-    parts = np.split(mu, ends, axis=1)
-    return [
-        own + product(one.normal, part)[:, :, 0]
-        for own, one, part in zip(held, closures, parts, strict=True)
-    ]
+    ends = np.cumsum([one.pose.shape[1] for one in legs])[:-1]
+    return np.split(mu[:, :, 0], ends, axis=1)
 
 
 def _along(rows: Array, force: Array) -> Array:

@@ -6,7 +6,7 @@ joint of its leg's chain, and ε one more position of it, known from the columns
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.sensors.sensor import PlacedTerm
-from pincal.model.sensors.terms import APPROACH
+from pincal.model.sensors.sensor import PlacedTerm, add_bases, add_terms
+from pincal.model.sensors.terms import APPROACH, Term
 
 if TYPE_CHECKING:
     from pincal.model.leg import Leg
@@ -57,30 +57,27 @@ class Deformations:
             influences: Of the leg, shape (N, n_influences); zero where NaN, or none are given.
         """
         by = np.zeros((len(influences), len(self.parameters)))
-        for one in self.terms:
-            if one.column < influences.shape[1]:
-                by[:, one.target] += one.amplitude * one.basis(influences)
+        add_terms(self.terms, influences, by)
         return by
 
     def by_parameter(self, influences: Array) -> Array:
         """Return ∂ε/∂φ, shape (N, n_deformed, n_params): that of an amplitude is its b."""
         found = np.zeros((len(influences), len(self.parameters), self.n_parameters))
-        for one in self.terms:
-            if one.column < influences.shape[1]:
-                found[:, one.target, one.parameter] += one.basis(influences)
+        add_bases(self.terms, influences, found)
         return found
 
 
 def check_terms(leg: Leg, placed: Mapping[str, str]) -> None:
-    """Raise if a term of a leg's parameters cannot be one.
+    """Raise if a term of a leg's sensors or parameters cannot be one.
 
     Args:
         leg: The leg.
         placed: Units of the parameters of its placements, by name.
 
     Raises:
-        MechanismError: it is of no length or angle, follows a reading or a side of approach, or
-            its amplitude is such a parameter itself.
+        MechanismError: one of a parameter is of no length or angle, or follows a reading or a side
+            of approach; an amplitude that is a parameter of a placement or sensor itself, or that
+            terms of different units share.
     """
     of_sensors = {one for s in leg.sensors for one in (s.gain, s.offset) if isinstance(one, str)}
     for name, term in leg.terms:
@@ -105,8 +102,25 @@ def check_terms(leg: Leg, placed: Mapping[str, str]) -> None:
                 f"{where} depends on the side of approach, which is a joint's; give the term to a "
                 "sensor, or name a column of your own"
             )
+    units: dict[str, str] = {}
+    for owner, term, unit in _amplitudes(leg, placed):
+        where = f"{leg.name}: term {term.parameter!r} of {owner}"
         if term.parameter in placed or term.parameter in of_sensors:
             raise MechanismError(
                 f"{where}: its amplitude is also a parameter of a placement or sensor; name the "
                 "amplitude otherwise"
             )
+        if units.setdefault(term.parameter, unit) != unit:
+            raise MechanismError(
+                f"{where}: its amplitude, [{unit}], is also that of another term, "
+                f"[{units[term.parameter]}]; name one of them otherwise"
+            )
+
+
+def _amplitudes(leg: Leg, placed: Mapping[str, str]) -> Iterator[tuple[str, Term, str]]:
+    """Yield owners of a leg's terms, for messages, the terms, and the units of their amplitudes."""
+    for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True):
+        for term in sensor.terms:
+            yield f"sensor {sensor.joint!r}", term, term.unit or unit
+    for name, term in leg.terms:
+        yield f"parameter {name!r}", term, term.unit or placed[name]

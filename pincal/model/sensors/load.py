@@ -13,7 +13,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Load:
-    """The weight of platform and payload, on which terms of sensors may depend (``of="load"``)."""
+    """The weight of platform and payload, on which terms may depend (``of="load"``)."""
 
     mass: float = 0.0
     """Of platform and payload, [kg]."""

@@ -7,7 +7,7 @@ them, NaN or no column, is at its reference, where its terms are zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal
@@ -19,7 +19,7 @@ from pincal.errors import MechanismError
 from pincal.model.sensors.terms import Term
 
 Array = NDArray[np.float64]
-_STEPS = 50
+STEPS = 50
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,20 @@ class PlacedTerm:
         column = known[:, self.column]
         b = self.term.basis(column)
         return np.where(np.isfinite(column), b, 0.0) if self.term.of else b
+
+
+def add_terms(terms: Iterable[PlacedTerm], known: Array, to: Array) -> None:
+    """Add a b of terms whose columns are known, shape (N, n_columns), to targets (N, n)."""
+    for one in terms:
+        if one.column < known.shape[1]:
+            to[:, one.target] += one.amplitude * one.basis(known)
+
+
+def add_bases(terms: Iterable[PlacedTerm], known: Array, to: Array) -> None:
+    """Add b, derivatives by amplitudes, likewise: to targets by parameters (N, n, n_params)."""
+    for one in terms:
+        if one.column < known.shape[1]:
+            to[:, one.target, one.parameter] += one.basis(known)
 
 
 @dataclass(frozen=True)
@@ -67,7 +81,7 @@ class SensorLaw:
             influences: Influence quantities, shape (N, n_influences); at reference if not given.
         """
         readings = (joints - self.start) / self.slope
-        for _ in range(_STEPS if self.terms else 0):
+        for _ in range(STEPS if self.terms else 0):
             known = readings if influences is None else np.hstack((readings, influences))
             step = (joints - self.position(known)) / self.slopes(known)
             readings = readings + step
@@ -89,8 +103,7 @@ class SensorLaw:
             known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
         """
         joints = self.slope * known[:, : len(self.slope)] + self.start
-        for one in self._at(known):
-            joints[:, one.target] += one.amplitude * one.basis(known)
+        add_terms(self.terms, known, joints)
         return joints
 
     def slopes(self, known: Array) -> Array:
@@ -108,13 +121,8 @@ class SensorLaw:
         """Return ∂q/∂φ at given readings, shape (N, n_active) to (N, n_active, n_params)."""
         readings = known[:, : len(self.slope), None]
         found = readings * self.slope_by_parameter + self.start_by_parameter
-        for one in self._at(known):
-            found[:, one.target, one.parameter] += one.basis(known)
+        add_bases(self.terms, known, found)
         return found
-
-    def _at(self, known: Array) -> Iterator[PlacedTerm]:
-        """Yield the terms whose columns are known."""
-        return (one for one in self.terms if one.column < known.shape[1])
 
 
 @dataclass(frozen=True)
@@ -161,6 +169,10 @@ class Sensor:
         gain = parameters[self.gain] if isinstance(self.gain, str) else self.gain
         offset = parameters[self.offset] if isinstance(self.offset, str) else self.offset
         return self.direction * gain, offset
+
+    def reads_position(self, parameters: Mapping[str, float]) -> bool:
+        """Return whether readings are joint positions at the given parameter values."""
+        return self.constants(parameters) == (1.0, 0.0) and self.zero == 0.0 and not self.terms
 
     def law(self, parameters: Mapping[str, float]) -> tuple[float, float, Array, Array]:
         """Return slope and start of q = slope ψ + start, and their derivatives by parameters.

@@ -219,6 +219,6 @@ class Term:
         return f"{self.of}_{owner}" if self.of in OF_JOINTS else self.of
 
     @property
-    def plain(self) -> bool:
+    def has_form(self) -> bool:
         """Whether a folder can hold it: one of the forms, not a function of one's own."""
         return self.slope is None and isinstance(self.basis, FORMS)

@@ -1,0 +1,218 @@
+"""What residuals follow that a model lacks: errors of what was measured, each with its course.
+
+An error follows its own reading, the pose, the order of rows, the side of approach, or begins at a
+row. Each reading is asked alone, and what all readings have in common: the same error in each, or
+each its own amplitudes. Positions that drift together are a frame's. All tests are one: the
+probability that so much is found anywhere if nothing is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.estimation.fit import Fit
+from pincal.estimation.problem import Problem
+from pincal.estimation.residuals.chances import Form, of_forms
+from pincal.estimation.residuals.score import Residuals
+from pincal.model.setup import ORIGIN
+
+Array = NDArray[np.float64]
+_HARMONICS = (1, 2, 3)
+ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
+"""All readings; all positions, in a frame that moves; all lengths, which grow."""
+_OWN = ("angle", "order", "approach")  # courses of which motors differ in amplitude
+
+
+@dataclass(frozen=True)
+class Score:
+    """One test: which quantity, which course, and how probable by chance."""
+
+    quantity: str
+    """Reading or measured quantity, as ``Problem.quantities`` names it; ``"readings"``, all,
+    ``"positions"``, all, or ``"lengths"`` of the legs."""
+    term: str
+    """``"angle"``, ``"pose"``, ``"order"``, ``"approach"``, ``"step"`` or ``"again"``."""
+    p_value: float
+    """Of so much of the residuals, or more, in this term; of a step, anywhere."""
+    row: int = 0
+    """Of a step: the first row after it, among those of the fit."""
+    size: float = 0.0
+    """Of a step: by how much the quantity is off after it, [rad] or [m]; of a pose that was
+    measured again: by how much it moved from the first time to the last."""
+    place: str = ""
+    """Of a pose that was measured again: its name."""
+
+    @property
+    def common(self) -> bool:
+        """Whether it asks for what all readings, positions or lengths have in common."""
+        return self.quantity in (ALL, FRAME, LENGTHS)
+
+
+@dataclass
+class _Asked:
+    """Tests of one fit: what is asked, and what residuals say of it."""
+
+    left: Residuals
+    kinds: list[tuple[str, str]] = field(default_factory=list)
+    forms: list[Form] = field(default_factory=list)
+
+    def add(self, quantity: str, term: str, W: Array) -> None:
+        """Ask for errors of white rows W, shape (n_used, m, f)."""
+        self.kinds.append((quantity, term))
+        self.forms.append(self.left.form(W))
+
+    def scores(self) -> Iterator[Score]:
+        """Yield the answers."""
+        chances = of_forms(self.forms, self.left.chi2, self.left.degrees_of_freedom)
+        for (quantity, term), p_value in zip(self.kinds, chances.tolist(), strict=True):
+            yield Score(quantity, term, p_value)
+
+
+def scores(one: Fit, again: Mapping[str, NDArray[np.intp]] | None = None) -> list[Score]:
+    """Return the score tests of a fit, none of them independent of the others.
+
+    Args:
+        one: The fit.
+        again: Rows of poses that were measured again and again, among those of the fit: whether
+            what was measured there moved with time.
+    """
+    if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
+        return []
+    left, problem = Residuals.of(one), one.problem
+    asked, errors = _Asked(left), dict(errors_of(one, left.used))
+    readings = problem.quantities[: problem.reading_columns[-1].stop]
+    time = np.linspace(-1.0, 1.0, len(left.used))[:, None]
+    pose = _of_pose(one, left.used)
+    alike: dict[tuple[str, int], Array] = {}
+    own: dict[str, list[Array]] = {term: [] for term in _OWN}
+    for column, (name, w) in enumerate(errors.items()):
+        courses = {"order": time}
+        if name in readings:
+            courses |= {"angle": _of_value(one, column, left.used), "pose": pose}
+            courses |= {"approach": _side(one, column, left.used)}
+        for term, b in courses.items():
+            W = w[:, :, None] * b[:, None]
+            asked.add(name, term, W)
+            if name in readings and len(readings) > 1:
+                kind = term, b.shape[1]
+                alike[kind] = alike.get(kind, 0.0) + W
+                own.get(term, []).append(W)
+    for (term, _), W in alike.items():
+        asked.add(ALL, term, W)
+    for term, several in own.items():
+        if several:
+            asked.add(ALL, term, np.concatenate(several, axis=2))
+    moved, axes = of_frame(problem, errors)
+    if len(axes) > 1:
+        asked.add(FRAME, "order", moved * time[:, None])
+    asked.add(LENGTHS, "order", (_grown(one, left.used) * time)[:, :, None])
+    found = [*asked.scores()]
+    for name, w in errors.items():
+        found.append(Score(name, "step", *left.step(w)))
+        found += _again(left, name, w, again or {})
+    return found
+
+
+def _again(
+    left: Residuals, name: str, w: Array, again: Mapping[str, NDArray[np.intp]]
+) -> Iterator[Score]:
+    """Yield whether a quantity moved with time, at each pose that was measured again."""
+    for place, rows in again.items():
+        moved = w * _since(left.used, rows)[:, None]
+        form = left.form(moved[:, :, None])
+        p_value = float(of_forms([form], left.chi2, left.degrees_of_freedom)[0])
+        yield Score(name, "again", p_value, size=left.size(moved), place=place)
+
+
+def errors_of(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
+    """Yield each measured quantity and the white rows of its unit error, shape (n_used, m)."""
+    problem, stack = one.problem, one.last.stack
+    names = iter(problem.quantities)
+    for index, (demand, rows, columns) in enumerate(
+        zip(stack.demands, problem.leg_rows, problem.reading_columns, strict=True)
+    ):
+        for place in range(columns.stop - columns.start):
+            error = np.zeros((*stack.value.shape, 1))
+            error[:, rows, 0] = np.where(
+                problem.used[:, index, None], demand.reading[:, :, place], 0.0
+            )
+            yield next(names), one.last.white(error)[used, :, 0]
+    if problem.latent:
+        n_legs = problem.leg_rows[-1].stop
+        for column in range(problem.observation.measured.shape[1]):
+            error = np.zeros((*stack.value.shape, 1))  # residuals are predicted less measured
+            error[:, n_legs + column, 0] = -problem.observation.measured[:, column].astype(float)
+            yield next(names), one.last.white(error)[used, :, 0]
+
+
+def of_frame(problem: Problem, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, ...]]:
+    """Return the white rows of all positions that are off alike, (n_used, m, axes), and the axes.
+
+    Args:
+        problem: The problem.
+        errors: White rows of unit errors by quantity (see ``errors_of``).
+    """
+    every = [of_target(problem, errors, name) for name in problem.observation.setup.targets]
+    moved = np.sum(every, axis=0)
+    known = moved.any(axis=(0, 1))
+    axes = "xyz"[: problem.platform.space]
+    return moved[:, :, known], tuple(one for one, is_ in zip(axes, known, strict=True) if is_)
+
+
+def of_target(problem: Problem, errors: Mapping[str, Array], target: str) -> Array:
+    """Return the white rows of a target's position that is off along x, y, z, (n_used, m, axes)."""
+    stem = "" if target == ORIGIN else f"{target}_"
+    none = np.zeros(next(iter(errors.values())).shape)
+    axes = "xyz"[: problem.platform.space]
+    return np.stack([errors.get(f"measured {stem}{axis}", none) for axis in axes], axis=2)
+
+
+def _since(used: NDArray[np.intp], rows: NDArray[np.intp]) -> Array:
+    """Return the time at rows of one pose about its mean, 1 from first to last; 0 at others."""
+    own = np.flatnonzero(np.isin(used, rows))
+    when = np.zeros(len(used))
+    if len(own) > 1:
+        when[own] = (used[own] - used[own].mean()) / np.ptp(used[own])
+    return when
+
+
+def _grown(one: Fit, used: NDArray[np.intp]) -> Array:
+    """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
+    J, lengths = one.last.jacobian[used], np.zeros(len(one.unknowns.names))
+    for leg, columns in zip(one.problem.legs, one.problem.columns, strict=True):
+        own = {name for name, unit in leg.units.items() if unit == "m"} - leg.amplitudes
+        long = np.array([name in own for name in leg.parameter_names])
+        lengths[columns] = long * one.parameters[columns]
+    return np.asarray(J @ lengths)
+
+
+def _of_value(one: Fit, column: int, used: NDArray[np.intp]) -> Array:
+    """Return by what an error of a reading may follow its own value, shape (n_used, f)."""
+    problem = one.problem
+    reading = problem.readings[used, column]
+    leg = next(i for i, own in enumerate(problem.reading_columns) if own.start <= column < own.stop)
+    unit = problem.legs[leg].reading_units[column - problem.reading_columns[leg].start]
+    if unit == "rad":
+        turns = [k * reading for k in _HARMONICS]
+        return np.stack([f(turn) for turn in turns for f in (np.sin, np.cos)], axis=1)
+    along = (reading - reading.mean()) / (float(np.ptp(reading)) or 1.0)
+    return np.stack([along**2, along**3], axis=1)
+
+
+def _of_pose(one: Fit, used: NDArray[np.intp]) -> Array:
+    """Return by what an error may follow the pose, to second order, shape (n_used, f)."""
+    poses = one.problem.platform.from_matrices(one.last.state.matrices[used])
+    scale = np.ptp(poses, axis=0)
+    x = (poses - poses.mean(axis=0)) / np.where(scale > 0.0, scale, 1.0)
+    i, j = np.triu_indices(x.shape[1])
+    return np.concatenate((x, x[:, i] * x[:, j]), axis=1)
+
+
+def _side(one: Fit, column: int, used: NDArray[np.intp]) -> Array:
+    """Return from which side a reading was come to, shape (n_used, 1)."""
+    side = np.sign(np.diff(one.problem.readings[:, column], prepend=np.nan))[used]
+    return np.nan_to_num(side)[:, None]

@@ -1,0 +1,124 @@
+"""What residuals follow: chances of sums of squares, many tests as one, causes in common."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cramer_rao import Machine, drawn, machine
+from numpy.typing import NDArray
+from scipy.stats import beta
+
+import pincal
+from pincal.calibration.calibrate import prepared, started
+from pincal.calibration.fits import fitted
+from pincal.calibration.terms.kinds import every_pair
+from pincal.calibration.terms.screen import Candidate, screen
+from pincal.estimation.residuals.chances import Form, above, of_forms, together
+from pincal.estimation.residuals.slips import slips
+
+Array = NDArray[np.float64]
+NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
+
+
+@pytest.mark.parametrize("weights", [[1.0], [1.0, 1.0, 1.0], [0.02, 0.02, 0.5, 0.9, 1.0]])
+def test_weighted_sums_are_as_probable_as_draws_of_them(weights: list[float]) -> None:
+    """Within four errors of 100,000 draws, or 3 %, down to one in a thousand."""
+    rng, free, count = np.random.default_rng(0), 40, 100_000
+    squares = rng.standard_normal((count, len(weights))) ** 2
+    rest = rng.chisquare(free - len(weights), count)
+    shares = np.sort(squares @ weights / (squares.sum(axis=1) + rest))
+    for chance in (0.5, 0.1, 1e-2, 1e-3):
+        t = shares[-round(chance * count)]
+        found = float(above(np.array([weights]), np.array([t]), free)[0])
+        assert abs(found - chance) < 4 * np.sqrt(chance / count) + 0.03 * chance
+
+
+def test_equal_weights_have_the_law_of_beta() -> None:
+    """Three equal weights, up to one in 10¹²: within 4 % of the beta distribution."""
+    t = np.array([0.2, 0.4, 0.6, 0.8])
+    found = above(np.ones((4, 3)), t, 30)
+    np.testing.assert_allclose(found, beta.sf(t, 1.5, 13.5), rtol=0.04)
+
+
+def test_what_parameters_take_up_is_not_seen() -> None:
+    """Nothing is read in rounding errors: the probability is one."""
+    nothing = Form(np.array([1e-25, 1e-22]), 1e-22, 1.0)
+    something = Form(np.array([0.5, 1.0]), 6.0, 1.0)
+    chances = of_forms([nothing, something], 30.0, 30)
+    assert chances[0] == 1.0
+    assert chances[1] < 0.1
+
+
+def test_tests_together_find_nothing_once_in_a_hundred_times() -> None:
+    """Independent, and all alike: 1 % of 20,000, to three errors; agreeing tests are stronger."""
+    rng, weights = np.random.default_rng(0), np.full(30, 1.0 / 30.0)
+    independent = rng.uniform(size=(20_000, 30))
+    alike = np.repeat(rng.uniform(size=(20_000, 1)), 30, axis=1)
+    for p_values in (independent, alike):
+        share = np.mean([together(one, weights) < 0.01 for one in p_values])
+        assert share == pytest.approx(0.01, abs=3 * np.sqrt(0.01 / 20_000))
+    few = np.ones(30)
+    few[:3] = 1e-3
+    single = np.ones(30)
+    single[0] = 1e-3
+    assert together(few, weights) < 0.5 * together(single, weights)
+
+
+def waves(one: Machine) -> Array:
+    """Return errors of motors of two periods in a turn, each motor with its phase."""
+    psi = one.readings(one.parameters, np.zeros((len(one.positions), one.dof)))
+    return np.asarray(5e-4 * np.sin(2.0 * psi + np.array([0.0, 2.0, 4.0])))
+
+
+def growth(one: Machine) -> Array:
+    """Return readings of a machine whose links grow by 60 µm from the first row to the last."""
+    still = np.zeros((len(one.positions), one.dof))
+    longer = np.array([p.name in ("l", "L") for p in one.nominal.parameters]) * 6e-5
+    more = one.readings(one.parameters + longer, still) - one.readings(one.parameters, still)
+    return np.asarray(np.linspace(0.0, 1.0, len(still))[:, None] * more)
+
+
+def screened(one: Machine, data: pincal.Measurements) -> tuple[Candidate, bool]:
+    """Return the first candidate, and whether something seems to have slipped."""
+    found = fitted(started(prepared(one.nominal, data, noise=NOISE)))
+    first = screen(found, every_pair(one.nominal, data))[0]
+    return first, bool(slips(found.fits[0].fit))
+
+
+def test_what_all_motors_have_is_one_candidate() -> None:
+    """Motors alike in kind are named together, with fewer parameters than their sines would need.
+
+    Over a radian a sine of two periods and a curve are one; one term of all readings mends it.
+    """
+    one = machine("3RRR", 60)
+    data = drawn(one, NOISE, 3, waves(one))
+    first, _ = screened(one, data)
+    assert (first.reading, first.kind.name) == ("readings", "polynomial")
+    assert len(first.names) == 6
+    result = pincal.calibrate(one.nominal, data, noise=NOISE)
+    assert any(one.code == "model-lacks" for one in result.contradictions)
+    assert pincal.calibrate(one.nominal, data, noise=NOISE, terms="polynomial").promises
+
+
+def test_a_single_motor_is_named_alone() -> None:
+    """One of three that is off is told from all three."""
+    one = machine("3RRR", 60)
+    first, _ = screened(one, drawn(one, NOISE, 3, 3.0 * waves(one) * [0.0, 1.0, 0.0]))
+    assert first.reading == "leg_2"
+
+
+def test_a_drift_that_a_column_explains_is_none() -> None:
+    """Lengths that follow a temperature look like encoders that drift; the clearer one is named."""
+    one = machine("3RRR", 60)
+    data = drawn(one, NOISE, 0, growth(one))
+    warm = {"temperature": np.linspace(20.0, 26.0, len(data))}
+    data = replace(data, influences=warm)
+    first, seems = screened(one, data)
+    assert first.kind.name == "temperature"
+    assert first.unit == "m"
+    assert seems
+    found = pincal.explain(one.nominal, data, noise=NOISE, terms="L=temperature")
+    assert not found.choice.slips
+    assert found.terms == ("L=temperature",)
