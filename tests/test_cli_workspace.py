@@ -42,6 +42,7 @@ def test_total_orientation_of_the_hexapod(tmp_path: Path) -> None:
     np.testing.assert_array_equal(positions(files[0]), found.positions)
 
 
+@pytest.mark.slow
 def test_the_circle_is_printed_and_drawn(tmp_path: Path) -> None:
     """The five-bar's maximal inscribed circle, as table and as pictures."""
     margins = ["--margin-type1", 0, "--margin-type2", 0]

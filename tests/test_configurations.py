@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from arms import loaded, robot, urdf
 from command_line import run
-from marks import quick
 from measured import put
 
 import pincal
@@ -76,7 +75,8 @@ def test_small_choices_are_the_best(noise: pincal.Noise, tmp_path: Path) -> None
     assert 0.0 < found.efficiency <= 1.0
 
 
-@pytest.mark.parametrize("points", quick(1, [False, True]))
+@pytest.mark.slow
+@pytest.mark.parametrize("points", [False, True])
 def test_choices_beat_chance(points: bool) -> None:
     """Thirty of 400 configurations say more than any of 200 random plans; none is taken twice."""
     mechanism = loaded("ur10")

@@ -109,6 +109,7 @@ def test_a_single_motor_is_named_alone() -> None:
     assert first.reading == "leg_2"
 
 
+@pytest.mark.slow
 def test_a_drift_that_a_column_explains_is_none() -> None:
     """Lengths that follow a temperature look like encoders that drift; the clearer one is named."""
     one = machine("3RRR", 60)

@@ -167,6 +167,7 @@ def test_temperature_is_a_scale_and_more_rows_do_not_help() -> None:
     assert errors[1] > 1e-6
 
 
+@pytest.mark.slow
 def test_the_offset_of_a_target_that_is_known_with_an_uncertainty() -> None:
     """Parameters move as when the offset is off; unknown offsets have none."""
     one = cramer_rao.machine("6UPS", 30)

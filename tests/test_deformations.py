@@ -191,6 +191,7 @@ def test_the_papers_ways_find_them_too(options: pincal.Options) -> None:
     recovered("5R", "temperature", options=options)
 
 
+@pytest.mark.slow
 def test_held_out_rows_are_predicted_at_their_temperatures() -> None:
     """Rows held out miss as those of a machine without terms do; blind to the columns, more."""
     nominal, true = machine_of("3RRR")

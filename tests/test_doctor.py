@@ -155,6 +155,7 @@ def test_one_gross_row_is_left_out(kind: str, tmp_path: Path) -> None:
     assert "--robust reject" in outcome.out
 
 
+@pytest.mark.slow
 def test_columns_without_a_meaning_are_copied_to_the_mended_file(tmp_path: Path) -> None:
     """A temperature, a note: as they were, cell by cell, behind what pincal knows."""
     mechanism, _, data = machine("3RRR", 24, NOISE)
@@ -170,6 +171,7 @@ def test_columns_without_a_meaning_are_copied_to_the_mended_file(tmp_path: Path)
         assert mended.text[name] == given.text[name]
 
 
+@pytest.mark.slow
 def test_doctor_does_not_say_works_for_what_calibrate_contradicts() -> None:
     """Two runs 0.2 mm apart fit within the noise; compared, they differ: nothing works."""
     mechanism, _, data = machine("3RRR", 24, NOISE)
@@ -185,6 +187,7 @@ def test_doctor_does_not_say_works_for_what_calibrate_contradicts() -> None:
     assert not first.works
 
 
+@pytest.mark.slow
 def test_counts_of_another_scale_are_said_as_the_option_that_is_right(tmp_path: Path) -> None:
     """Ten times the counts a turn: no file is written, the command has the right number."""
     mechanism, _, data = machine("3RRR", 24, NOISE)

@@ -174,7 +174,7 @@ def box_poses() -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "name", quick(5, ["6UPS", "3RRR", "5R", "linear_delta", "4cable", "delta", "box"])
+    "name", quick(3, ["3RRR", "linear_delta", "4cable", "6UPS", "5R", "delta", "box"])
 )
 def test_frames_may_stand_anywhere(name: str) -> None:
     """Base and platform frame moved at random: the same group, readings and O₁ at mapped poses."""

@@ -171,6 +171,7 @@ def test_ends_are_said_saved_and_loaded(tmp_path: Path, monkeypatch: pytest.Monk
     assert [p.ends for p in of_legs(again)] == [p.ends for p in of_legs(result)]
 
 
+@pytest.mark.slow
 def test_an_interval_may_have_no_end() -> None:
     """12 poses of a 5R at 10 mm: beyond some length of a crank the others explain as much.
 

@@ -453,7 +453,9 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
             "if the positions are in mm under a metre header",
             marks=pytest.mark.slow,
         ),
-        ("line", {"setup": FRAME}, "all on a line|all at one place"),
+        pytest.param(
+            "line", {"setup": FRAME}, "all on a line|all at one place", marks=pytest.mark.slow
+        ),
         pytest.param(
             "exchange", {}, "legs are exchanged: .* order of columns", marks=pytest.mark.slow
         ),

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from marks import some_slow
+from marks import quick, some_slow
 from measured import workspace
 from scipy.spatial.transform import Rotation
 
@@ -64,7 +64,7 @@ def test_a_frame_that_was_taken_for_the_base_or_platform_is_named(kind: str, wha
         assert turn == pytest.approx(np.deg2rad(500.0), rel=0.35)
 
 
-@pytest.mark.parametrize("kind", some_slow(["5R", *KINDS], "6UPS", "3PRR"))
+@pytest.mark.parametrize("kind", quick(1, ["5R", *KINDS]))
 def test_machines_alone_raise_no_suspicion(kind: str) -> None:
     """Of six machines whose parameters differ each in its own way, none."""
     for seed in range(6):

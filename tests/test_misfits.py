@@ -135,7 +135,7 @@ def test_poses_in_another_frame_are_recognised(kind: str) -> None:
     assert "--unknown-frame" in said((one,))
 
 
-@pytest.mark.parametrize("kind", LONG)
+@pytest.mark.parametrize("kind", quick(1, KINDS))
 @pytest.mark.parametrize("free", [False, True])
 def test_positions_alone_are_explained_after_a_fit(kind: str, free: bool) -> None:
     """Without orientations nothing is refused beforehand, but what is wrong is found."""

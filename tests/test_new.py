@@ -163,7 +163,8 @@ def test_what_is_written_can_be_checked_planned_measured_and_calibrated(
     np.testing.assert_allclose(identified, true, atol=2e-7)
 
 
-@pytest.mark.parametrize("stroke", quick(1, [0.003, 0.02]))
+@pytest.mark.slow
+@pytest.mark.parametrize("stroke", [0.003, 0.02])
 def test_strokes_that_are_small_against_the_machine_are_sampled_in_full(stroke: float) -> None:
     """All legs go from end to end of a stroke of a hundredth of their length."""
     hexapod = pincal.new_mechanism("hexapod", shortest=0.399, longest=0.399 + stroke)

@@ -351,7 +351,7 @@ def test_calibrate_keeps_what_lies_in_the_result(tmp_path: Path) -> None:
     res, data = tmp_path / "res", tmp_path / "res" / "measured.csv"
     done("workspace", "5R", "--count", 60, "-o", tmp_path / "plan.csv")
     done("simulate", "5R", tmp_path / "plan.csv", "-o", tmp_path / "measured.csv")
-    known = ("--noise-position", 1e-4, "--folds", 0)
+    known = ("--noise-position", 1e-4, "--folds", 0, "--no-report")
     done("calibrate", "5R", tmp_path / "measured.csv", *known, "-o", res)
     (tmp_path / "measured.csv").rename(data)
     (res / "notes.txt").write_text("years of work")

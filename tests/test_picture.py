@@ -168,6 +168,7 @@ def test_pictures_of_the_docs_are_what_the_command_makes(name: str, tmp_path: Pa
     assert len(there) < 200_000
 
 
+@pytest.mark.slow
 def test_same_pictures_are_the_same_bytes(tmp_path: Path) -> None:
     """Every format, twice: no dates, no random names."""
     mechanism = pincal.load_mechanism("6UPS")

@@ -400,6 +400,7 @@ def test_a_model_that_lacks_something_is_not_laid_on_rows() -> None:
     assert "wrong-rows" not in codes
 
 
+@pytest.mark.slow
 def test_good_rows_are_judged_at_the_noise_in_question() -> None:
     """Huber's loss with noise not given on sound data of which the first guess is far off."""
     one = cramer_rao.machine("3RRR", 60)
@@ -409,6 +410,7 @@ def test_good_rows_are_judged_at_the_noise_in_question() -> None:
     assert not result.outliers
 
 
+@pytest.mark.slow
 def test_few_outliers_of_a_loss_contradict_nothing() -> None:
     """Three of sixty rows 30 σ off, Huber's loss: χ² and tests are of the rows that fit."""
     one, data = cramer_rao.machine("5R", 60), []

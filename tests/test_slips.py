@@ -163,7 +163,7 @@ def test_steps_of_columns_are_found(step: float) -> None:
     assert step_of(np.round(values[:5] / step) * step) == 0.0  # too few to say
 
 
-@pytest.mark.parametrize("gain", [1.0, 0.5])
+@pytest.mark.parametrize("gain", quick(1, [0.5, 1.0]))
 def test_play_bounds_the_noise_of_a_reading(gain: float) -> None:
     """Half of the play that a reading has is its noise, however it is geared."""
     plain, data = measured("3RRR", gain=gain)

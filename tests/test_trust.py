@@ -93,6 +93,7 @@ def test_a_model_that_lacks_something_is_found_out() -> None:
     assert "held-out-worse" in {one.code for one in found.findings}
 
 
+@pytest.mark.slow
 def test_drift_is_found() -> None:
     """A tracker that moves by 0.6 mm over the rows: residuals follow their order, by leg."""
     mechanism, _, data = machine("3RRR", 80)
@@ -214,6 +215,7 @@ def test_standard_errors_in_an_unknown_frame(method: str) -> None:
     assert actual == pytest.approx(expected, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_command_holds_runs_out(tmp_path: Path) -> None:
     """``--by run`` leaves out each run in turn: what is said equals ``validate`` from Python."""
     mechanism, truth, clean = machine("5R", 40, EXACT)

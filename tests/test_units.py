@@ -182,6 +182,7 @@ def test_every_unit_of_tables_can_be_printed(name: str) -> None:
     assert SMALL["m"] == "mm"
 
 
+@pytest.mark.slow
 def test_the_report_is_in_the_units_asked_for(counted: Path, tmp_path: Path) -> None:
     """Cards, sentences, tables and figures; the terminal's sentences alike."""
     said = (*GIVEN, "--counts", "4096/turn", "--folds", 0, "--units", "in,deg")

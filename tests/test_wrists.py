@@ -56,6 +56,7 @@ def test_null_space_follows_without_a_jump(m: int, p: int) -> None:
     assert (np.linalg.det(np.concatenate((A, N), axis=2)) > 0.0).all()
 
 
+@pytest.mark.slow
 def test_readings_poses_and_margins_are_those_of_balls(
     balls: pincal.Mechanism, wrists: pincal.Mechanism, poses: np.ndarray
 ) -> None:

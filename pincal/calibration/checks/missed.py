@@ -17,6 +17,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import clusters
 from pincal.calibration.fits import Fits
 from pincal.design.platform_error import CONFIDENCE, DRAWS
+from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.forward import forward
 from pincal.model.setup import ORIGIN
 
@@ -160,8 +161,13 @@ def _ends(
     poses = len(counts)
     if poses < 2:
         return (0.0, np.inf), (0.0, np.inf), poses
-    drawn = np.random.default_rng(0).multinomial(poses, np.full(poses, 1.0 / poses), DRAWS)
-    means = (drawn @ sums.T) / (drawn @ counts)[:, None]
+    random, every = np.random.default_rng(0), np.vstack((sums, counts))
+    drawn = [
+        every[:, random.integers(poses, size=(len(some), poses))].sum(axis=2)
+        for some in np.array_split(np.empty(DRAWS), min(DRAWS, 1 + DRAWS * poses // CHUNK))
+    ]
+    own, number = np.split(np.concatenate(drawn, axis=1), [2])
+    means = (own / number).T
     low, high = np.quantile(means, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=0)
     return (
         (float(low[0]), float(high[0])),
