@@ -30,7 +30,8 @@ from .kinematics.inverse import inverse
 from .kinematics.readers import free_of_collision
 from .kinematics.singularity import margins
 from .model.instrument import Condition, Instrument
-from .model.leg import Joint, Leg
+from .model.joint import Joint
+from .model.leg import Leg
 from .model.measurements import Measurements, Noise, Plan
 from .model.mechanism import Mechanism
 from .model.parameter import Parameter

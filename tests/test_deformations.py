@@ -23,7 +23,7 @@ from pincal.calibration.terms.screen import screen
 from pincal.errors import MeasurementError, MechanismError, SymmetryError
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.loads import gravity_loads
-from pincal.model.leg import Joint
+from pincal.model.joint import Joint
 from pincal.model.placement import Coordinate
 from pincal.model.sensors.load import Load
 from pincal.symmetry.carry import canonical, carry

@@ -13,7 +13,7 @@ from pincal.errors import MechanismError
 from pincal.files.tables.table import is_dataframe
 from pincal.files.tables.table_reading import read_table
 from pincal.formats.arm import arm, load_arm
-from pincal.model.leg import Joint
+from pincal.model.joint import Joint
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Step, placement_of
 

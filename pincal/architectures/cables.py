@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.architectures.dimension import Architecture, Dimension, Values
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement
 from pincal.model.platform import Platform

@@ -13,7 +13,7 @@ from pincal.errors import MechanismError
 from pincal.files.input import plain_number, why_no_number
 from pincal.files.xml import read_xml
 from pincal.model.checks import LARGEST
-from pincal.model.leg import Joint, JointKind
+from pincal.model.joint import Joint, JointKind
 from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]

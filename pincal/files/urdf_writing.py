@@ -6,7 +6,8 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]

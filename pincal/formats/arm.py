@@ -17,7 +17,8 @@ from pincal.errors import MechanismError
 from pincal.files.urdf import read_path
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.forest import Base, Elementary, Forest, Motion, forest
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]

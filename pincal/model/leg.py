@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -12,58 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.checks import LARGEST, must_be, number_of
-from pincal.model.overview import counted, one_line, triple
+from pincal.model.checks import must_be, number_of
+from pincal.model.consistency import check_leg
+from pincal.model.joint import Joint
+from pincal.model.overview import counted, one_line
 from pincal.model.parameter import listed
-from pincal.model.placement import Placement
-from pincal.model.sensors.deformations import check_terms
 from pincal.model.sensors.sensor import Sensor
 from pincal.model.sensors.terms import Term
 
 Array = NDArray[np.float64]
-JointKind = Literal["revolute", "prismatic", "fixed"]
 Closing = Literal["point", "frame"]
-
-
-@dataclass(frozen=True)
-class Joint:
-    """One joint of a leg: a placement on the parent link, then a motion about or along an axis."""
-
-    name: str
-    kind: JointKind
-    placement: Placement = field(default_factory=Placement)
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Unit axis in the joint's own frame; no meaning where fixed."""
-    lower: float = -2 * np.pi
-    upper: float = 2 * np.pi
-    """Limits, [rad] or [m]."""
-    home: float = 0.0
-    """Position in the home configuration, [rad] or [m]; fixes the working mode."""
-    mass: float = 0.0
-    """Of the link behind the joint, [kg]."""
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of that mass, in the joint's own frame, [m]."""
-
-    def __repr__(self) -> str:
-        axis = f" {'about' if self.turns else 'along'} {triple(self.axis)}"
-        moves = (
-            axis * (self.kind != "fixed"),
-            f"from {self.lower:.4g} to {self.upper:.4g}, home {self.home:.4g}",
-        )
-        place = f"at {self.placement!r}" if self.placement != Placement() else ""
-        own = moves[1] if self.kind != "fixed" else ""
-        return one_line("Joint", repr(self.name), self.kind + moves[0], own, place)
-
-    @property
-    def limited(self) -> bool:
-        """Whether the limits bar some position: a range of a full turn or more bars none."""
-        turns = self.kind == "revolute" and self.upper - self.lower >= 2 * np.pi
-        return self.kind != "fixed" and not turns
-
-    @property
-    def turns(self) -> bool:
-        """Whether positions are angles."""
-        return self.kind == "revolute"
 
 
 @dataclass(frozen=True)
@@ -94,59 +51,7 @@ class Leg:
     Share(10.0, 20.0), of="temperature"))``; the amplitude is a parameter too."""
 
     def __post_init__(self) -> None:
-        for joint in self.moving:
-            finite = np.isfinite([joint.lower, joint.upper])
-            unbounded = joint.kind == "revolute" and not finite.any()
-            if not (joint.lower < joint.upper and (finite.all() or unbounded)):
-                raise MechanismError(
-                    f"{self.name}: joint {joint.name!r} has limits {joint.lower:g} to "
-                    f"{joint.upper:g}; expected finite ones, lower below upper"
-                )
-        names = [joint.name for joint in self.joints]
-        if len(set(names)) != len(names):
-            raise MechanismError(f"{self.name}: joint names repeat: {names}")
-        read = [sensor.joint for sensor in self.sensors]
-        if wrong := [name for name in read if name not in {j.name for j in self.moving}]:
-            raise MechanismError(
-                f"{self.name}: active joint {wrong[0]!r} is not a moving joint of the "
-                f"leg; it has {', '.join(j.name for j in self.moving)}"
-            )
-        if not read or len(set(read)) != len(read):
-            raise MechanismError(
-                f"{self.name}: its sensors read {', '.join(read) or 'nothing'}; expected one "
-                "sensor or more, each of another joint"
-            )
-        if odd := [name for name in read if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]:
-            raise MechanismError(
-                f"{self.name}: joint {odd[0]!r} is read, but its name cannot head a column; "
-                "expected letters, digits and underscores. Rename it in the URDF"
-            )
-        check_terms(self, self.placed)
-        used = set(self.units)
-        declared = [name for name, _ in self.parameters]
-        if len(set(declared)) != len(declared):
-            raise MechanismError(f"{self.name}: parameter names repeat: {declared}")
-        if missing := used - set(declared):
-            raise MechanismError(
-                f"{self.name}: parameter {sorted(missing)[0]!r} is used in a placement or the "
-                "sensor but has no nominal value under 'parameters'"
-            )
-        if unused := set(declared) - used:
-            raise MechanismError(
-                f"{self.name}: parameter {sorted(unused)[0]!r} is used by no placement and not "
-                "by the sensor; name it in one of them or remove it"
-            )
-        if not all(np.isfinite(value) for _, value in self.parameters):
-            raise MechanismError(f"{self.name}: a nominal parameter is not a finite number")
-        for sensor in self.sensors:
-            gain, _ = sensor.constants(self.nominal_by_name)
-            if not 1.0 / LARGEST <= abs(gain) <= LARGEST:
-                raise MechanismError(
-                    f"{self.name}: the sensor's gain is {gain:g}; expected one that is neither "
-                    f"zero nor more than {LARGEST:g} times too small or large"
-                )
-        for joint in (*self.joints, self.point):
-            joint.placement.rest(self.nominal_by_name, f"{self.name}, joint {joint.name!r}")
+        check_leg(self)
 
     def __repr__(self) -> str:
         return one_line(

@@ -14,20 +14,15 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.checks import must_be
+from pincal.model.consistency import check_mechanism
 from pincal.model.leg import Leg
-from pincal.model.orientation import SINGLE_ANGLES, WAYS
-from pincal.model.overview import ROWS, counted, one_line
+from pincal.model.overview import counted, one_line, page
 from pincal.model.parameter import Parameter, Parameters, labels_of
-from pincal.model.placement import Placement
 from pincal.model.platform import Platform
 from pincal.model.sensors.load import Load
 from pincal.model.sensors.terms import LOAD, OF_JOINTS
 
 Array = NDArray[np.float64]
-#: Columns of tables that mean something else than a reading.
-RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
-    name for names, _ in WAYS.values() for name in names
-}
 
 
 @dataclass(frozen=True)
@@ -46,65 +41,7 @@ class Mechanism:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", labels_of(self.labels, self.name))
-        names = [leg.name for leg in self.legs]
-        if not names:
-            raise MechanismError(f"mechanism {self.name!r} has no legs")
-        if len(set(names)) != len(names):
-            raise MechanismError(f"mechanism {self.name!r}: leg names repeat: {names}")
-        if not (self.name and self.name.isprintable() and len(self.name) <= 100):
-            raise MechanismError(f"{self.name[:100]!r} is no name for a mechanism")
-        readings = self.reading_names
-        if taken := [name for name in readings if name in RESERVED or name.startswith("sigma_")]:
-            raise MechanismError(
-                f"mechanism {self.name!r}: a reading named {taken[0]!r} cannot be distinguished "
-                f"from that column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
-            )
-        if taken := [name for name in self.influences if name in RESERVED or name in readings]:
-            raise MechanismError(
-                f"mechanism {self.name!r}: a term depends on {taken[0]!r}, which is another column "
-                "of tables; name the influence otherwise"
-            )
-        known = {one.id for one in self.parameters}
-        drawn = () if self.load is None else self.load.drawn
-        if odd := [name for name, _ in drawn if name not in known]:
-            raise MechanismError(
-                f"mechanism {self.name!r}: the load's drawing has {odd[0]!r}, which is no parameter"
-            )
-        if self.load is None and self.loaded:
-            raise MechanismError(
-                f"mechanism {self.name!r}: a term depends on a load, but what "
-                "weighs on the mechanism is not said; give 'load' (mass, centre, gravity)"
-            )
-        if len(set(readings)) != len(readings):
-            raise MechanismError(
-                f"mechanism {self.name!r}: names of readings repeat: {', '.join(readings)}; a "
-                "leg's only sensor is named after the leg, several ones after their joints"
-            )
-        if "platform" in names:
-            raise MechanismError("'platform' names the platform's file; name the leg otherwise")
-        points: dict[str, tuple[str, Placement]] = {}
-        for leg in self.legs:
-            other, placement = points.setdefault(leg.point.name, (leg.name, leg.point.placement))
-            if other != leg.name and (
-                placement != leg.point.placement or placement.parameter_units
-            ):
-                raise MechanismError(
-                    f"{other} and {leg.name} share the platform point {leg.point.name!r}, so it "
-                    "must be the same for both and have no parameters; give each leg its own point"
-                )
-        for leg in self.legs:
-            rows, passive = len(self.platform.closing(leg.closes)), len(leg.passive)
-            if passive >= rows:
-                raise MechanismError(
-                    f"{leg.name} has {passive} passive joints for {rows} rows of its closure: it "
-                    "demands nothing of the platform; read another of its joints, or leave it out"
-                )
-        planar = self.platform.space == 2
-        for leg in self.legs if planar else ():
-            for joint in leg.joints:
-                _check_planar(
-                    leg.name, joint.name, joint.kind, joint.placement.origin(), joint.axis
-                )
+        check_mechanism(self)
 
     def __repr__(self) -> str:
         kind = f"{self.platform.kind} platform"
@@ -112,7 +49,7 @@ class Mechanism:
         return one_line("Mechanism", repr(self.name), kind, *numbers)
 
     def __str__(self) -> str:
-        return _page(self)
+        return page(self)
 
     @cached_property
     def leg_names(self) -> tuple[str, ...]:
@@ -368,66 +305,3 @@ class Mechanism:
         from pincal.files.mechanism_folders import save_mechanism
 
         return save_mechanism(self, folder, force=force)
-
-
-def _page(mechanism: Mechanism) -> str:
-    """Return a mechanism on a page: platform, legs, and a table of its nominal parameters."""
-    platform = mechanism.platform
-    home = zip(platform.coordinates, platform.home, platform.units, strict=True)
-    lines = [
-        f"{mechanism.name}{': ' * bool(mechanism.description)}{mechanism.description}",
-        f"platform {platform.kind}, at home "
-        + ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in home),
-        *_columns(
-            [
-                [
-                    leg.name,
-                    leg.joint_letters,
-                    f"reads {', '.join(leg.reading_names)}",
-                    f"closes a {leg.closes}",
-                ]
-                for leg in mechanism.legs
-            ]
-        ),
-        "",
-        f"nominal parameters, {len(mechanism.parameters)} in all:",
-    ]
-    units = {name: unit for leg in mechanism.legs for name, unit in leg.units.items()}
-    names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
-    legs = [leg.nominal_by_name for leg in mechanism.legs]
-    grid = [["", *mechanism.leg_names]]
-    grid += [
-        [f"{name} [{units[name]}]", *(f"{leg[name]:.6g}" if name in leg else "" for leg in legs)]
-        for name in names
-    ]
-    if len(legs) > len(names):
-        grid = [list(row) for row in zip(*grid, strict=True)]
-    table = _columns(grid)
-    lines += table[: ROWS + 1]
-    lines += [f"… and {len(table) - ROWS - 1} rows more"] * (len(table) > ROWS + 1)
-    lines += [f"  {key}: {text}" for key, text in mechanism.used_labels.items()]
-    return "\n".join(lines)
-
-
-def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows of cells as lines whose cells are below each other."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
-
-
-def _check_planar(
-    leg: str, joint: str, kind: str, origin: Array, axis: tuple[float, float, float]
-) -> None:
-    """Raise if a joint would move the leg out of the x-y plane of the base."""
-    out_of_plane = abs(abs(origin[2, 2]) - 1.0) > 1e-9
-    along_z = abs(abs(axis[2]) - 1.0) < 1e-9
-    in_plane = abs(axis[2]) < 1e-9
-    wrong_axis = (kind == "revolute" and not along_z) or (kind == "prismatic" and not in_plane)
-    if out_of_plane or wrong_axis:
-        raise MechanismError(
-            f"{leg}: joint {joint!r} leaves the plane; in a planar mechanism revolute axes are "
-            "parallel to z, prismatic axes perpendicular to it, and frames turn about z only"
-        )

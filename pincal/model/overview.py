@@ -1,8 +1,12 @@
-"""How models show themselves: on one line, numbers short."""
+"""How models show themselves: on one line, numbers short, and a mechanism on a page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pincal.model.mechanism import Mechanism
 
 ROWS = 30
 """Of a table or list on a printed page; those that follow are counted."""
@@ -23,3 +27,51 @@ def triple(values: Iterable[float]) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number and a noun that agrees with it."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def page(mechanism: Mechanism) -> str:
+    """Return a mechanism on a page: platform, legs, and a table of its nominal parameters."""
+    platform = mechanism.platform
+    home = zip(platform.coordinates, platform.home, platform.units, strict=True)
+    lines = [
+        f"{mechanism.name}{': ' * bool(mechanism.description)}{mechanism.description}",
+        f"platform {platform.kind}, at home "
+        + ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in home),
+        *_columns(
+            [
+                [
+                    leg.name,
+                    leg.joint_letters,
+                    f"reads {', '.join(leg.reading_names)}",
+                    f"closes a {leg.closes}",
+                ]
+                for leg in mechanism.legs
+            ]
+        ),
+        "",
+        f"nominal parameters, {len(mechanism.parameters)} in all:",
+    ]
+    units = {name: unit for leg in mechanism.legs for name, unit in leg.units.items()}
+    names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
+    legs = [leg.nominal_by_name for leg in mechanism.legs]
+    grid = [["", *mechanism.leg_names]]
+    grid += [
+        [f"{name} [{units[name]}]", *(f"{leg[name]:.6g}" if name in leg else "" for leg in legs)]
+        for name in names
+    ]
+    if len(legs) > len(names):
+        grid = [list(row) for row in zip(*grid, strict=True)]
+    table = _columns(grid)
+    lines += table[: ROWS + 1]
+    lines += [f"… and {len(table) - ROWS - 1} rows more"] * (len(table) > ROWS + 1)
+    lines += [f"  {key}: {text}" for key, text in mechanism.used_labels.items()]
+    return "\n".join(lines)
+
+
+def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows of cells as lines whose cells are below each other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]

@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import SymmetryError
 from pincal.model.checks import ALIKE
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.placement import Placement, Value
 from pincal.model.sensors.sensor import Sensor
 from pincal.model.sensors.terms import LOAD

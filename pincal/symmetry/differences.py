@@ -12,7 +12,8 @@ from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.reach import reach_of
 from pincal.kinematics.starts import home_mode
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.symmetry.elements import Element, wrapped
 

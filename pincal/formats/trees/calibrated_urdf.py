@@ -22,7 +22,8 @@ from pincal.files.urdf import link_of, read_joint
 from pincal.files.xml import read_xml
 from pincal.formats.trees.tree import listed
 from pincal.model.checks import ROUNDING
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, placement_of
 

@@ -22,7 +22,8 @@ from pincal.formats.trees.limbs import Limb, limb, point_platform, poses_at_zero
 from pincal.formats.trees.tree import Tree, listed
 from pincal.kinematics.assembly import assembled, independent
 from pincal.model.checks import EXACT
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement, placement_of
 from pincal.model.platform import Platform

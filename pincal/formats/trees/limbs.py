@@ -17,7 +17,7 @@ from pincal.errors import MechanismError
 from pincal.formats.trees.graph import Pass
 from pincal.formats.trees.tree import Tree, turns
 from pincal.model.checks import EXACT
-from pincal.model.leg import Joint
+from pincal.model.joint import Joint
 from pincal.model.placement import Placement, placement_of
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from pincal.files.xml import read_xml
 from pincal.formats.trees.limbs import poses_at_zero
 from pincal.formats.trees.mjcf_values import Compiler, Defaults, attributes, numbers, pose
 from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, ball, listed, turns
-from pincal.model.leg import Joint
+from pincal.model.joint import Joint
 from pincal.model.placement import Placement, placement_of
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from pathlib import Path
 from pincal.errors import MechanismError
 from pincal.formats.arm import arm
 from pincal.formats.trees.tree import Tree
-from pincal.model.leg import Joint
+from pincal.model.joint import Joint
 from pincal.model.mechanism import Mechanism
 
 

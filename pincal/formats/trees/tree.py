@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.model.leg import Closing, Joint
+from pincal.model.joint import Joint
+from pincal.model.leg import Closing
 from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]

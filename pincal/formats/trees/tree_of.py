@@ -17,7 +17,8 @@ from pincal.errors import MechanismError
 from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, turns
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.closure import LegClosure
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT
-from pincal.model.leg import Joint
+from pincal.model.joint import Joint
 from pincal.model.links import link_placements
 from pincal.model.placement import Coordinate, Step
 from pincal.model.sensors.sensor import Sensor
