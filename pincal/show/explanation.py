@@ -10,8 +10,7 @@ from pincal.calibration.terms.bounds import Bound
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
 from pincal.calibration.terms.path import RULES
-from pincal.calibration.terms.screen import Candidate
-from pincal.estimation.residuals.losses import CLEAR
+from pincal.calibration.terms.screen import Candidate, inseparable
 from pincal.estimation.residuals.slips import Slip
 from pincal.words.numbers import SMALL, amount, chance, listed
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
@@ -148,12 +147,7 @@ def _seen_lines(found: Explanation, seen: Sequence[Candidate]) -> list[str]:
     chi2 = found.result.reduced_chi2 * found.result.degrees_of_freedom
     while left and len(lines) < NAMED:
         one = left.pop(0)
-        alike = [
-            other
-            for other in left
-            if (other.kind, other.rank) == (one.kind, one.rank)
-            and (one.share - other.share) * chi2 < CLEAR**2
-        ]
+        alike = inseparable(one, left, chi2)
         left = [other for other in left if other not in alike]
         others = [_place(found, other.reading) for other in alike]
         lines.append(

@@ -19,6 +19,7 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.terms.candidates import with_columns, with_terms
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind
 from pincal.estimation.linear import State
+from pincal.estimation.residuals.losses import CLEAR
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.residuals.score import Residuals
 
@@ -102,6 +103,22 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
                     )
                 )
     return _corrected(sorted(tried, key=lambda one: (one.p_value, -one.share)))
+
+
+def inseparable(one: Candidate, others: Sequence[Candidate], chi2: float) -> list[Candidate]:
+    """Return those that rows do not separate from a candidate: of its kind, taking off as much.
+
+    Args:
+        one: The candidate.
+        others: Among which they are.
+        chi2: Of the fit, of which shares are.
+    """
+    return [
+        other
+        for other in others
+        if (other.kind, other.rank) == (one.kind, one.rank)
+        and (one.share - other.share) * chi2 < CLEAR**2
+    ]
 
 
 def _corrected(tried: list[Candidate]) -> list[Candidate]:
