@@ -22,12 +22,13 @@ from pincal.calibration.hypotheses.plausibility import (
     said,
 )
 from pincal.calibration.hypotheses.zeros import zeros_found, zeros_measured
-from pincal.calibration.options import Options
+from pincal.calibration.options import AUTO, Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import choose
-from pincal.calibration.terms.kinds import AUTO, columns_said, every_pair
+from pincal.calibration.terms.kinds import columns_said, every_pair
 from pincal.calibration.terms.kinds import said as said_terms
+from pincal.calibration.tolerances import with_found_tolerance
 from pincal.errors import MisfitError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism
@@ -90,9 +91,9 @@ def started(calibration: Calibration) -> Calibration:
         check_noise(calibration.mechanism, options.noise)
     check_copies(calibration.measurements, every_pose=options.every_pose)
     calibration = _with_terms(calibration)
-    if not options.setup.plain:
-        return calibration
-    return replace(calibration, start=_start(calibration))
+    if options.setup.plain:
+        calibration = replace(calibration, start=_start(calibration))
+    return with_found_tolerance(calibration)
 
 
 def _with_terms(calibration: Calibration) -> Calibration:

@@ -15,6 +15,7 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.conditions.external import External
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
+from pincal.estimation.evidence import FoundTolerance
 from pincal.estimation.linear import State
 from pincal.estimation.noise import NoiseModel, noise_model
 from pincal.estimation.problem import Problem
@@ -44,6 +45,9 @@ class Calibration:
     """Noise of these rows as it was found with others or before; as was measured if None."""
     fixed_noise: bool = field(default=False, compare=False, repr=False)
     """Whether noise is taken as it is though its scale was estimated: from more rows than these."""
+
+    tolerances: tuple[FoundTolerance, ...] = field(default=(), compare=False, repr=False)
+    """Sizes of tolerances that were found by the measurements."""
 
     def __post_init__(self) -> None:
         _check_shapes(self.mechanism, self.measurements)
@@ -144,7 +148,7 @@ class Calibration:
 
         In the order in which they count: a prior is said of a name, or of an id.
         """
-        by_unit = self.options.tolerance
+        by_unit = {} if isinstance(self.options.tolerance, str) else self.options.tolerance
         every = self.mechanism.parameters
         kept = [p for p in every if p.unit in by_unit and p.id not in self.mechanism.amplitudes]
         own = {p.id: by_unit[p.unit] for p in kept}

@@ -47,7 +47,7 @@ class Repeats:
     """Relative change of a standard deviation, below which noise is estimated."""
 
 
-_BY = Repeats()
+BY = Repeats()
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
     ):
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
-    for _ in range(_BY.refits):
+    for _ in range(BY.refits):
         if not _sound(one):
             break
         then = _noise_of(one, noise, unit)
@@ -114,7 +114,7 @@ def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
         noise, unit = then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
         scale = float(np.mean([robust.fit.noise_scale for robust in one.fits]))
-        if abs(scale - 1.0) > _BY.off and scale > 0.0:  # a group at its floor leaves that to all
+        if abs(scale - 1.0) > BY.off and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
             one = search(calibration.with_noise(noise), tied, one)
     return _with_variances(one, noise, unit)
@@ -160,7 +160,7 @@ def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
         unit: Standard deviation of readings to try where they were exact.
     """
     fits, calibration = [robust.fit for robust in one.fits], one.calibration
-    for _ in range(_BY.rounds):
+    for _ in range(BY.rounds):
         problems = _problems(calibration.with_noise(noise), one)
         moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)
         if moments.rounding:
@@ -175,7 +175,7 @@ def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
 
 def _alike(noise: Noise, then: Noise) -> bool:
     changes = zip(vars(noise).values(), vars(then).values(), strict=True)
-    return all(abs(a - b) <= _BY.alike * max(a, b) for a, b in changes)
+    return all(abs(a - b) <= BY.alike * max(a, b) for a, b in changes)
 
 
 def _problems(calibration: Calibration, one: Fits) -> list[Problem]:
@@ -254,10 +254,10 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     external = first if before is None or before.external is None else before.external
     size = largest_size(calibration.mechanism.legs, calibration.mechanism.platform)
     units = np.array([size if u == "m" else 1.0 for u in problem.observation.external.units])
-    for _ in range(_BY.rounds):
+    for _ in range(BY.rounds):
         fits = _fit_groups(calibration, groups, unknowns, external)
         step = _toward_nominal(gauge, problem, unknowns, fits, external)
-        if np.abs(step / units).max(initial=0.0) <= _BY.still:
+        if np.abs(step / units).max(initial=0.0) <= BY.still:
             return Fits(calibration, fits, external, gauge, unknowns)
         external = problem.observation.external.moved(external, step)
     raise MeasurementError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from pincal.model.setup import Setup
 Poses = Literal["own", "all"]
 Intervals = Literal["wald", "profile"]
 Progress = Callable[[str], None] | None
+AUTO: Final = "auto"
+"""What is found by the measurements: terms that pay, the size of tolerances."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,10 +51,11 @@ class Options:
     """Parameters that have one value for all legs; the result tests whether that holds."""
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations with which nominal values are known, by name as above."""
-    tolerance: Mapping[str, float] = field(default_factory=dict)
+    tolerance: Mapping[str, float] | Literal["auto"] = field(default_factory=dict)
     """How far machines of this drawing differ from it, by unit: ``{"m": 5e-4, "rad": 5e-3}``, a
     standard deviation for each parameter of that unit (``"1"``: gains) that has no prior of its
-    own and is no amplitude of a term. With few poses it predicts better than free parameters."""
+    own and is no amplitude of a term. With few poses it predicts better than free parameters.
+    ``"auto"`` finds these with the parameters, as variance components."""
     terms: tuple[str, ...] = ()
     """What sensors lack, added to the mechanism: ``"gravity"`` or ``"harmonics:1,2"`` of every
     reading, ``"leg_1=backlash"`` of one, or a column such as ``"temperature"``; ``"auto"`` takes
@@ -88,7 +91,13 @@ class Options:
                 raise MeasurementError(
                     f"{name} is {type(given).__name__}; expected pincal.{what}(…)"
                 )
-        for unit, sigma in self.tolerance.items():
+        by_unit = self.tolerance
+        if isinstance(by_unit, str) and by_unit != AUTO:
+            raise MeasurementError(
+                f"tolerance {by_unit!r}: expected standard deviations by unit, such as "
+                "{'m': 5e-4, 'rad': 5e-3}, or 'auto'"
+            )
+        for unit, sigma in () if isinstance(by_unit, str) else by_unit.items():
             if unit not in ("m", "rad", "1") or not 0.0 < sigma < np.inf:
                 raise MeasurementError(
                     f"tolerance {{{unit!r}: {sigma!r}}}: expected standard deviations above 0 of "

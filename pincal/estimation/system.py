@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,10 @@ class System:
     """Scale of the noise that a loss goes by; by the rows in the middle if not given."""
     unit: float = 1.0
     """Typical standard deviation of residuals that are minimised unweighted, [rad] or [m]."""
+
+    def with_priors(self, priors: Array) -> System:
+        """Return the system with other standard deviations of nominal values, shape (n,)."""
+        return replace(self, unknowns=replace(self.unknowns, priors=priors))
 
     def weights(self, linear: Linear) -> tuple[Array, float]:
         """Return the weight of each row, shape (N,), and the scale of the noise."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import SymmetryError
-from pincal.model.checks import EXACT, count_of
+from pincal.model.checks import EXACT, ROUNDING, count_of
 from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
@@ -69,11 +69,11 @@ class Isometry:
         """Return the isometry that undoes this one."""
         return Isometry.of(self.Q.T, -self.Q.T @ self.t)
 
-    def equals(self, other: Isometry) -> bool:
-        """Return whether two isometries are the same but for rounding errors."""
+    def equals(self, other: Isometry, within: float = SAME) -> bool:
+        """Return whether two isometries are the same but for errors within a part of their size."""
         size = max(1.0, float(np.abs(self.t).max()))
         turned, moved = np.abs(self.Q - other.Q).max(), np.abs(self.t - other.t).max()
-        return bool(turned <= SAME and moved <= SAME * size)
+        return bool(turned <= within and moved <= within * size)
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,9 @@ class Element:
     def of(cls, base: Isometry, platform: Isometry) -> Element:
         """Return the element of two isometries.
 
+        By angle alone only where that is the same to the last digits: of a group whose elements
+        are nearly so, some would become so and others not, and their products be none of it.
+
         Raises:
             SymmetryError: one reflects and the other does not: no pose would be carried to a pose.
         """
@@ -114,7 +117,7 @@ class Element:
             )
         angle = float(np.arctan2(base.Q[1, 0], base.Q[0, 0]))
         plain = _about_z(angle, reflection)
-        if plain.equals(base) and plain.equals(platform):
+        if all(plain.equals(one, ROUNDING) for one in (base, platform)):
             return cls(angle, reflection)
         own = Rotation.from_matrix(-base.Q if reflection else base.Q).magnitude()
         return cls(float(own), reflection, base, platform)

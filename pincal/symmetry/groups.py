@@ -140,11 +140,10 @@ def _exact_part(
 
 
 def _upright(turns: Array) -> Array:
-    """Return matrices without rounding errors where they keep the axis z."""
-    for Q in turns:
-        if np.abs(Q[:2, 2]).max() <= SAME and np.abs(Q[2, :2]).max() <= SAME:
-            Q[:2, 2] = Q[2, :2] = 0.0
-            Q[2, 2] = np.sign(Q[2, 2])
+    """Return matrices without rounding errors if all of them keep the axis z."""
+    if max(np.abs(turns[:, :2, 2]).max(), np.abs(turns[:, 2, :2]).max()) <= SAME:
+        turns[:, :2, 2] = turns[:, 2, :2] = 0.0
+        turns[:, 2, 2] = np.sign(turns[:, 2, 2])
     return turns
 
 

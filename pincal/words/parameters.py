@@ -6,8 +6,10 @@ Each code's ``values`` say what a finding of it holds, in SI; ids are those of p
 
 from __future__ import annotations
 
+from math import isfinite
+
 from pincal.finding import Finding
-from pincal.words.numbers import listed
+from pincal.words.numbers import amount, listed
 from pincal.words.wording import P_VALUE, Wording, groups_in_words
 
 #: How each option is named that lets a calibration look for what its data leave open.
@@ -78,7 +80,43 @@ def _held(found: Finding) -> str:
     return f"these measurements do not determine everything: {'; '.join(parts)}"
 
 
+def _tolerance(found: Finding) -> str:
+    v = found.values
+    what = {"m": "lengths", "rad": "angles", "1": "gains"}[v["unit"]]
+    if not isfinite(v["size"]):
+        return f"how far {what} are from the drawing is not said by {v['count']} of them"
+    low, high = (amount(v[end], v["unit"]) if isfinite(v[end]) else "" for end in ("low", "high"))
+    ends = f"{low} to {high}" if high else f"{low} or more"
+    return (
+        f"{what} differ from the drawing by {amount(v['size'], v['unit'])}, standard deviation of "
+        f"{v['count']} (95 %: {ends})"
+    )
+
+
+def _tolerance_remedy(found: Finding) -> str:
+    if not isfinite(found.values["size"]):
+        return "They are free; give their tolerance (--tolerance, --prior), if it is known"
+    return "" if found.values["low"] else "Measurements do not tell them from the drawing"
+
+
 PARAMETERS: dict[str, Wording] = {
+    "tolerance-found": Wording(
+        "Tolerances found with the parameters",
+        {
+            "unit": "of the parameters",
+            "size": "standard deviation of their differences from the drawing [unit]; infinite "
+            "where the measurements do not say it",
+            "low": "lower end of its 95 % interval; 0 where the drawing may be exact",
+            "high": "upper end; infinite where there is none",
+            "count": "number of parameters",
+        },
+        _tolerance,
+        "--tolerance auto: one variance component for each unit, found by restricted maximum "
+        "likelihood, is the prior of the parameters of that unit.",
+        _tolerance_remedy,
+        "info",
+        "Where measurements do not say it, give the tolerance (--tolerance 0.5mm,5mrad)",
+    ),
     "few-poses": Wording(
         "Few poses",
         {

@@ -10,10 +10,10 @@ import numpy as np
 
 from pincal.calibration.calibrate import identify, prepared, started
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.options import Options
+from pincal.calibration.options import AUTO, Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.choice import Choice, choose
-from pincal.calibration.terms.kinds import AUTO, every_pair, said, term_said
+from pincal.calibration.terms.kinds import every_pair, said, term_said
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.calibration.options import AUTO
 from pincal.errors import MeasurementError
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -20,8 +21,6 @@ from pincal.model.parameter import listed
 from pincal.model.sensors.terms import APPROACH, LOAD
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
-AUTO = "auto"
-"""Those that pay, of all kinds."""
 ORDER = "order"
 """The order of rows, from -1 to 1: no term, since no command has it, but a sign of drift."""
 OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}

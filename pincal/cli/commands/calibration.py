@@ -16,7 +16,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.checked import checked
 from pincal.calibration.checks.folds import FOLDS, By
 from pincal.calibration.checks.wrong_rows import wrong_rows
-from pincal.calibration.options import Intervals, Options, Poses
+from pincal.calibration.options import AUTO, Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, as_json
 from pincal.calibration.terms.kinds import columns_said
@@ -164,7 +164,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
         typer.Option(
             metavar="0.5mm,5mrad",
             help="How far machines differ from the drawing: a prior for all parameters, by unit "
-            "(a third number: gains).",
+            "(a third number: gains); auto: as far as the measurements say.",
         ),
     ] = None
     rough: Annotated[
@@ -318,12 +318,14 @@ def _say(
         stdout.print(f"parameters and residuals: {where}")
 
 
-def _tolerance(said: str) -> dict[str, float]:
-    """Return standard deviations of parameters by unit.
+def _tolerance(said: str) -> dict[str, float] | Literal["auto"]:
+    """Return standard deviations of parameters by unit, or that they are to be found.
 
     Raises:
         MeasurementError: a unit said twice, or no number with one.
     """
+    if said.strip() == AUTO:
+        return AUTO
     found: dict[str, float] = {}
     for text in filter(None, (one.strip() for one in said.split(","))):
         number = re.match(r"[-+\d.eE]*", text)

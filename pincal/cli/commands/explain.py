@@ -5,8 +5,8 @@ from __future__ import annotations
 import shlex
 from dataclasses import asdict, replace
 
+from pincal.calibration.options import AUTO
 from pincal.calibration.terms.explain import explained
-from pincal.calibration.terms.kinds import AUTO
 from pincal.cli.app import Measured, Mech, answer, command, stdout, typed, warn, working
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError

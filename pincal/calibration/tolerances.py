@@ -1,0 +1,84 @@
+"""How far machines differ from their drawing, found with the parameters: ``--tolerance auto``.
+
+The standard deviations of parameters, one for each unit, are variance components, as those of the
+noise are: what the measurements say of all deviations together. Fits and sizes follow each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.fits import BY, fitted
+from pincal.calibration.options import AUTO
+from pincal.design.platform_error import CONFIDENCE
+from pincal.errors import MeasurementError
+from pincal.estimation.evidence import Evidence, FoundTolerance, likeliest
+from pincal.estimation.observability.drawings import DIFFER
+from pincal.kinematics.closure import largest_size
+from pincal.model.checks import ROUNDING
+
+Array = NDArray[np.float64]
+FEW = 2
+"""Deviations of one unit, of which no more say nothing of their size."""
+
+
+def with_found_tolerance(calibration: Calibration) -> Calibration:
+    """Return a calibration with tolerances found by its measurements, if it asks for that.
+
+    Raises:
+        MeasurementError: residuals of readings, which are not white.
+        ObservabilityError: what leaves parameters undetermined, tolerances or not.
+    """
+    if calibration.options.tolerance != AUTO:
+        return calibration
+    if calibration.options.residual == "joint":
+        raise MeasurementError(
+            "the size of tolerances is asked of white residuals, which those of readings "
+            "(--residual joint) are not; leave that out, or give tolerances (--tolerance 0.5mm)"
+        )
+    units = _units(calibration)
+    size = largest_size(calibration.mechanism.legs)
+    far = {unit: DIFFER * (size if unit == "m" else 1.0) for unit in units}
+    few = {unit for unit, ids in units.items() if len(ids) <= FEW}
+    asked = [unit for unit in units if unit not in few]
+    groups = {id_: place for place, unit in enumerate(asked) for id_ in units[unit]}
+    ends = np.array([far[unit] for unit in asked])
+    sizes = ends
+    calibration = calibration.with_options(tolerance=dict(zip(asked, sizes, strict=True)))
+    answer = None
+    for _ in range(BY.rounds if asked else 0):
+        calibration.options.report("finding how far the machine is from its drawing")
+        parts = [Evidence.of(one.fit, groups) for one in fitted(calibration).fits]
+        rise = float(chdtri(1, 1.0 - CONFIDENCE))
+        answer = likeliest(parts, sizes, (ROUNDING * ends, ends), rise)
+        moved = np.abs(np.log(answer.most / sizes)).max()
+        sizes = answer.most
+        known = {unit: float(one) for unit, one in zip(asked, sizes, strict=True)}
+        calibration = calibration.with_options(tolerance=known)
+        if moved <= BY.alike:
+            break
+    found = []
+    for unit, ids in units.items():
+        place = asked.index(unit) if unit in asked else None
+        if place is None or answer is None:
+            found.append(FoundTolerance(unit, np.inf, 0.0, np.inf, len(ids)))
+            continue
+        low, high = answer.ends[place].tolist()
+        found.append(FoundTolerance(unit, float(sizes[place]), low, high, len(ids)))
+    return replace(calibration, tolerances=tuple(found))
+
+
+def _units(calibration: Calibration) -> dict[str, list[str]]:
+    """Return ids of the parameters whose tolerance is to be found, by unit."""
+    found: dict[str, list[str]] = {}
+    free = calibration.unknowns()
+    moved = dict(zip(free.labels, free.map.any(axis=1) & ~np.isfinite(free.priors), strict=True))
+    for one in calibration.mechanism.parameters:
+        if moved[one.id] and one.id not in calibration.mechanism.amplitudes:
+            found.setdefault(one.unit, []).append(one.id)
+    return found
