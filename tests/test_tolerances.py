@@ -70,7 +70,7 @@ def test_ends_are_where_the_profile_has_risen() -> None:
     at = [sum(p.deviance(np.array([size])) for p in parts) for size in found.ends[0]]
     every = np.geomspace(*found.ends[0], 200)
     least = min(sum(p.deviance(np.array([size])) for p in parts) for size in every)
-    np.testing.assert_allclose(at, least + 3.84, atol=2e-3)
+    np.testing.assert_allclose(at, least + 3.84 * (1.0 + 1.0 / (3 * len(groups))), atol=2e-3)
     assert found.ends[0, 0] < found.most[0] < found.ends[0, 1]
 
 
@@ -85,9 +85,12 @@ def test_sizes_are_found_and_said() -> None:
     said = [one for one in result.findings if one.code == "tolerance-found"]
     assert [one.severity for one in said] == ["info"] * 3
     again = pincal.calibrate("3RRR", data, noise=NOISE, tolerance=result.options.tolerance)
-    np.testing.assert_allclose(again.covariance, result.covariance, rtol=1e-6, atol=1e-18)
+    values = [[p.identified for leg in one.legs for p in leg.parameters] for one in (result, again)]
+    np.testing.assert_allclose(values[0], values[1], atol=1e-10)
+    assert (np.diagonal(result.covariance) >= np.diagonal(again.covariance)).all()
 
 
+@pytest.mark.slow
 def test_few_poses_are_predicted_better() -> None:
     """Twelve poses at a millimetre: found tolerances predict better than free parameters."""
     poor = pincal.Noise(1e-3, 1e-3, 0.0)
@@ -141,5 +144,5 @@ def test_the_command_finds_them(tmp_path: Path) -> None:
     asked = ("--tolerance", "auto", *noise, "--no-report", "--folds", 0)
     outcome = run("calibrate", "3RRR", tmp_path / "m.csv", *asked, "-o", tmp_path / "r")
     assert outcome.code == 0
-    assert "lengths differ from the drawing by 0." in outcome.out + outcome.err
+    assert "lengths differ from the drawing by 0." in outcome.out
     assert set(pincal.load_result(tmp_path / "r").options.tolerance) == {"m", "rad", "1"}

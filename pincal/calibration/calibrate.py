@@ -28,7 +28,7 @@ from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import choose
 from pincal.calibration.terms.kinds import columns_said, every_pair
 from pincal.calibration.terms.kinds import said as said_terms
-from pincal.calibration.tolerances import with_found_tolerance
+from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tolerances
 from pincal.errors import MisfitError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism
@@ -114,7 +114,7 @@ def identify(calibration: Calibration) -> CalibrationResult:
     """Return what a calibration finds; errors are those of ``calibrate``."""
     calibration, options = started(calibration), calibration.options
     try:
-        found = fitted(calibration)
+        found = with_unsure_tolerances(fitted(calibration))
     except (PincalError, np.linalg.LinAlgError) as error:
         causes = _causes(calibration, None)
         if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that

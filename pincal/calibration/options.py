@@ -23,6 +23,8 @@ Progress = Callable[[str], None] | None
 AUTO: Final = "auto"
 """What is found by the measurements: terms that pay, the size of tolerances."""
 
+Tolerance = Mapping[str, float] | Literal["auto"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
@@ -51,7 +53,7 @@ class Options:
     """Parameters that have one value for all legs; the result tests whether that holds."""
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations with which nominal values are known, by name as above."""
-    tolerance: Mapping[str, float] | Literal["auto"] = field(default_factory=dict)
+    tolerance: Tolerance = field(default_factory=dict)
     """How far machines of this drawing differ from it, by unit: ``{"m": 5e-4, "rad": 5e-3}``, a
     standard deviation for each parameter of that unit (``"1"``: gains) that has no prior of its
     own and is no amplitude of a term. With few poses it predicts better than free parameters.

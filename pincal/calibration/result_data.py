@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.runs import RunComparison
 from pincal.calibration.checks.validation import Validation
-from pincal.calibration.options import Options, Progress
+from pincal.calibration.options import Options, Progress, Tolerance
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
 from pincal.estimation.noise import NoiseModel
@@ -67,6 +67,9 @@ def _converter() -> BaseConverter:
     found.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
     found.register_structure_hook(float, _number)
     found.register_structure_hook_func(lambda kind: kind == LossName | Loss, _loss)
+    found.register_structure_hook_func(
+        lambda kind: kind == Tolerance, lambda data, _: found.structure(data, dict[str, float])
+    )
     found.register_structure_hook_func(lambda kind: kind == Progress, lambda *_: None)
     found.register_structure_hook_func(lambda kind: kind == tuple[Instrument, ...], lambda *_: ())
     found.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))

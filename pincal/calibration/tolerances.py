@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.fits import BY, fitted
+from pincal.calibration.fits import BY, Fits, fitted
 from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
 from pincal.estimation.evidence import Evidence, FoundTolerance, likeliest
 from pincal.estimation.observability.drawings import DIFFER
 from pincal.kinematics.closure import largest_size
-from pincal.model.checks import ROUNDING
+from pincal.model.checks import ALIKE
 
 Array = NDArray[np.float64]
 FEW = 2
@@ -55,7 +55,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
         calibration.options.report("finding how far the machine is from its drawing")
         parts = [Evidence.of(one.fit, groups) for one in fitted(calibration).fits]
         rise = float(chdtri(1, 1.0 - CONFIDENCE))
-        answer = likeliest(parts, sizes, (ROUNDING * ends, ends), rise)
+        answer = likeliest(parts, sizes, (ALIKE * ends, ends), rise)
         moved = np.abs(np.log(answer.most / sizes)).max()
         sizes = answer.most
         known = {unit: float(one) for unit, one in zip(asked, sizes, strict=True)}
@@ -69,8 +69,30 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
             found.append(FoundTolerance(unit, np.inf, 0.0, np.inf, len(ids)))
             continue
         low, high = answer.ends[place].tolist()
-        found.append(FoundTolerance(unit, float(sizes[place]), low, high, len(ids)))
+        unsure = float(answer.unsure[place])
+        found.append(FoundTolerance(unit, float(sizes[place]), low, high, len(ids), unsure))
     return replace(calibration, tolerances=tuple(found))
+
+
+def with_unsure_tolerances(found: Fits) -> Fits:
+    """Return fits with what uncertain tolerances add to their covariances.
+
+    By how far the estimate follows the logarithm of each, to first order: ∂φ/∂ log τ² =
+    C (φ − φ₀) / τ² of the parameters of that unit (R. E. Kass and D. Steffey 1989).
+    """
+    mechanism, fits = found.calibration.mechanism, []
+    units = {one.id: one.unit for one in mechanism.parameters}
+    for robust in found.fits:
+        fit = robust.fit
+        unknowns, covariance = fit.unknowns, fit.covariance
+        values = fit.system.values(fit.last.state) - unknowns.nominal
+        for one in found.calibration.tolerances:
+            own = np.array([units.get(id_) == one.unit for id_ in unknowns.labels])
+            pull = np.where(own & np.isfinite(unknowns.priors), values / unknowns.priors**2, 0.0)
+            by = 2.0 * one.unsure / fit.noise_scale**2 * (fit.covariance @ pull)
+            covariance = covariance + np.outer(by, by)
+        fits.append(replace(robust, fit=replace(fit, covariance=covariance)))
+    return replace(found, fits=fits)
 
 
 def _units(calibration: Calibration) -> dict[str, list[str]]:

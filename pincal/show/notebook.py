@@ -42,12 +42,13 @@ def result_text(result: CalibrationResult) -> str:
         noise_line,
         systematic_lines,
         tie_lines,
+        tolerance_lines,
     )
 
     parts = [f"{result.nominal.name}: {method_line(result)}; {result.message}"]
     if result.converged:
         parts += [str(table) for table in calibration_tables(result)]
         lines = [noise_line(result), *systematic_lines(result), *tie_lines(result)]
-        lines += check_lines(result)
+        lines += [*tolerance_lines(result), *check_lines(result)]
         parts.append("\n".join(lines))
     return "\n\n".join([*parts, *(f"warning: {one}" for one in warning_lines(result))])

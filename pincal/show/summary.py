@@ -61,6 +61,7 @@ def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | Non
     data = result.measurements
     lines = [f"{method_line(result)}; {result.message}", noise_line(result)]
     lines += systematic_lines(result)
+    lines += tolerance_lines(result)
     if result.gauge:
         lines.append(
             "fixed by choice, of equal parameters those nearest to nominal: "
@@ -111,6 +112,11 @@ def noise_line(result: CalibrationResult) -> str:
         f"reduced χ² {rounded(chi2, 3)} on {dof} degrees of freedom; near 1 the residuals are as "
         "large as the noise given makes them"
     )
+
+
+def tolerance_lines(result: CalibrationResult) -> list[str]:
+    """Return how far the machine is from its drawing, where that was found by the measurements."""
+    return [sentence(one) for one in result.findings if one.code == "tolerance-found"]
 
 
 def systematic_lines(result: CalibrationResult) -> list[str]:
