@@ -163,6 +163,8 @@ class Reference:
     registered: float
     """The same at rows held out, rigid registration alone."""
     rank: int
+    under_weight: float
+    """The same at rows held out, each joint giving way as a weight at the reflector turns it."""
 
 
 def reference(side: str, seed: int) -> Reference:
@@ -188,6 +190,22 @@ def reference(side: str, seed: int) -> Reference:
     def rms(values: Array, rows: Array) -> float:
         return float(np.sqrt((residuals(values, rows) ** 2).sum() / len(rows)))
 
+    def weighed(rows: Array) -> Array:
+        """Return derivatives by displacements, and by what each joint gives way to a weight."""
+        J = positions(side, readings[rows], found.x.reshape(8, 6))[1]
+        turns = J[:, :, 5:42:6]  # about each joint's axis; the weight's torque by virtual work
+        return np.concatenate((J, turns * turns[:, 2:3]), axis=2).reshape(3 * len(rows), -1)
+
     J = found.jac / np.maximum(np.linalg.norm(found.jac, axis=0), 1e-12)
     rank = int((np.linalg.svd(J, compute_uv=False) > 1e-6).sum())
-    return Reference(rms(found.x, unseen), rms(found.x, fit), rms(nominal.ravel(), unseen), rank)
+    seen = weighed(fit)
+    lengths = np.maximum(np.linalg.norm(seen, axis=0), 1e-12)
+    step = np.linalg.lstsq(seen / lengths, -residuals(found.x, fit), rcond=1e-6)[0] / lengths
+    left = residuals(found.x, unseen) + weighed(unseen) @ step
+    return Reference(
+        held_out=rms(found.x, unseen),
+        fitted=rms(found.x, fit),
+        registered=rms(nominal.ravel(), unseen),
+        rank=rank,
+        under_weight=float(np.sqrt((left**2).sum() / len(unseen))),
+    )

@@ -189,6 +189,8 @@ def test_a_folder_holds_terms(tmp_path: Path, form: str) -> None:
         ("{of: temperature, per: 0}", "expected a number other than 0"),
         ("{of: load}", "what weighs on the mechanism is not said"),
         ("{of: x}", "which is another column of tables"),
+        ("{of: 'temperature [K]'}", "which heads no column of a table"),
+        ("{of: sigma_x}", "which heads no column of a table"),
         ("{of: warmth, per: 2, sine: 2}", "got sine and per"),
         ("{pover: 2}", "pover"),
     ],

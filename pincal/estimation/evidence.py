@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.observability.indices import RANK_TOLERANCE
 
 Array = NDArray[np.float64]
 _STEP = 0.1  # of logarithms, over which the deviance bends
@@ -62,7 +63,7 @@ class Evidence:
     def counts(self, groups: int) -> Array:
         """Return how many deviations of each group are independent, shape (groups,)."""
         own = [self.deviations[self.groups == group] for group in range(groups)]
-        return np.array([np.linalg.matrix_rank(one) if len(one) else 0 for one in own], float)
+        return np.array([_rank(one) if len(one) else 0 for one in own], dtype=float)
 
     def deviance(self, sizes: Array) -> float:
         """Return minus twice the log evidence of sizes τ of the groups, but for a constant."""
@@ -70,8 +71,7 @@ class Evidence:
         own = weights[:, None] * np.column_stack((self.deviations, self.offsets))
         R = np.linalg.qr(np.concatenate((self.triangle, own)), mode="r")
         every = np.abs(np.diagonal(R))
-        rank = int(np.linalg.matrix_rank(self.deviations))
-        alone = np.linalg.svd(own[:, :n], compute_uv=False)[:rank]
+        alone = np.linalg.svd(own[:, :n], compute_uv=False)[: _rank(self.deviations)]
         return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(alone).sum())
 
 
@@ -161,3 +161,8 @@ def likeliest(
             between = sorted((float(end), float(middle)))
             ends[place, side] = np.exp(brentq(above, *between)) if closed else open_end
     return Sizes(np.exp(most), unsure, ends)
+
+
+def _rank(T: Array) -> int:
+    """Return the rank of rows that a choice of free unknowns made, with its rounding errors."""
+    return int(np.linalg.matrix_rank(T, rtol=RANK_TOLERANCE))

@@ -111,6 +111,11 @@ def check_mechanism(mechanism: Mechanism) -> None:
             f"{where}: a term depends on {taken[0]!r}, which is another column "
             "of tables; name the influence otherwise"
         )
+    if odd := [name for name in mechanism.influences if not _is_column(name)]:
+        raise MechanismError(
+            f"{where}: a term depends on {odd[0]!r}, which heads no column of a table; expected a "
+            "name such as temperature: no brackets, no blanks around it, not sigma_… or cov_…"
+        )
     known = {one.id for one in mechanism.parameters}
     drawn = () if mechanism.load is None else mechanism.load.drawn
     if odd := [name for name, _ in drawn if name not in known]:
@@ -146,6 +151,12 @@ def check_mechanism(mechanism: Mechanism) -> None:
     for leg in mechanism.legs if planar else ():
         for joint in leg.joints:
             _check_planar(leg.name, joint.name, joint.kind, joint.placement.origin(), joint.axis)
+
+
+def _is_column(name: str) -> bool:
+    """Return whether a table may have a column of an influence quantity by this name."""
+    plain = name.isprintable() and name == name.strip() != "" and not set("[]") & set(name)
+    return plain and not name.startswith(("sigma_", "cov_"))
 
 
 def _check_planar(
