@@ -60,23 +60,32 @@ def drawn(name: str, sets: int) -> str:
 
 
 def missed(side: str, count: int, seed: int, tolerance: object) -> float:
-    """Return by how much rows not used are missed, root mean square, [m]."""
+    """Return by how much rows not used are missed, root mean square, [m]; NaN if refused."""
     data = motoman.measurements(side)
     order = np.random.default_rng(seed).permutation(len(data))
     unseen = data.rows(order[count:])
-    result = pincal.calibrate(
-        motoman.mechanism(side),
-        data.rows(order[:count]),
-        noise=TRACKER,
-        setup=pincal.Setup(unknown_frame=True),
-        rough=True,
-        hold_undetermined=True,
-        tolerance=tolerance,
-    )
+    try:
+        result = pincal.calibrate(
+            motoman.mechanism(side),
+            data.rows(order[:count]),
+            noise=TRACKER,
+            setup=pincal.Setup(unknown_frame=True),
+            rough=True,
+            hold_undetermined=True,
+            tolerance=tolerance,
+        )
+    except pincal.ObservabilityError:
+        return np.nan
     frame = np.array([one.identified for one in result.external])
     points = pincal.forward(result.identified, unseen.readings).poses[:, :3]
     off = Rotation.from_rotvec(frame[3:]).apply(points) + frame[:3] - unseen.poses[:, :3]
     return float(np.sqrt((off**2).sum(axis=1).mean()))
+
+
+def said(errors: list[float]) -> str:
+    """Return the median of errors in mm, and how many draws were refused."""
+    lost = int(np.isnan(errors).sum())
+    return f"{1e3 * np.nanmedian(errors):.3f}" + f", {lost} refused" * bool(lost)
 
 
 def main() -> None:
@@ -90,13 +99,11 @@ def main() -> None:
             print(drawn(name, given.sets), flush=True)
             continue
         for count in ROWS if motoman.data_file(name).is_file() else ():
-            both = [
-                np.median([missed(name, count, seed, how) for seed in range(DRAWS)])
+            cells = [
+                said([missed(name, count, seed, how) for seed in range(DRAWS)])
                 for how in ({}, "auto")
             ]
-            print(
-                f"| {name}, {count} rows | {1e3 * both[0]:.3f} | {1e3 * both[1]:.3f} |", flush=True
-            )
+            print(f"| {name}, {count} rows | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -155,7 +155,7 @@ def check_mechanism(mechanism: Mechanism) -> None:
 
 def _is_column(name: str) -> bool:
     """Return whether a table may have a column of an influence quantity by this name."""
-    plain = name.isprintable() and name == name.strip() != "" and not set("[]") & set(name)
+    plain = name == name.strip() != "" and not set("[]") & set(name)
     return plain and not name.startswith(("sigma_", "cov_"))
 
 
