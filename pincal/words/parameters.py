@@ -96,7 +96,7 @@ def _tolerance(found: Finding) -> str:
 def _tolerance_remedy(found: Finding) -> str:
     if not isfinite(found.values["size"]):
         return "They are free; give their tolerance (--tolerance, --prior), if it is known"
-    return "" if found.values["low"] else "Measurements do not tell them from the drawing"
+    return "" if found.values["low"] else "Measurements do not separate them from the drawing"
 
 
 PARAMETERS: dict[str, Wording] = {
