@@ -280,7 +280,7 @@ def assert_goes_with(
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda one: one.__name__)
-@pytest.mark.parametrize("seed", quick(2, QUICK))
+@pytest.mark.parametrize("seed", quick(1, QUICK))
 def test_calibration_goes_with(change: Change, seed: int) -> None:
     """Answers are transformed with the machine and its measurements, findings are the same."""
     case, first = known(seed)

@@ -107,11 +107,11 @@ UNKNOWN = {"setup": pincal.Setup(unknown_frame=True)}
     "options",
     [
         {},
-        {"noise": None},
+        pytest.param({"noise": None}, marks=pytest.mark.slow),
         {"method": "per-leg"},
         pytest.param({"method": "per-leg", "tied": ("l",)}, marks=pytest.mark.slow),
         pytest.param({"fixed": ("k",), "priors": {"l": 1e-4}}, marks=pytest.mark.slow),
-        {"fixed": ALL_BUT_ONE},
+        pytest.param({"fixed": ALL_BUT_ONE}, marks=pytest.mark.slow),
         UNKNOWN,
         pytest.param({"loss": "reject"}, marks=pytest.mark.slow),
         {"residual": "joint", "noise": None},

@@ -58,7 +58,7 @@ def energy(mechanism: pincal.Mechanism, readings: np.ndarray, guess: np.ndarray)
     return found
 
 
-@pytest.mark.parametrize("name", quick(3, ["3RRR", "delta", "3RPS", "5R", "3PRR", "6UPS"]))
+@pytest.mark.parametrize("name", quick(2, ["3RRR", "3RPS", "delta", "5R", "3PRR", "6UPS"]))
 def test_loads_are_what_the_height_loses_with_each_reading(name: str) -> None:
     machine = heavy(pincal.load_mechanism(name))
     if name == "3RPS":  # legs that guide the platform too

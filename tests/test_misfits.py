@@ -89,7 +89,12 @@ ANYWHERE: list[tuple[str, Change, str, str]] = [
 
 def _marks(kind: str, code: str, free: bool) -> list[pytest.MarkDecorator]:
     """Return the mark of slow cases: hexapods and unknown frames but for one of each."""
-    slow = free and kind != "5R" if kind != "6UPS" else free or code != "legs-exchanged"
+    quick = {
+        "5R": (code, False),
+        "3RRR": ("rows-shifted", False),
+        "6UPS": ("legs-exchanged", False),
+    }
+    slow = (code, free) != quick[kind] and (kind, code) != ("5R", "reading-offset")
     return [pytest.mark.slow] if slow else []
 
 

@@ -192,7 +192,7 @@ def test_closed_form_of_reach_equals_the_closed_loops(
 @pytest.mark.parametrize(
     "limits", [(-np.pi / 2, np.pi / 2), (-0.3, 0.4), (-0.5, 3.1), (-np.inf, np.inf)]
 )
-@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("joint", quick(1, [1, 0]))
 @pytest.mark.parametrize("tilt", quick(1, [0.4, 0.0]))
 def test_turns_of_a_universal_joint_are_limited_alike(
     hexapod: pincal.Mechanism, joint: int, limits: tuple[float, float], tilt: float

@@ -146,7 +146,7 @@ def test_without_a_loss_outliers_are_warned_of() -> None:
     assert any("data row 5" in text and "--robust reject" in text for text in result.warnings)
 
 
-@pytest.mark.parametrize("name", quick(2, ["huber", "tukey", "cauchy"]))  # rejecting: no loss left
+@pytest.mark.parametrize("name", quick(1, ["tukey", "huber", "cauchy"]))  # rejecting: no loss left
 @pytest.mark.parametrize("equations", quick(1, [3, 1, 6]))
 def test_losses_cost_little_on_good_data(name: str, equations: int) -> None:
     """Efficiency 95 % on one residual, better on more; the variance by slopes of differences."""

@@ -121,6 +121,7 @@ def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:
             pincal.validate(mechanism, data, folds=count)
 
 
+@pytest.mark.slow
 def test_runs_that_agree_and_runs_that_do_not() -> None:
     """Spread over runs is that of the standard errors; a leg moved between runs shows."""
     mechanism, truth, clean = machine("3RRR", 40, EXACT)
@@ -237,6 +238,7 @@ def test_the_command_holds_runs_out(tmp_path: Path) -> None:
     assert len(set(result.contradictions)) == len(result.contradictions)
 
 
+@pytest.mark.slow
 def test_held_out_rows_follow_the_same_start(tmp_path: Path) -> None:
     """Zeros of motors that are far off are found for validation as for calibration.
 
