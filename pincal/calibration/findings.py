@@ -62,9 +62,7 @@ def findings_of(
     if held is not None and (held.groups or held.weak):
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     found += _zeros(result)
-    for one in result.calibration.tolerances:
-        said = {name: value for name, value in vars(one).items() if name != "unsure"}
-        found.append(finding("tolerance-found", **said))
+    found += [finding("tolerance-found", **vars(one)) for one in result.calibration.tolerances]
     lacks: list[Finding] = []
     noise, far = _noise(result), [*_far(result), *_signs(result)]
     if fits is not None and rounding(fits):

@@ -23,8 +23,6 @@ from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE
 
 Array = NDArray[np.float64]
-FEW = 2
-"""Deviations of one unit, of which no more say nothing of their size."""
 
 
 def with_found_tolerance(calibration: Calibration) -> Calibration:
@@ -44,8 +42,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
     units = _units(calibration)
     size = largest_size(calibration.mechanism.legs)
     far = {unit: DIFFER * (size if unit == "m" else 1.0) for unit in units}
-    few = {unit for unit, ids in units.items() if len(ids) <= FEW}
-    asked = [unit for unit in units if unit not in few]
+    asked = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two say nothing
     groups = {id_: place for place, unit in enumerate(asked) for id_ in units[unit]}
     ends = np.array([far[unit] for unit in asked])
     sizes = ends
@@ -69,8 +66,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
             found.append(FoundTolerance(unit, np.inf, 0.0, np.inf, len(ids)))
             continue
         low, high = answer.ends[place].tolist()
-        unsure = float(answer.unsure[place])
-        found.append(FoundTolerance(unit, float(sizes[place]), low, high, len(ids), unsure))
+        found.append(FoundTolerance(unit, float(sizes[place]), low, high, len(ids)))
     return replace(calibration, tolerances=tuple(found))
 
 
@@ -78,7 +74,9 @@ def with_unsure_tolerances(found: Fits) -> Fits:
     """Return fits with what uncertain tolerances add to their covariances.
 
     By how far the estimate follows the logarithm of each, to first order: ∂φ/∂ log τ² =
-    C (φ − φ₀) / τ² of the parameters of that unit (R. E. Kass and D. Steffey 1989).
+    C (φ − φ₀) / τ² of the parameters of that unit (R. E. Kass and D. Steffey 1989). What the
+    measurements determine of k of them is worth k − tr C / τ² (D. J. C. MacKay 1992), and log τ²
+    is known as if so many were seen.
     """
     mechanism, fits = found.calibration.mechanism, []
     units = {one.id: one.unit for one in mechanism.parameters}
@@ -87,9 +85,12 @@ def with_unsure_tolerances(found: Fits) -> Fits:
         unknowns, covariance = fit.unknowns, fit.covariance
         values = fit.system.values(fit.last.state) - unknowns.nominal
         for one in found.calibration.tolerances:
-            own = np.array([units.get(id_) == one.unit for id_ in unknowns.labels])
-            pull = np.where(own & np.isfinite(unknowns.priors), values / unknowns.priors**2, 0.0)
-            by = 2.0 * one.unsure / fit.noise_scale**2 * (fit.covariance @ pull)
+            alike = np.array([units.get(id_) == one.unit for id_ in unknowns.labels])
+            own = alike & (unknowns.priors == one.size)  # others have one of their own
+            pull = np.where(own, values / one.size**2, 0.0)
+            seen = own.sum() - np.diagonal(fit.covariance)[own].sum() / one.size**2
+            unsure = np.sqrt(2.0 / max(seen, 0.5))  # of the logarithm; at most a factor of e²
+            by = unsure / fit.noise_scale**2 * (fit.covariance @ pull)
             covariance = covariance + np.outer(by, by)
         fits.append(replace(robust, fit=replace(fit, covariance=covariance)))
     return replace(found, fits=fits)

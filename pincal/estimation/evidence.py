@@ -23,7 +23,6 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 
 Array = NDArray[np.float64]
-_STEP = 0.1  # of logarithms, over which the deviance bends
 
 
 @dataclass(frozen=True)
@@ -88,8 +87,6 @@ class FoundTolerance:
     """Ends of its 95 % interval; 0 where the drawing may be exact, infinite without an end."""
     count: int
     """Parameters of this unit without a prior of their own."""
-    unsure: float = 0.0
-    """Standard error of the logarithm of the size."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +96,6 @@ class Sizes:
     most: Array
     """The likeliest that are not zero: the evidence times each of them is largest (Y. Chung et al.,
     Psychometrika 2013), shape (k,)."""
-    unsure: Array
-    """Standard errors of their logarithms, by the curvature there, shape (k,)."""
     ends: Array
     """Of the intervals that hold 95 %, shape (k, 2): 0 where none is as likely, infinite where they
     have no upper end."""
@@ -143,13 +138,8 @@ def likeliest(
 
     most, _ = least(np.clip(np.log(start), low, high), penalty=1.0)
     best, bottom = least(most)
-    ends, unsure = np.empty((len(best), 2)), np.empty(len(best))
+    ends = np.empty((len(best), 2))
     for place, middle in enumerate(best):
-        ways = most + _STEP * np.outer((-1.0, 0.0, 1.0), np.eye(len(best))[place])
-        beside = [sum(one.deviance(np.exp(way)) for one in parts) for way in ways]
-        bend = (beside[0] - 2.0 * beside[1] + beside[2]) / _STEP**2
-        bend = max(bend, 2.0)  # a factor of e, where little is said
-        unsure[place] = np.sqrt(2.0 / bend)
 
         def above(value: float, place: int = place) -> float:
             there = best.copy()
@@ -160,7 +150,7 @@ def likeliest(
             closed = end != middle and above(end) > 0.0
             between = sorted((float(end), float(middle)))
             ends[place, side] = np.exp(brentq(above, *between)) if closed else open_end
-    return Sizes(np.exp(most), unsure, ends)
+    return Sizes(np.exp(most), ends)
 
 
 def _rank(T: Array) -> int:
