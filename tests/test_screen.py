@@ -15,7 +15,7 @@ from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import Kind, every_pair
-from pincal.calibration.terms.screen import screen, screened, trials
+from pincal.calibration.terms.screen import Candidate, inseparable, screen, screened, trials
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 TRUE = ("leg_1", Kind.of("temperature"))
@@ -80,3 +80,24 @@ def test_the_judge_weighs_ranks_as_noise_does(benchmark_of_terms: Any, rank: int
     odds = benchmark_of_terms.likelihoods(noise, np.full(len(noise), rank), size)
     odds = odds * np.exp(-(size**2) / 2.0)
     assert abs(odds.mean() - 1.0) < 4.0 * odds.std() / np.sqrt(len(odds))
+
+
+def test_what_takes_off_as_much_is_named_with_the_first() -> None:
+    """Of its kind elsewhere, or another curve of the same reading; amplitudes cost two each."""
+    chi2 = 200.0
+
+    def one(reading: str, kind: str, inside: float, rank: int = 2) -> Candidate:
+        none = np.zeros(rank)
+        made = (reading, Kind.of(kind), "rad", (), none, none, 1.0, rank, inside / chi2, 0.0, 0.0)
+        return Candidate(*made)
+
+    first = one("leg_1", "polynomial", 60.0)
+    near = [one("leg_2", "polynomial", 52.0), one("leg_1", "harmonics", 56.0, rank=4)]
+    far = [
+        one("leg_2", "polynomial", 50.0),
+        one("leg_2", "harmonics", 59.0),
+        one("leg_1", "backlash", 59.0),
+        one("leg_1", "harmonics", 54.0, rank=4),
+        one("leg_1", "harmonics:3", 0.0, rank=0),
+    ]
+    assert inseparable(first, [*far, *near], chi2) == near

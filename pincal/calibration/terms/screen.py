@@ -133,19 +133,24 @@ def trials(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residua
 
 
 def inseparable(one: Candidate, others: Sequence[Candidate], chi2: float) -> list[Candidate]:
-    """Return those that rows do not separate from a candidate: of its kind, taking off as much.
+    """Return those that rows do not separate from a candidate: they take off as much.
+
+    They are of its kind, elsewhere; or another function of the same reading, such as a polynomial
+    for harmonics, whose χ² counts less two for each amplitude (Akaike 1974).
 
     Args:
         one: The candidate.
         others: Among which they are.
         chi2: Of the fit, of which shares are.
     """
-    return [
-        other
-        for other in others
-        if (other.kind, other.rank) == (one.kind, one.rank)
-        and (one.share - other.share) * chi2 < CLEAR**2
-    ]
+    found = []
+    for other in others:
+        alike = (other.kind, other.rank) == (one.kind, one.rank)
+        curves = bool(one.kind.numbers and other.kind.numbers and other.rank)
+        more = (one.share - other.share) * chi2 - 2 * (one.rank - other.rank)
+        if (alike or (curves and other.reading == one.reading)) and more < CLEAR**2:
+            found.append(other)
+    return found
 
 
 def _corrected(tried: list[Candidate]) -> list[Candidate]:
