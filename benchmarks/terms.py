@@ -1,22 +1,28 @@
-"""What a screen of terms sees: how often true terms are named first, false alarms, coverage.
+"""What a screen of terms sees: how often true terms are named, false alarms, coverage.
 
     python benchmarks/terms.py [--sets 100] [--only 3RRR …] [--output FILE]
+    python benchmarks/terms.py --coverage [--sets 100] [--only 3RRR …] [--terms gravity …]
 
-Machines are drawn at random, each with one term or two, of amplitudes of so many of their standard
-errors (as the screen of a machine without them finds them), measured with noise and screened with
-all kinds at every reading, length and angle, alone and together. ``temperature`` is of one reading,
+Machines are drawn at random, measured with noise and fitted without terms. Each term is tried on
+each: of so many standard errors (several amplitudes of one term in any direction of their
+ellipsoid), its white rows are added to the residuals of the fit, which is what a fit of a machine
+with it leaves, to first order (a test compares them). These are screened with all kinds at every
+reading, length and angle, alone and together. ``temperature`` is of one reading,
 ``growth=temperature`` of all lengths as one, ``length=temperature`` of one length,
-``link=gravity`` of a length or angle between two joints. Of two terms the first is added, the
-machine fitted again, and screened again: both must be named, in any order. Of a length that grows
-or stretches another length of its leg counts too, of an angle that bends another angle.
+``link=gravity`` of a length or angle between two joints. Of two terms the first is taken out, and
+the rest screened again: both must be named, in any order. Of each size, in percent:
 
-Of each size: how often a term is the first candidate; how often it is the first, or one that
-``explain`` says cannot be separated from the first; in brackets, how often the chance was below one
-in a hundred. Of single terms at the first size also how often a judge names it who knows the noise,
-and that there is one term of this size, each candidate as likely, each direction of its amplitudes
-(Bayes): no rule does better. False alarms: machines without terms in which some candidate has a
-corrected chance below one in a hundred. Coverage: the amplitudes' 95 % intervals, of calibrations
-with the true terms. Each line is written as soon as it is known.
+- how often the true term is the first candidate, its kind and its place;
+- how often a judge names it who knows the noise and that one term of this size is there, each
+  candidate as likely and each direction of its amplitudes (Bayes): over all candidates no rule can
+  do better on average; of single terms only;
+- how often it is the first or one that ``explain`` says cannot be separated from the first; in
+  brackets how many places are named so, on average;
+- how often ``explain`` says so: the same, at chances below one in a hundred.
+
+``any`` is a term drawn from all candidates. ``nothing``: machines in which some candidate has a
+corrected chance below one in a hundred. ``--coverage`` measures machines with the terms, calibrates
+them with these, and counts the amplitudes that lie in their 95 % intervals.
 """
 
 from __future__ import annotations
@@ -25,7 +31,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -36,9 +42,10 @@ from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import tied_by, with_terms
-from pincal.calibration.terms.kinds import GRAVITY, GROWTH, ORDER, Kind, every_pair, lengths
+from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, every_pair, lengths
 from pincal.calibration.terms.path import RULES
-from pincal.calibration.terms.screen import Candidate, inseparable, screen
+from pincal.calibration.terms.screen import Candidate, Trial, inseparable, screened, trials
+from pincal.estimation.residuals.score import Residuals
 from pincal.model.sensors.load import Load
 from pincal.workspace.sampling import sample_workspace
 
@@ -49,7 +56,11 @@ NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 LOAD = Load(10.0, (0.01, 0.02, 0.05))
 UPRIGHT = " upright"
 COUNT = 80
+POOL = 4000
 SIZES = (3.0, 5.0, 7.0)
+ANY = ("any",)
+Pair = tuple[str, Kind]
+Parts = list[tuple[Residuals, list[Trial]]]
 #: What is drawn, machine by machine: terms alone and in pairs.
 GROWS = (("growth=temperature",), ("length=temperature",))
 CASES: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -107,14 +118,21 @@ def machine(name: str) -> pincal.Mechanism:
     return plain if plain.platform.space == 2 else replace(plain, load=LOAD)
 
 
-def nominal_rows(mechanism: pincal.Mechanism, draw: np.random.Generator) -> pincal.Measurements:
+@cache
+def pool(name: str) -> np.ndarray:
+    """Return poses of a mechanism of which some are measured, shape (POOL, dof)."""
+    return sample_workspace(machine(name), POOL)
+
+
+def nominal_rows(name: str, draw: np.random.Generator) -> pincal.Measurements:
     """Return where a mechanism is to be measured, with a temperature."""
+    mechanism = machine(name)
     temperature = {"temperature": draw.uniform(15.0, 30.0, COUNT)}
     if mechanism.by_readings:
         readings = draw.uniform(-1.2, 1.2, (COUNT, len(mechanism.reading_names)))
         poses = pincal.forward(mechanism, readings).poses
     else:
-        poses = sample_workspace(mechanism, COUNT, seed=int(draw.integers(1 << 30)))
+        poses = draw.choice(pool(name), COUNT, replace=False)
         readings = pincal.inverse(mechanism, poses).readings
     return pincal.Measurements(poses=poses, readings=readings, influences=temperature)
 
@@ -140,8 +158,12 @@ def asked(mechanism: pincal.Mechanism, data: pincal.Measurements) -> Calibration
 class Seen:
     """What a screen says."""
 
-    candidates: list[Candidate]
-    chi2: float
+    parts: Parts
+
+    @cached_property
+    def candidates(self) -> list[Candidate]:
+        """All, the first first."""
+        return screened(self.parts)
 
     @property
     def first(self) -> Candidate:
@@ -149,144 +171,215 @@ class Seen:
         return self.candidates[0]
 
     @property
+    def chi2(self) -> float:
+        """Of the residuals."""
+        return sum(residuals.chi2 for residuals, _ in self.parts)
+
+    @property
     def alike(self) -> list[Candidate]:
         """The first, and those that cannot be separated from it."""
         return [self.first, *inseparable(self.first, self.candidates[1:], self.chi2)]
 
     def likeliest(self, size: float) -> Candidate:
-        """Return what a judge names who knows the noise, and that one term has this size.
-
-        With directions alike the density of residuals is e^(-s²/2) 0F1(k/2; s² x/4) times that
-        of noise, x the χ² along the k amplitudes.
-        """
-
-        def density(one: Candidate) -> float:
-            inside = one.share * self.chi2
-            return float(hyp0f1(one.rank / 2, size**2 * inside / 4)) if one.rank else 0.0
-
-        return max(self.candidates, key=density)
+        """Return what a judge names who knows the noise, and that one term has this size."""
+        inside = [one.share * self.chi2 for one in self.candidates]
+        odds = likelihoods(np.array(inside), np.array([one.rank for one in self.candidates]), size)
+        return self.candidates[int(np.argmax(odds))]
 
 
-def named(
-    mechanism: pincal.Mechanism,
-    data: pincal.Measurements,
-    every: Sequence[tuple[str, Kind]],
-    count: int,
-) -> Iterator[Seen]:
-    """Yield what is seen, each time after the first candidates before it were added."""
-    added: list[tuple[str, Kind]] = []
-    for _ in range(count):
-        extended, _ = with_terms(mechanism, data, added)
-        found = fitted(asked(extended, data))
-        seen = Seen(screen(found, every), sum(one.fit.chi2 for one in found.fits))
-        first = seen.first
-        yield seen
-        if first.kind.name == ORDER:  # no term
-            return
-        added.append((first.reading, first.kind))
+def likelihoods(inside: np.ndarray, ranks: np.ndarray, size: float) -> np.ndarray:
+    """Return how much likelier residuals are with a term of a size than without, but for a factor.
+
+    With directions alike it is e^(-s²/2) 0F1(k/2; s² x/4) for k amplitudes of size s along which
+    χ² is x.
+    """
+    return np.where(ranks > 0, hyp0f1(np.maximum(ranks, 1) / 2, size**2 * inside / 4), 0.0)
+
+
+def with_term(parts: Parts, pair: Pair, size: float, draw: np.random.Generator) -> Parts:
+    """Return residuals of a machine with a term, of so many standard errors in any direction."""
+
+    def of(residuals: Residuals, terms: list[Trial]) -> Residuals:
+        own = [one for one in terms if (one.reading, one.kind) == pair]
+        if not own:
+            return residuals
+        along = residuals.along(own[0].rows)
+        way = draw.standard_normal(along.shape[1])
+        more = (along @ way * size / np.linalg.norm(way)).reshape(residuals.left.shape)
+        left = residuals.left + more
+        return replace(residuals, left=left, chi2=float((left**2).sum()))
+
+    return [(of(residuals, terms), terms) for residuals, terms in parts]
+
+
+def without(parts: Parts, first: Candidate) -> Parts:
+    """Return what is left with a term added: residuals without it, and terms to be tried."""
+    rest = []
+    for residuals, terms in parts:
+        own = [one.rows for one in terms if one.names == first.names]
+        others = [one for one in terms if not {*one.names} & {*first.names}]
+        rest.append((residuals.without(own[0]) if own else residuals, others))
+    return rest
+
+
+def named(parts: Parts, count: int) -> list[Seen]:
+    """Return what is seen, each time after the first candidates before it were added."""
+    seen = [Seen(parts)]
+    while len(seen) < count and seen[-1].first.kind.name != ORDER:  # no term
+        seen.append(Seen(without(seen[-1].parts, seen[-1].first)))
+    return seen
 
 
 def drawn(
     said: Sequence[str],
     mechanism: pincal.Mechanism,
-    rows: pincal.Measurements,
+    seen: Sequence[Pair],
     draw: np.random.Generator,
-) -> list[tuple[str, Kind]]:
-    """Return terms at places that are drawn at random, no two of them at one place."""
-    every = {place for place, kind in every_pair(mechanism, rows) if kind.name == GRAVITY}
+) -> list[Pair]:
+    """Return terms at places that are drawn at random, no two of them at one place.
+
+    Args:
+        said: Kinds of place and terms.
+        mechanism: The mechanism.
+        seen: Places and kinds that poses can show.
+        draw: The generator.
+    """
+    if said == ANY:
+        return [seen[draw.integers(len(seen))]]
     places = {
-        "": list(mechanism.reading_names),
-        "growth": [GROWTH],
+        "": mechanism.reading_names,
+        "growth": (GROWTH,),
         "length": lengths(mechanism),
-        "link": [one.id for one in mechanism.parameters if one.id in every],
+        "link": mechanism.load_names[len(mechanism.reading_names) :],
     }
-    parts = [one.rpartition("=") for one in said]
-    chosen = draw.choice(places[parts[0][0]], len(parts), replace=False)
-    return [(str(place), Kind.of(kind)) for place, (_, _, kind) in zip(chosen, parts, strict=True)]
+    pairs: list[Pair] = []
+    for one in said:
+        where, _, text = one.rpartition("=")
+        kind, taken = Kind.of(text), {place for place, _ in pairs}
+        free = [at for at in places[where] if at not in taken and (at, kind) in seen]
+        if not free:
+            return []
+        pairs.append((free[draw.integers(len(free))], kind))
+    return pairs
 
 
-def alike(place: str, mechanism: pincal.Mechanism) -> set[str]:
-    """Return the places that are as good a name for a cause: lengths, or angles, of one leg."""
-    every = mechanism.parameters
-    if place not in {one.id for one in every}:
-        return {place}
-    owner, unit = every[place].owner, every[place].unit
-    return {one.id for one in every if (one.owner, one.unit) == (owner, unit)}
-
-
-def met(
-    found: Sequence[Candidate], pairs: Sequence[tuple[str, Kind]], mechanism: pincal.Mechanism
-) -> bool:
+def met(found: Sequence[Candidate], pairs: Sequence[Pair]) -> bool:
     """Return whether all terms are among those found."""
-    return all(
-        any(one.kind == kind and one.reading in alike(at, mechanism) for one in found)
-        for at, kind in pairs
+    return set(pairs) <= {(one.reading, one.kind) for one in found}
+
+
+def screened_machine(name: str, seed: int) -> tuple[pincal.Measurements, Parts]:
+    """Return measurements of a machine without terms, and what may be tried on its residuals."""
+    mechanism, draw = machine(name), np.random.default_rng(seed)
+    rows = nominal_rows(name, draw)
+    data = measured(mechanism, pincal.disturb(mechanism, 1e-3, seed=seed), rows, seed)
+    more = [("", Kind.of(one)) for said in CASES[name] for one in said if "=" not in one]
+    own = [(at, kind) for _, kind in more for at in mechanism.reading_names]
+    every = list(dict.fromkeys((*every_pair(mechanism, rows), *own)))
+    return rows, trials(fitted(asked(mechanism, data)), every)
+
+
+def seen_in(parts: Parts) -> list[Pair]:
+    """Return places and kinds of term that poses can show."""
+    return [(one.reading, one.kind) for one in screened(parts) if one.rank]
+
+
+def table(name: str, sets: int, cases: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yield the lines of a mechanism: how often terms are named, by size."""
+    counts = {said: np.zeros((len(SIZES), 5)) for said in cases}
+    drawn_in, false = dict.fromkeys(cases, 0), 0
+    for seed in range(sets):
+        _, parts = screened_machine(name, seed)
+        false += Seen(parts).first.corrected < RULES.level
+        seen = seen_in(parts)
+        for said in cases:
+            draw = np.random.default_rng((seed, cases.index(said)))
+            pairs = drawn(said, machine(name), seen, draw)
+            drawn_in[said] += bool(pairs)
+            for place, size in enumerate(SIZES if pairs else ()):
+                true = parts
+                for pair in pairs:
+                    true = with_term(true, pair, size, draw)
+                counts[said][place] += judged(named(true, len(pairs)), pairs, size)
+    yield f"| {name}, nothing (of {sets}) | {false} false alarms {'| – ' * (len(SIZES) - 1)}|"
+    for said in cases:
+        count, at = drawn_in[said], []
+        for first, best, among, places, explained in counts[said] / max(count, 1):
+            possible = f"{100 * best:.0f}" if len(said) == 1 else "–"
+            shares = f"{100 * first:.0f} / {possible} / {100 * among:.0f} ({places:.1f})"
+            at.append(f"{shares} / {100 * explained:.0f}")
+        only = f" (of {count})" if count < sets else ""
+        yield f"| {name}, {' and '.join(said)}{only} | {' | '.join(at)} |"
+
+
+def judged(order: Sequence[Seen], pairs: Sequence[Pair], size: float) -> tuple[float, ...]:
+    """Return whether terms are named: first, by the judge, among (how many places), explained."""
+    among = met([c for one in order for c in one.alike], pairs)
+    clear = all(one.first.corrected < RULES.level for one in order)
+    return (
+        met([one.first for one in order], pairs),
+        met([order[0].likeliest(size)], pairs),
+        among,
+        float(np.mean([len(one.alike) for one in order])),
+        among and clear,
     )
 
 
-def tried(name: str, said: tuple[str, ...], sets: int) -> str:
-    """Return a line of a table: how often terms are named first, by size, and coverage."""
+def coverage(name: str, sets: int, cases: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yield how many amplitudes lie in their 95 % intervals, of calibrations with the terms."""
     mechanism = machine(name)
-    first, among, clear = np.zeros((3, len(SIZES)))
-    judged = 0
-    covered = count = machines = seed = 0
-    while machines < sets:
-        draw = np.random.default_rng(seed)
-        rows = nominal_rows(mechanism, draw)
-        pairs = drawn(said, mechanism, rows, draw)
-        plain = pincal.disturb(mechanism, 1e-3, seed=seed)
-        truth, ids = with_terms(plain, rows, pairs)
-        data = measured(mechanism, plain, rows, seed)
-        every = list(dict.fromkeys((*every_pair(mechanism, rows), *pairs)))
-        found = screen(fitted(asked(mechanism, data)), every)
-        own = [c for pair in pairs for c in found if (c.reading, c.kind) == pair]
-        seed += 1
-        if len(own) < len(pairs) or not all(np.isfinite(c.std).all() and c.rank for c in own):
-            continue  # nothing weighs on the joint, or geometry takes the term up
-        machines += 1
-        for place, size in enumerate(SIZES):
-            values = {}
-            for pair, one in zip(pairs, own, strict=True):
-                way = draw.standard_normal(len(one.std))
-                scaled = size / np.linalg.norm(way / one.std) * way
-                names, every_one = ids[pair], len(ids[pair]) // len(way)  # growth: one of all legs
-                values |= dict(zip(names, np.tile(scaled, every_one).tolist(), strict=True))
-            data = measured(mechanism, truth.with_parameters(values), rows, seed)
-            order = list(named(mechanism, data, every, len(pairs)))
-            first[place] += met([one.first for one in order], pairs, mechanism)
-            among[place] += met([c for one in order for c in one.alike], pairs, mechanism)
-            clear[place] += all(one.first.corrected < RULES.level for one in order)
-            judged += not place and met([order[0].likeliest(size)], pairs, mechanism)
-        extended, own_ids = with_terms(mechanism, rows, pairs)
-        result = pincal.calibrate(
-            extended,
-            data,
-            noise=NOISE,
-            hold_undetermined=mechanism.by_readings,
-            tied=tied_by(own_ids),
-        )
-        names = [own[0] if place == GROWTH else own for (place, _), own in own_ids.items()]
-        for id_ in np.hstack(names).tolist():
-            covered += result[id_].low <= values[id_] <= result[id_].high
-            count += 1
-    shares = zip(100 * first / sets, 100 * among / sets, 100 * clear / sets, strict=True)
-    at = [f"{n:.0f}, {m:.0f} % ({s:.0f} %)" for n, m, s in shares]
-    at.insert(1, f"{100 * judged / sets:.0f} %" if len(said) == 1 else "–")
-    within = f"{100 * covered / count:.1f} % of {count}"
-    return f"| {name}, {' and '.join(said)} | {' | '.join(at)} | {within} |"
-
-
-def alarms(name: str, sets: int) -> str:
-    """Return a line: how often something is seen in machines without terms."""
-    false, chances = 0, []
+    covered: dict[tuple[str, ...], list[bool]] = {said: [] for said in cases}
     for seed in range(sets):
-        draw, mechanism = np.random.default_rng(10_000 + seed), machine(name)
-        rows = nominal_rows(mechanism, draw)
-        data = measured(mechanism, pincal.disturb(mechanism, 1e-3, seed=seed), rows, seed)
-        found = screen(fitted(asked(mechanism, data)), every_pair(mechanism, rows))
-        false += min(one.corrected for one in found) < RULES.level
-        chances += [one.p_value for one in found if one.rank]
-    return f"| {name}, none | {false} of {sets} | mean chance {np.mean(chances):.3f} |"
+        rows, parts = screened_machine(name, seed)
+        found = {(one.reading, one.kind): one for one in screened(parts)}
+        whole = [pair for pair, one in found.items() if np.isfinite(one.std).all()]
+        plain = pincal.disturb(mechanism, 1e-3, seed=seed)
+        for said in cases:
+            draw = np.random.default_rng((seed, cases.index(said)))
+            pairs = drawn(said, mechanism, whole, draw)
+            truth, ids = with_terms(plain, rows, pairs)
+            values: dict[str, float] = {}
+            for pair in pairs:
+                std = found[pair].std
+                scaled = SIZES[-1] * std * draw.choice((-1.0, 1.0), len(std))
+                several = len(ids[pair]) // len(scaled)  # growth: one of all legs
+                values |= dict(zip(ids[pair], np.tile(scaled, several).tolist(), strict=True))
+            data = measured(mechanism, truth.with_parameters(values), rows, seed)
+            extended, own_ids = with_terms(mechanism, rows, pairs)
+            result = pincal.calibrate(
+                extended,
+                data,
+                noise=NOISE,
+                hold_undetermined=mechanism.by_readings,
+                tied=tied_by(own_ids),
+            )
+            for (place, _), own in own_ids.items():
+                for id_ in own[:1] if place == GROWTH else own:
+                    covered[said].append(result[id_].low <= values[id_] <= result[id_].high)
+    for said, inside in covered.items():
+        yield f"| {name}, {' and '.join(said)} | {100 * np.mean(inside):.1f} % of {len(inside)} |"
+
+
+HEAD = (
+    "| machine and terms | "
+    + " | ".join(f"{size:g} standard errors" for size in SIZES)
+    + " |\n"
+    + "|---" * (len(SIZES) + 1)
+    + "|"
+)
+HEAD_OF_COVERAGE = "| machine and terms | 95 % intervals cover |\n|---|---|"
+
+
+def lines(given: argparse.Namespace) -> Iterator[str]:
+    """Yield the lines of a table."""
+    yield HEAD_OF_COVERAGE if given.coverage else HEAD
+    wanted = None if given.terms is None else {tuple(one.split("+")) for one in given.terms}
+    for name in given.only:
+        cases = [said for said in CASES[name] if wanted is None or said in wanted]
+        if given.coverage:
+            yield from coverage(name, given.sets, cases)
+        else:
+            yield from table(name, given.sets, [*cases, *[ANY] * (wanted is None)])
 
 
 def main() -> None:
@@ -294,23 +387,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", type=int, default=100)
     parser.add_argument("--only", nargs="*", default=list(CASES))
+    parser.add_argument("--coverage", action="store_true", help="of intervals, instead of naming")
     parser.add_argument("--output", type=Path)
     parser.add_argument("--terms", nargs="*", help="such as gravity or gravity+backlash")
     given = parser.parse_args()
-    wanted = None if given.terms is None else {tuple(one.split("+")) for one in given.terms}
-    for name in given.only:
-        lines = [lambda name=name: alarms(name, given.sets)] * (wanted is None)
-        lines += [
-            lambda name=name, said=said: tried(name, said, given.sets)
-            for said in CASES[name]
-            if wanted is None or said in wanted
-        ]
-        for line in lines:
-            text = line()
-            print(text, flush=True)
-            if given.output is not None:
-                with given.output.open("a", encoding="utf-8") as file:
-                    file.write(f"{text}\n")
+    for text in lines(given):
+        print(text, flush=True)
+        if given.output is not None:
+            with given.output.open("a", encoding="utf-8") as file:
+                file.write(f"{text}\n")
 
 
 if __name__ == "__main__":

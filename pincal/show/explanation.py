@@ -29,6 +29,7 @@ from pincal.words.terms import (
     NOTHING,
     OF_LEGS,
     OR_ELSE,
+    OTHER_KIND,
     PLACES,
     SEEN,
     SLIP,
@@ -149,7 +150,10 @@ def _seen_lines(found: Explanation, seen: Sequence[Candidate]) -> list[str]:
         one = left.pop(0)
         alike = inseparable(one, left, chi2)
         left = [other for other in left if other not in alike]
-        others = [_place(found, other.reading) for other in alike]
+        others = [
+            _place(found, each.reading) if each.kind == one.kind else OTHER_KIND.format(each.kind)
+            for each in alike
+        ]
         lines.append(
             SEEN.format(
                 reading=_place(found, one.reading),

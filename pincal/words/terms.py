@@ -85,6 +85,7 @@ SLIPPED = {
 SLIP = "from data row {row} on {what} is off by {size}: {look}{or_else} ({chance})"
 DRIFT = "{what} drifts, by {size} from the first row to the last: {look}{or_else} ({chance})"
 OR_ELSE = "; or it is {what}, which these rows cannot separate"
+OTHER_KIND = "{} of the same reading"
 MEND = (
     "mend that first: measure what came after a slip again, or name the parts in a column run; "
     "while it is there other terms may only follow it"

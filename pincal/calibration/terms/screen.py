@@ -54,6 +54,19 @@ class Candidate:
     """The same with the number of tests (Holm 1979)."""
 
 
+@dataclass(frozen=True)
+class Trial:
+    """A kind of term in one place, and how it would show in the white rows of a fit."""
+
+    reading: str
+    kind: Kind
+    unit: str
+    names: tuple[str, ...]
+    """Ids of the amplitudes."""
+    rows: Array
+    """White rows of the amplitudes, shape (n_used, m, k)."""
+
+
 def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
     """Return what readings and parameters may lack, the most improbable by chance first.
 
@@ -61,6 +74,35 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
         found: The fits whose residuals are looked at.
         pairs: Readings, lengths and angles, and kinds of term that they may lack.
     """
+    return screened(trials(found, pairs))
+
+
+def screened(parts: Sequence[tuple[Residuals, Sequence[Trial]]]) -> list[Candidate]:
+    """Return what residuals say of the terms that are tried on them."""
+    tried = []
+    for residuals, terms in parts:
+        for one in terms:
+            answer = residuals.amplitudes(one.rows)
+            tried.append(
+                Candidate(
+                    reading=one.reading,
+                    kind=one.kind,
+                    unit=one.unit,
+                    names=one.names,
+                    amplitudes=answer.values,
+                    std=answer.std,
+                    F=answer.F,
+                    rank=answer.rank,
+                    share=float(answer.inside / max(residuals.chi2, 1e-300)),
+                    p_value=answer.p_value,
+                    corrected=1.0,
+                )
+            )
+    return _corrected(sorted(tried, key=lambda one: (one.p_value, -one.share)))
+
+
+def trials(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residuals, list[Trial]]]:
+    """Return residuals of fits, and the terms that may be tried on them; see ``screen``."""
     calibration = found.calibration
     kinds = [kind for _, kind in pairs]
     data = with_columns(calibration, kinds)
@@ -69,11 +111,11 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     asked = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
     units = {one.id: one.unit for one in mechanism.parameters}
-    tried = []
+    parts = []
     for robust in found.fits:
         if not robust.fit.problem.weighted:
             continue
-        residuals = Residuals.of(robust.fit)
+        residuals, terms = Residuals.of(robust.fit), list[Trial]()
         names, W = _columns(asked, robust, residuals.used)
         asked_for = set()
         for (reading, kind), own in ids.items():
@@ -85,40 +127,30 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
                 by = W[:, :, places]
                 if reading == GROWTH:  # one amplitude of all legs
                     by, own = by.sum(axis=2, keepdims=True), own[:1]
-                answer = residuals.amplitudes(by)
-                share = answer.inside / max(residuals.chi2, 1e-300)
-                tried.append(
-                    Candidate(
-                        reading=reading,
-                        kind=kind,
-                        unit=units[own[0]],
-                        names=own,
-                        amplitudes=answer.values,
-                        std=answer.std,
-                        F=answer.F,
-                        rank=answer.rank,
-                        share=float(share),
-                        p_value=answer.p_value,
-                        corrected=1.0,
-                    )
-                )
-    return _corrected(sorted(tried, key=lambda one: (one.p_value, -one.share)))
+                terms.append(Trial(reading, kind, units[own[0]], own, by))
+        parts.append((residuals, terms))
+    return parts
 
 
 def inseparable(one: Candidate, others: Sequence[Candidate], chi2: float) -> list[Candidate]:
-    """Return those that rows do not separate from a candidate: of its kind, taking off as much.
+    """Return those that rows do not separate from a candidate: they take off as much.
+
+    They are of its kind, elsewhere; or another function of the same reading, such as a polynomial
+    for harmonics, whose χ² counts less two for each amplitude (Akaike 1974).
 
     Args:
         one: The candidate.
         others: Among which they are.
         chi2: Of the fit, of which shares are.
     """
-    return [
-        other
-        for other in others
-        if (other.kind, other.rank) == (one.kind, one.rank)
-        and (one.share - other.share) * chi2 < CLEAR**2
-    ]
+    found = []
+    for other in others:
+        alike = (other.kind, other.rank) == (one.kind, one.rank)
+        curves = bool(one.kind.numbers and other.kind.numbers and other.rank)
+        more = (one.share - other.share) * chi2 - 2 * (one.rank - other.rank)
+        if (alike or (curves and other.reading == one.reading)) and more < CLEAR**2:
+            found.append(other)
+    return found
 
 
 def _corrected(tried: list[Candidate]) -> list[Candidate]:

@@ -118,6 +118,21 @@ class Residuals:
         p_value = float(self.chance(inside, rank))
         return Amplitudes(-back @ along, std, inside / rank / rest, rank, inside, p_value)
 
+    def along(self, W: Array) -> Array:
+        """Return orthonormal directions of terms that parameters do not take up.
+
+        Args:
+            W: White rows of the terms, shape (n_used, m, f).
+
+        Returns:
+            Shape (n_used m, rank).
+        """
+        flat, Q = W.reshape(-1, W.shape[2]), self.Q.reshape(-1, self.Q.shape[2])
+        lengths = np.linalg.norm(flat, axis=0)
+        flat = flat / np.where(lengths > 0.0, lengths, 1.0)
+        U, s, _ = np.linalg.svd(flat - Q @ (Q.T @ flat), full_matrices=False)
+        return np.asarray(U[:, s > RANK_TOLERANCE], np.float64)
+
     def size(self, w: Array) -> float:
         """Return how large an error is that has these white rows if it is 1, shape (n_used, m)."""
         taken = np.einsum("nmi,nm->i", self.Q, w)
@@ -159,11 +174,7 @@ class Residuals:
 
     def without(self, W: Array) -> Residuals:
         """Return the residuals with errors of white rows W taken up, shape (n_used, m, f)."""
-        flat, Q = W.reshape(-1, W.shape[2]), self.Q.reshape(-1, self.Q.shape[2])
-        lengths = np.linalg.norm(flat, axis=0)
-        flat = flat / np.where(lengths > 0.0, lengths, 1.0)
-        U, s, _ = np.linalg.svd(flat - Q @ (Q.T @ flat), full_matrices=False)
-        U = U[:, s > RANK_TOLERANCE]
+        U, Q = self.along(W), self.Q.reshape(-1, self.Q.shape[2])
         left = self.left - (U @ (U.T @ self.left.ravel())).reshape(self.left.shape)
         every = np.concatenate((Q, U), axis=1).reshape(*self.left.shape, -1)
         free = self.degrees_of_freedom - U.shape[1]
