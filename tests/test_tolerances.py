@@ -127,6 +127,14 @@ def test_a_machine_as_drawn_is_found_as_drawn() -> None:
     assert np.trace(result.covariance) < 0.5 * np.trace(free.covariance)
 
 
+def test_sizes_of_a_single_pose_lie_in_their_intervals() -> None:
+    """Three equations say little of 24 parameters: no more than that."""
+    _, data = drawn("3RRR", 24, seed=2)
+    result = pincal.calibrate("3RRR", data.rows(np.arange(1)), noise=NOISE, tolerance="auto")
+    for one in result.calibration.tolerances:
+        assert one.low <= one.size <= one.high
+
+
 def test_what_cannot_be_is_refused() -> None:
     """Unweighted residuals have no evidence; another word is none."""
     _, data = drawn("5R", 24, seed=1)

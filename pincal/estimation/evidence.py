@@ -95,7 +95,7 @@ class Sizes:
 
     most: Array
     """The likeliest that are not zero: the evidence times each of them is largest (Y. Chung et al.,
-    Psychometrika 2013), shape (k,)."""
+    Psychometrika 2013), but not beyond the intervals, shape (k,)."""
     ends: Array
     """Of the intervals that hold 95 %, shape (k, 2): 0 where none is as likely, infinite where they
     have no upper end."""
@@ -150,7 +150,7 @@ def likeliest(
             closed = end != middle and above(end) > 0.0
             between = sorted((float(end), float(middle)))
             ends[place, side] = np.exp(brentq(above, *between)) if closed else open_end
-    return Sizes(np.exp(most), ends)
+    return Sizes(np.clip(np.exp(most), *ends.T), ends)
 
 
 def _rank(T: Array) -> int:
