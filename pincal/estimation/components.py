@@ -191,11 +191,13 @@ def estimated_noise(
         reading: Standard deviation to which that of readings is relative, [rad] or [m].
         beforehand: What was assumed of it.
     """
-    variance = moments.variances(beforehand)
-    noisy = np.array([True, True, not beforehand.exact or bool(variance[_R] > 0.0)])
-    variance = np.clip(variance, moments.scale / _BY.most, moments.scale * _BY.most)
-    ratio = beforehand.ratio * variance
-    variance = np.maximum(variance, _BY.least**2 * ratio[noisy].max() / beforehand.ratio)
+    variance, assumed = moments.variances(beforehand), beforehand.ratio
+    least = np.full(3, moments.scale / _BY.most)
+    least[_R] *= noise.reading > 0.0  # of a size that is not known yet
+    variance = np.clip(variance, least, moments.scale * _BY.most)
+    floor = _BY.least**2 * (assumed * variance).max() / assumed
+    noisy = np.array([True, True, not beforehand.exact or bool(variance[_R] > floor[_R])])
+    variance = np.maximum(variance, floor)
     p, o, r = np.sqrt(np.where(noisy, variance, 0.0))
     return Noise(float(noise.position * p), float(noise.orientation * o), float(reading * r))
 

@@ -30,6 +30,7 @@ _JOINTS = {
 _COLUMNS = (
     40  # keep nv near this: calls cost what they do with 64, Pinocchio's data (nv³) a quarter
 )
+_PLANAR = (0, 1, 5)  # rows of twists that are not zero in the plane across z
 
 
 @dataclass(frozen=True)
@@ -134,29 +135,31 @@ class Forest:
                     self._model.jointPlacements[root] = placement
                 self._base = base
             joints = self._columns(configurations)
-        rows = (0, 1, 2, 3, 4, 5) if self.spatial else (0, 1, 5)  # others are zero in the plane
-        twists = np.empty((len(rows), len(wanted), len(configurations)))
-        for own, row in zip(twists, rows, strict=True):
-            np.matmul(wanted, joints[row].T, out=own)
-            if base is not None:
-                own[-base.twists.shape[1] :] += base.twists[row, :, None]
+        twists = np.matmul(wanted, joints.transpose(0, 2, 1))
+        if base is not None:
+            moved = base.twists if self.spatial else base.twists[list(_PLANAR)]
+            twists[:, -moved.shape[1] :] += moved[:, :, None]
         return (_in_space if self.spatial else _in_plane)(twists)
 
     def _columns(self, configurations: Array) -> Array:
-        """Return Pinocchio's joint columns at the base's origin, shape (6, N, width)."""
+        """Return Pinocchio's joint columns at the base's origin, shape (3 or 6, N, width)."""
         count, n = configurations.shape
         blocks = -(-count // self.copies)
         padded = np.zeros((blocks * self.copies, self.width))
         padded[:count, :n] = configurations
-        out = np.empty((6, blocks, self.copies * self.width))
+        out = np.empty((6 if self.spatial else 3, blocks, self.copies * self.width))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
         columns = data.J  # Pinocchio's own memory: a copy of what each call returns costs as much
+        along, turn = columns[:2], columns[5]
         for target, q in zip(
             out.swapaxes(0, 1), padded.reshape(blocks, self.copies * self.width), strict=True
         ):
             evaluate(model, data, q)
-            target[:] = columns
-        return out.reshape(6, blocks * self.copies, self.width)[:, :count]
+            if self.spatial:
+                target[:] = columns
+            else:
+                target[:2], target[2] = along, turn
+        return out.reshape(len(out), blocks * self.copies, self.width)[:, :count]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from math import cos, sin
 
 import numpy as np
@@ -35,6 +36,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "polar": ("m", "rad"),  # radius, azimuth about z: a point, orientation kept
     "spherical": ("m", "rad", "rad"),  # radius, angle from z, azimuth: a point
 }
+_TURNING = ("rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
@@ -52,17 +54,33 @@ class Step:
 
     def matrix(self, parameters: Mapping[str, float]) -> Array:
         """Return the displacement as a homogeneous matrix, shape (4, 4)."""
-        matrix = np.eye(4)
-        amount = self.amount(parameters)
-        index = "xyz".index(self.axis[-1])
-        if self.axis.startswith("r"):
-            j, k = (index + 1) % 3, (index + 2) % 3
-            matrix[j, j] = matrix[k, k] = cos(amount)
-            matrix[k, j] = sin(amount)
-            matrix[j, k] = -matrix[k, j]
-        else:
-            matrix[index, 3] = amount
-        return matrix
+        return _elementary(self.axis, self.amount(parameters))
+
+
+def _elementary(axis: str, amount: float) -> Array:
+    """Return a displacement along (x, y, z) or about (rx, ry, rz), shape (4, 4)."""
+    matrix = np.eye(4)
+    index = "xyz".index(axis[-1])
+    if axis.startswith("r"):
+        j, k = (index + 1) % 3, (index + 2) % 3
+        matrix[j, j] = matrix[k, k] = cos(amount)
+        matrix[k, j] = sin(amount)
+        matrix[j, k] = -matrix[k, j]
+    else:
+        matrix[index, 3] = amount
+    return matrix
+
+
+@lru_cache(maxsize=4096)  # legs are made anew with most of their parts as they were
+def _displacement(kind: str, amounts: tuple[tuple[str, float], ...]) -> Array:
+    """Return the product of a coordinate's elementary displacements, shape (4, 4), read only."""
+    matrix = np.eye(4)
+    for axis, amount in amounts:
+        matrix = matrix @ _elementary(axis, amount)
+    if kind not in _TURNING:  # exact: a point does not turn what follows
+        matrix[:3, :3] = np.eye(3)
+    matrix.flags.writeable = False
+    return matrix
 
 
 @dataclass(frozen=True)
@@ -83,7 +101,7 @@ class Coordinate:
                 f"got {list(self.values)}"
             )
 
-    @property
+    @cached_property
     def steps(self) -> tuple[Step, ...]:
         """Elementary displacements, in order.
 
@@ -107,16 +125,12 @@ class Coordinate:
     @property
     def turns(self) -> bool:
         """Whether the coordinate turns what follows it."""
-        return self.kind in ("rx", "ry", "rz")
+        return self.kind in _TURNING
 
     def displacement(self, parameters: Mapping[str, float]) -> Array:
-        """Return the product of the elementary displacements, shape (4, 4)."""
-        matrix = np.eye(4)
-        for step in self.steps:
-            matrix = matrix @ step.matrix(parameters)
-        if not self.turns:  # exact: a point does not turn what follows
-            matrix[:3, :3] = np.eye(3)
-        return matrix
+        """Return the product of the elementary displacements, shape (4, 4), read only."""
+        amounts = tuple((step.axis, step.amount(parameters)) for step in self.steps)
+        return _displacement(self.kind, amounts)
 
 
 @dataclass(frozen=True)
@@ -153,7 +167,7 @@ class Placement:
         turned = f"rpy={triple(self.rpy)}" if any(self.rpy) else ""
         return one_line("Placement", *parts, f"xyz={triple(self.xyz)}", turned)
 
-    @property
+    @cached_property
     def steps(self) -> tuple[Step, ...]:
         """Elementary displacements of all coordinates, in order."""
         return tuple(step for c in self.coordinates for step in c.steps)
@@ -182,10 +196,14 @@ class Placement:
 
     def origin(self) -> Array:
         """Return the URDF origin as a homogeneous matrix, shape (4, 4)."""
+        return self._origin.copy()
+
+    @cached_property
+    def _origin(self) -> Array:
         matrix = np.eye(4)
         if any(self.rpy):
             for axis, angle in zip(("rx", "ry", "rz"), self.rpy, strict=True):
-                matrix = Step(axis, angle).matrix({}) @ matrix
+                matrix = _elementary(axis, angle) @ matrix
         matrix[:3, 3] = self.xyz
         return matrix
 
