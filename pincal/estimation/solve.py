@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from pincal.errors import MeasurementError
-from pincal.estimation.linear import Linear
+from pincal.estimation.linear import Linear, State
 from pincal.estimation.pose_search import solve_poses, unsolved
 from pincal.estimation.problem import Problem, spread
 from pincal.estimation.system import Normal, System
@@ -31,6 +32,10 @@ class Settings:
 
     evaluations: int = 1000
     """Of the conditions, at most."""
+    astray: int = 100
+    """Evaluations at most while the conditions are farther off than ``far``."""
+    far: float = 1e6
+    """Cost of a condition: a thousand standard deviations, which no correction of a machine is."""
     longer: int = 3
     """Times as many within a standard deviation of the optimum: in a curved valley."""
     damping: tuple[float, float] = (1e-14, 1e10)
@@ -51,6 +56,8 @@ class Settings:
     """Of a residual's standard deviation: the easier problem is left."""
     begin: int = 50
     """Evaluations of the easier problem, at most."""
+    gross: float = 100.0
+    """Times as far off as usual where the search starts: the easier problem is without such rows."""
     last: int = 30
     """Steps with conditions at adjusted readings, at most; most fits need two or three."""
     shortest: float = 1e-4
@@ -112,7 +119,9 @@ def search(
         if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
             break
         near = most is None and normal.decrement**2 * here.value.size <= cost
-        limit = (most or BY.evaluations) * (BY.longer if near else 1)
+        far = cost > BY.far * here.value.size
+        limit = most or BY.evaluations * (BY.longer if near else 1)
+        limit = min(limit, BY.astray) if far else limit
         if evaluations >= limit or damping > BY.damping[1]:
             break
         if progress and evaluations % 5 == 0:
@@ -200,7 +209,8 @@ def near_start(
 ) -> tuple[Linear, int]:
     """Return where the search begins: near an easier optimum, if that is better.
 
-    That of the evened problem, and of least squares: a loss bends the cost far from its optimum.
+    That of the evened problem, without gross errors, and of least squares: a loss bends the cost
+    far from its optimum.
 
     Args:
         system: What is minimised.
@@ -208,20 +218,22 @@ def near_start(
         progress: Called with what is being done.
     """
     problem = system.problem
-    evened = problem.evened(first.stack) or (problem if system.loss else None)
+    sound = first.squares <= BY.gross**2 * np.median(first.squares)
+    evened = problem.evened(first.stack) or (problem if system.loss or not sound.all() else None)
     if evened is None:
         return first, 0
+    kept = sound if system.kept is None else system.kept & sound
     start, every = problem.start(first.state.parameters), len(first.value)
     some = spread(every, BY.rows)
     if len(some) < every:
         evened, start = evened.part(some), start.rows(some)
-    kept = None if system.kept is None else system.kept[some]
     begin, count = solve_poses(evened, evened.linearise(start))
-    easy = replace(system, problem=evened, kept=kept, loss=None)
+    easy = replace(system, problem=evened, kept=kept[some], loss=None)
     found = search(easy, begin, progress, enough=BY.near, most=BY.begin)
     there = found.linear.state
     if len(some) < every:
         there = replace(problem.start(there.parameters), external=there.external)
+    there = _among_others(problem, there, sound)
     try:
         with np.errstate(all="ignore"):
             near, more = solve_poses(problem, problem.linearise(there))
@@ -233,6 +245,20 @@ def near_start(
         costs.append(system.cost(system.residuals(one), weights, one.state))
     better = np.isfinite(costs[1]) and not costs[1] > costs[0]
     return (near if better else first), count + found.evaluations + more
+
+
+def _among_others(problem: Problem, state: State, sound: Mask) -> State:
+    """Return a state whose rows that are far off start where the readings are most alike.
+
+    What was measured there may lead to another assembly mode.
+    """
+    if not problem.latent or sound.all():
+        return state
+    readings = problem.readings / np.maximum(np.ptp(problem.readings, axis=0), 1e-300)
+    others = np.flatnonzero(sound)
+    alike = np.arange(len(sound))
+    alike[~sound] = others[KDTree(readings[others]).query(readings[~sound])[1]]
+    return state.rows(alike)
 
 
 def _trial(problem: Problem, here: Linear, step: Array, held: Mask) -> tuple[Linear | None, int]:

@@ -36,7 +36,7 @@ def wrong_rows(result: CalibrationResult) -> CalibrationResult:
     Parameters, residuals and standard errors stay those of all rows: what is left out is said by
     the user. What only follows from these rows is no longer said, what is found without them is.
     """
-    if result.loss != "none" or not result.converged or result.excess == 1.0:
+    if result.loss != "none" or result.excess == 1.0:
         return result
     try:
         robust = assemble(fitted(result.calibration.with_options(loss="reject")), None)
