@@ -8,6 +8,7 @@ import runpy
 import shlex
 import subprocess
 import sys
+from functools import cache
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
@@ -101,12 +102,21 @@ def test_measuring_page_names_columns_and_units() -> None:
         pincal.calibrate(robot, data, noise=pincal.Noise(reading=1e-3), rough=True)
 
 
+@cache
+def nodes_of_the_source() -> tuple[ast.AST, ...]:
+    """Return the syntax of all modules, node by node."""
+    return tuple(
+        node
+        for path in (ROOT / "pincal").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    )
+
+
 def made() -> set[str]:
     """Return the codes of findings that the source makes."""
     return {
         node.args[0].value
-        for path in (ROOT / "pincal").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes_of_the_source()
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
         and node.func.id in ("finding", "Hypothesis")
@@ -148,11 +158,7 @@ def test_no_internals_on_the_page_of_errors() -> None:
 
 def raised() -> set[str]:
     """Return the names of what the source raises; of functions that make errors, of these."""
-    nodes = [
-        node
-        for path in (ROOT / "pincal").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    ]
+    nodes = nodes_of_the_source()
     makers = {
         node.name: node.returns.id
         for node in nodes

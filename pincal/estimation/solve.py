@@ -57,7 +57,7 @@ class Settings:
     begin: int = 50
     """Evaluations of the easier problem, at most."""
     gross: float = 100.0
-    """Times as far off as usual where the search starts: the easier problem is without such rows."""
+    """Times as far off as usual, where the search starts: left out of the easier problem."""
     last: int = 30
     """Steps with conditions at adjusted readings, at most; most fits need two or three."""
     shortest: float = 1e-4

@@ -114,7 +114,7 @@ class _Flow(dict[str, Any]):
     """A mapping that YAML writes on one line."""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(yaml.CSafeDumper):
     """Writes ``_Flow`` mappings on one line, and NumPy's numbers as Python's."""
 
 

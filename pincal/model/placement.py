@@ -208,7 +208,7 @@ class Placement:
         return matrix
 
     def rest(self, parameters: Mapping[str, float], where: str) -> Array:
-        """Return the constant displacement after the coordinates, shape (4, 4).
+        """Return the constant displacement after the coordinates, shape (4, 4), read only.
 
         Coordinates whose nominal values are all zero are corrections to the URDF
         origin. Otherwise they must give the whole position of the origin.
@@ -216,25 +216,8 @@ class Placement:
         Raises:
             MechanismError: coordinates and URDF origin disagree.
         """
-        origin = self.origin()
-        if not self.coordinates:
-            return origin
-        displacement = self.displacement(parameters)
-        rest = np.linalg.inv(displacement) @ origin
-        rest[:3, :3] = _without_rounding(rest[:3, :3]) if self.turns else origin[:3, :3]
-        corrections = not any(step.amount(parameters) for step in self.steps)
-        if corrections:
-            return rest
-        expected = displacement[:3, 3]
-        scale = float(np.abs(np.stack((self.xyz, expected))).max())
-        if float(np.abs(rest[:3, 3]).max()) > EXACT * scale:
-            raise MechanismError(
-                f"{where}: the URDF origin is at {_numbers(self.xyz)} m, but its coordinates and "
-                f"nominal parameters put it at {_numbers(expected)} m. Make them agree, or write "
-                "a constant part as a number, for example '- z: 0.3'."
-            )
-        rest[:3, 3] = 0.0
-        return rest
+        names = [step.value for step in self.steps if isinstance(step.value, str)]
+        return _rest(self, tuple((name, parameters[name]) for name in names), where)
 
     def moved(self, old: Mapping[str, float], new: Mapping[str, float], where: str) -> Placement:
         """Return the placement at new parameter values; its constant part stays.
@@ -260,6 +243,30 @@ class Placement:
         if self.turns or not np.array_equal(rest[:3, :3], self.origin()[:3, :3]):
             rpy = _roll_pitch_yaw(origin[:3, :3])
         return replace(self, coordinates=coordinates, xyz=_floats(origin[:3, 3]), rpy=rpy)
+
+
+@lru_cache(maxsize=4096)  # a leg's chains ask for it, and so does the check of the leg
+def _rest(placement: Placement, values: tuple[tuple[str, float], ...], where: str) -> Array:
+    """Return what ``Placement.rest`` says, of the values that it uses."""
+    rest, parameters = placement.origin(), dict(values)
+    rest.flags.writeable = False
+    if not placement.coordinates:
+        return rest
+    origin, displacement = rest, placement.displacement(parameters)
+    rest = np.linalg.inv(displacement) @ origin
+    rest[:3, :3] = _without_rounding(rest[:3, :3]) if placement.turns else origin[:3, :3]
+    if any(step.amount(parameters) for step in placement.steps):  # no mere corrections
+        expected = displacement[:3, 3]
+        scale = float(np.abs(np.stack((placement.xyz, expected))).max())
+        if float(np.abs(rest[:3, 3]).max()) > EXACT * scale:
+            raise MechanismError(
+                f"{where}: the URDF origin is at {_numbers(placement.xyz)} m, but its coordinates "
+                f"and nominal parameters put it at {_numbers(expected)} m. Make them agree, or "
+                "write a constant part as a number, for example '- z: 0.3'."
+            )
+        rest[:3, 3] = 0.0
+    rest.flags.writeable = False
+    return rest
 
 
 def _without_rounding(rotation: Array) -> Array:

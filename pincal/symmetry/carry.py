@@ -53,7 +53,7 @@ def _moved(leg: Leg, element: Element, name: str, point: str) -> Leg:
     for index, joint in enumerate((*leg.joints, leg.point)):
         where = f"{leg.name}, joint {joint.name!r}"
         p = joint.placement
-        rest = p.rest(old, where)
+        rest = p.rest(old, where).copy()
         if index == 0 or joint is leg.point:
             by = element.platform if joint is leg.point else element.base
             kept = joint is leg.point and leg.closes == "point"  # a point's frame has no meaning
@@ -172,7 +172,7 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
 def _absorb_turn(leg: Leg, index: int) -> Leg:
     joint = leg.joints[index]
     sensor = _sensor_of(leg, joint)
-    rest = joint.placement.rest(leg.nominal_by_name, leg.name)
+    rest = joint.placement.rest(leg.nominal_by_name, leg.name).copy()
     axis = np.array(joint.axis)
     if joint.kind != "revolute" or not np.allclose(rest[:3, :3] @ axis, axis, atol=1e-12):
         return leg
