@@ -44,7 +44,7 @@ from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import tied_by, with_terms
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, every_pair, lengths
 from pincal.calibration.terms.path import RULES
-from pincal.calibration.terms.screen import Candidate, Trial, inseparable, screened, trials
+from pincal.calibration.terms.screen import Candidate, Trial, screened, trials
 from pincal.estimation.residuals.score import Residuals
 from pincal.model.sensors.load import Load
 from pincal.workspace.sampling import sample_workspace
@@ -178,7 +178,8 @@ class Seen:
     @property
     def alike(self) -> list[Candidate]:
         """The first, and those that cannot be separated from it."""
-        return [self.first, *inseparable(self.first, self.candidates[1:], self.chi2)]
+        alike = [one for one in self.candidates if one.pair in self.first.or_else]
+        return [self.first, *alike]
 
     def likeliest(self, size: float) -> Candidate:
         """Return what a judge names who knows the noise, and that one term has this size."""

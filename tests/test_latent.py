@@ -541,7 +541,7 @@ def test_refusals_say_true_numbers() -> None:
     millimetres, percent = re.findall(
         r"by ([\d.]+) mm .* (\d+) % of", str(refused.value.__cause__)
     )[0]
-    size = largest_size(mechanism.legs, mechanism.platform)
+    size = largest_size(mechanism.legs)
     assert round(float(millimetres) / 10 / size) == int(percent) > 0
 
 

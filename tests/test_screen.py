@@ -20,6 +20,7 @@ from pincal.calibration.terms.screen import Candidate, inseparable, screen, scre
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 TRUE = ("leg_1", Kind.of("temperature"))
 AMPLITUDE = 5e-5
+SIZES = (6e-5, 7.5e-5)  # as clear as each other
 
 
 @pytest.fixture
@@ -58,6 +59,29 @@ def test_a_term_adds_its_white_rows_to_residuals() -> None:
     for one in found:
         expected = by_place[one.reading, one.kind].F
         np.testing.assert_allclose(one.F, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_equal_terms_of_two_legs_are_told_apart() -> None:
+    """They take off as much, but what one leaves, the other takes off."""
+    mechanism = pincal.load_mechanism("3RRR")
+    draw = np.random.default_rng(5)
+    poses = pincal.sample_workspace(mechanism, 60, seed=5)
+    rows = pincal.Measurements(
+        poses=poses,
+        readings=pincal.inverse(mechanism, poses).readings,
+        influences={"temperature": draw.uniform(15.0, 30.0, len(poses))},
+    )
+    both = [(leg, Kind.of("temperature")) for leg in ("leg_1", "leg_2")]
+    warm, ids = with_terms(pincal.disturb(mechanism, 1e-3, seed=5), rows, both)
+    plan = pincal.Plan(poses, influences=rows.influences)
+
+    truth = warm.with_parameters({ids[one][0]: size for one, size in zip(both, SIZES, strict=True)})
+    data = pincal.simulate(mechanism, truth, plan, NOISE, seed=5).measurements
+    found = fitted(started(prepared(mechanism, data, noise=NOISE)))
+    first, second = (one for one in screen(found, every_pair(mechanism, data)) if one.pair in both)
+    assert inseparable(first, [second], found.fits[0].fit.chi2) == [second]
+    assert second.corrected < 1e-6
+    assert second.pair not in first.or_else
 
 
 @pytest.mark.parametrize("size", [1.0, 3.0])

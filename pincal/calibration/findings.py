@@ -87,7 +87,7 @@ def findings_of(
 def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
     mechanism, every = fits.calibration.mechanism, [one.fit for one in fits.fits]
-    size = largest_size(mechanism.legs, mechanism.platform)
+    size = largest_size(mechanism.legs)
     parts = [one.last.stack.value[one.good] for one in every]
     return all(np.abs(one).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for one in parts)
 
@@ -104,7 +104,7 @@ def _zeros(result: CalibrationResult) -> list[Finding]:
 
 def _signs(result: CalibrationResult) -> list[Finding]:
     """Return that lengths changed their sign: a mirror image fits, or the drawing does not."""
-    least = DIFFER * largest_size(result.nominal.legs, result.nominal.platform)
+    least = DIFFER * largest_size(result.nominal.legs)
     found = [
         p
         for leg in result.legs

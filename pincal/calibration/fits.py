@@ -252,7 +252,7 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
         )
     first = problem.first.external
     external = first if before is None or before.external is None else before.external
-    size = largest_size(calibration.mechanism.legs, calibration.mechanism.platform)
+    size = largest_size(calibration.mechanism.legs)
     units = np.array([size if u == "m" else 1.0 for u in problem.observation.external.units])
     for _ in range(BY.rounds):
         fits = _fit_groups(calibration, groups, unknowns, external)

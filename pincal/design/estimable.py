@@ -145,7 +145,7 @@ def apart_from_frames(mechanism: Mechanism, legs: Legs, lost: Array) -> tuple[Ar
         legs: What its parameters do, at the poses to measure.
         lost: Directions of the legs' parameters, columns of shape (n, n_lost).
     """
-    platform, size = mechanism.platform, largest_size(mechanism.legs, mechanism.platform)
+    platform, size = mechanism.platform, largest_size(mechanism.legs)
     reached = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, size))
     there = platform.matrices(near.poses)

@@ -51,7 +51,7 @@ def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
     """
     count_of(every, "every", MeasurementError, 1)
     platform, count = mechanism.platform, len(plan)
-    size = largest_size(mechanism.legs, platform)
+    size = largest_size(mechanism.legs)
     per = np.array([1.0 / size if unit == "m" else 1.0 for unit in platform.units])
     fitted = np.flatnonzero(~plan.verifying)
     away = [

@@ -223,7 +223,7 @@ def without_frames(
         return twists
     matrices = mechanism.platform.matrices(poses)
     motions = frame_motions(mechanism.platform, matrices) @ frames
-    size = largest_size(mechanism.legs, mechanism.platform)
+    size = largest_size(mechanism.legs)
     return unexplained(mechanism.platform, twists, motions, size)
 
 

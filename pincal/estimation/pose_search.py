@@ -27,7 +27,7 @@ def unsolved(problem: Problem, linear: Linear) -> Mask:
 
 def _pose_scale(problem: Problem) -> Array:
     """Return what a pose's twist is compared with, shape (dof,)."""
-    size = largest_size(problem.legs, problem.platform)
+    size = largest_size(problem.legs)
     return np.array([size if unit == "m" else 1.0 for unit in problem.platform.units])
 
 

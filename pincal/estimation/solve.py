@@ -283,7 +283,7 @@ def rounding(system: System, linear: Linear) -> float:
     """Return the decrement that rounding errors of the conditions make."""
     if not system.problem.weighted:
         return 0.0
-    size = largest_size(system.problem.legs, system.problem.platform)
+    size = largest_size(system.problem.legs)
     rows = max(linear.value.size, 1)
     noise = 2.0 * np.finfo(float).eps * size * np.linalg.norm(linear.white.whitener)  # of a chain
     return float(noise * np.sqrt(system.unknowns.map.shape[1] / rows))

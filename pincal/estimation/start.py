@@ -190,7 +190,7 @@ def _leg_equations(problem: Problem) -> NDArray[np.intp]:
 
 def _as_lengths(problem: Problem, stack: Stack) -> tuple[Array, Array]:
     """Return conditions as lengths [m], shape (N, k), and derivatives by poses, (N, k, dof)."""
-    size = largest_size(problem.legs, problem.platform)
+    size = largest_size(problem.legs)
     angles = np.array([unit == "rad" for unit in problem.observation.units], dtype=bool)
     scale = np.ones(stack.value.shape[1])
     scale[len(scale) - len(angles) :] = np.where(angles, size, 1.0)
@@ -204,7 +204,7 @@ def poses_at_rest(problem: Problem, state: State) -> State:
     where they came to; the search that follows moves them on.
     """
     platform = problem.platform
-    size = largest_size(problem.legs, platform)
+    size = largest_size(problem.legs)
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
     stack = problem.stack(state)
     value, pose = _as_lengths(problem, stack)
@@ -254,7 +254,7 @@ def check_start(problem: Problem, state: State) -> None:
         MeasurementError: by how much they miss.
     """
     state = poses_at_rest(problem, state)
-    size = largest_size(problem.legs, problem.platform)
+    size = largest_size(problem.legs)
     stack = problem.stack(state)
     n_legs = problem.leg_rows[-1].stop
     lengths = [unit == "m" for unit in problem.observation.units]

@@ -41,7 +41,7 @@ def assembled(legs: Sequence[Leg], kind: str | PlatformKind) -> tuple[tuple[Leg,
     free = Platform(kind, (0.0,) * Platform.dof_of(kind))
     closures = [LegClosure(leg, free) for leg in legs]
     joints = [leg.home[None].copy() for leg in legs]
-    size = largest_size(legs, free) or 1.0
+    size = largest_size(legs) or 1.0
     pose = _fitted(closures, joints, free)
     gap = np.inf
     for _ in range(_NEWTON.steps):

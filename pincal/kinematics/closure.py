@@ -317,7 +317,7 @@ def _padded(rows: Array) -> Array:
     return np.concatenate((rows, np.zeros((3 - len(rows), rows.shape[1])))).T
 
 
-def largest_size(legs: Iterable[Leg], _: Platform | None = None) -> float:
+def largest_size(legs: Iterable[Leg]) -> float:
     """Return the length of the longest stretched leg, [m]: the scale of a mechanism."""
     return max(leg.size for leg in legs)
 

@@ -10,7 +10,7 @@ from pincal.calibration.terms.bounds import Bound
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
 from pincal.calibration.terms.path import RULES
-from pincal.calibration.terms.screen import Candidate, inseparable
+from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.residuals.slips import Slip
 from pincal.words.numbers import SMALL, amount, chance, listed
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
@@ -145,14 +145,12 @@ def explanation_lines(found: Explanation) -> list[str]:
 def _seen_lines(found: Explanation, seen: Sequence[Candidate]) -> list[str]:
     """Return what is seen, with what these rows do not separate from it."""
     lines, left = list[str](), list(seen)
-    chi2 = found.result.reduced_chi2 * found.result.degrees_of_freedom
     while left and len(lines) < NAMED:
         one = left.pop(0)
-        alike = inseparable(one, left, chi2)
-        left = [other for other in left if other not in alike]
+        left = [other for other in left if other.pair not in one.or_else]
         others = [
-            _place(found, each.reading) if each.kind == one.kind else OTHER_KIND.format(each.kind)
-            for each in alike
+            _place(found, place) if kind == one.kind else OTHER_KIND.format(kind)
+            for place, kind in one.or_else
         ]
         lines.append(
             SEEN.format(
@@ -160,7 +158,7 @@ def _seen_lines(found: Explanation, seen: Sequence[Candidate]) -> list[str]:
                 kind=one.kind,
                 cause=CAUSES.get(one.kind.name, GROWN if _is_length(found, one) else COLUMN),
                 share=one.share,
-                or_else=OR_ELSE.format(what=listed(others, "or")) if alike else "",
+                or_else=OR_ELSE.format(what=listed(others, "or")) if others else "",
                 chance=chance(one.corrected),
             )
         )

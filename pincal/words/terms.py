@@ -96,7 +96,7 @@ BOUNDS = {
     ),
     "play": ("{quantity}: with a play of {size} that no term models its noise is {least} at least"),
 }
-TOO_SMALL = "{bound}, and {reckoned} is reckoned with: give it as its noise"
+TOO_SMALL = "{bound}, and {reckoned} is reckoned with: give it as its noise, or model its cause"
 LOST = "fold {fold} is left out of the comparison, the other rows do not determine it: {why}"
 NO_TERM = (
     "a drift in the order of rows is no term that can be commanded: find what moves, measure "

@@ -49,7 +49,7 @@ def misaligned(
     if not len(gain) or not np.isfinite(gain).all() or not changes.any():
         return ()
     platform = mechanism.platform
-    size = largest_size(mechanism.legs, platform)
+    size = largest_size(mechanism.legs)
     motions = frame_motions(platform, platform.matrices(legs.poses))
     moved, scale = gain @ changes, plausible_changes(mechanism)
     n_base, space = motions.shape[2] - platform.dof, platform.space

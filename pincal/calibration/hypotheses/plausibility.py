@@ -259,7 +259,7 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
     Raises:
         MeasurementError: position noise above 2 % of a leg's size, or 0.02 rad of orientation.
     """
-    size = largest_size(mechanism.legs, mechanism.platform)
+    size = largest_size(mechanism.legs)
     turns = "rad" in mechanism.platform.units
     for what, given, unit, most in (
         ("position", noise.position, "m", RULE.questioned * size),

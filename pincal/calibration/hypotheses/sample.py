@@ -150,7 +150,7 @@ def _on_platform(sample: Sample, targets: Array) -> Array:
 def _motion(sample: Sample, here: Array, there: Array) -> Array:
     """Return the rigid motion that takes the nominal machine's poses to the measured ones."""
     platform, count = sample.mechanism.platform, len(here)
-    size = largest_size(sample.mechanism.legs, platform)
+    size = largest_size(sample.mechanism.legs)
     a = here[:, :3, 3] + here[:, :3, :3] @ sample.offset
     b = there[:, :3, 3]
     vectors = [(a - a.mean(axis=0), b - b.mean(axis=0))]

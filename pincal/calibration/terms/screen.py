@@ -19,7 +19,7 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.terms.candidates import with_columns, with_terms
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind
 from pincal.estimation.linear import State
-from pincal.estimation.residuals.losses import CLEAR
+from pincal.estimation.residuals.losses import CLEAR, FALSE_ALARM
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.residuals.score import Residuals
 
@@ -52,6 +52,14 @@ class Candidate:
     """Probability of so large an F by chance, for this test alone."""
     corrected: float
     """The same with the number of tests (Holm 1979)."""
+    or_else: tuple[tuple[str, Kind], ...] = ()
+    """What else it may be: places and kinds that these rows cannot separate from it. Said of the
+    first, and of those that are improbable by chance."""
+
+    @property
+    def pair(self) -> tuple[str, Kind]:
+        """Place and kind, by which a candidate is known."""
+        return self.reading, self.kind
 
 
 @dataclass(frozen=True)
@@ -79,26 +87,47 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
 
 def screened(parts: Sequence[tuple[Residuals, Sequence[Trial]]]) -> list[Candidate]:
     """Return what residuals say of the terms that are tried on them."""
-    tried = []
-    for residuals, terms in parts:
-        for one in terms:
-            answer = residuals.amplitudes(one.rows)
-            tried.append(
-                Candidate(
-                    reading=one.reading,
-                    kind=one.kind,
-                    unit=one.unit,
-                    names=one.names,
-                    amplitudes=answer.values,
-                    std=answer.std,
-                    F=answer.F,
-                    rank=answer.rank,
-                    share=float(answer.inside / max(residuals.chi2, 1e-300)),
-                    p_value=answer.p_value,
-                    corrected=1.0,
-                )
-            )
-    return _corrected(sorted(tried, key=lambda one: (one.p_value, -one.share)))
+    tried = [
+        (part, _candidate(residuals, one), one.rows)
+        for part, (residuals, terms) in enumerate(parts)
+        for one in terms
+    ]
+    tried.sort(key=lambda one: (one[1].p_value, -one[1].share))
+    found = _corrected([candidate for _, candidate, _ in tried])
+    for index, one in enumerate(found):
+        if index and one.corrected >= FALSE_ALARM:
+            break
+        part, _, rows = tried[index]
+        residuals = parts[part][0]
+        others = {other.pair: (other, W) for own, other, W in tried[index + 1 :] if own == part}
+        alike = inseparable(one, [other for other, _ in others.values()], residuals.chi2)
+        left = residuals.without(rows) if alike else residuals
+        gone = [other.pair for other in alike if not _clear(left, others[other.pair][1])]
+        found[index] = replace(one, or_else=tuple(gone))
+    return found
+
+
+def _candidate(residuals: Residuals, one: Trial) -> Candidate:
+    answer = residuals.amplitudes(one.rows)
+    return Candidate(
+        reading=one.reading,
+        kind=one.kind,
+        unit=one.unit,
+        names=one.names,
+        amplitudes=answer.values,
+        std=answer.std,
+        F=answer.F,
+        rank=answer.rank,
+        share=float(answer.inside / max(residuals.chi2, 1e-300)),
+        p_value=answer.p_value,
+        corrected=1.0,
+    )
+
+
+def _clear(residuals: Residuals, rows: Array) -> bool:
+    """Return whether a term is still there."""
+    answer = residuals.amplitudes(rows)
+    return answer.inside - answer.rank >= CLEAR**2
 
 
 def trials(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residuals, list[Trial]]]:
@@ -133,7 +162,7 @@ def trials(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residua
 
 
 def inseparable(one: Candidate, others: Sequence[Candidate], chi2: float) -> list[Candidate]:
-    """Return those that rows do not separate from a candidate: they take off as much.
+    """Return those that take off as much as a candidate.
 
     They are of its kind, elsewhere; or another function of the same reading, such as a polynomial
     for harmonics, whose χ² counts less two for each amplitude (Akaike 1974).

@@ -268,7 +268,7 @@ def _turned(file: Path) -> tuple[str, ...]:
 
 def _huge(mechanism: Mechanism) -> tuple[str, ...]:
     """Return what to say of a mechanism larger than machines are."""
-    size = largest_size(mechanism.legs, mechanism.platform)
+    size = largest_size(mechanism.legs)
     if size <= _LARGE:
         return ()
     return (f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?",)

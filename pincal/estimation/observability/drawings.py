@@ -21,7 +21,7 @@ def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -
 
     In the parameters' order and units; of all legs if none are given.
     """
-    size = largest_size(mechanism.legs, mechanism.platform)
+    size = largest_size(mechanism.legs)
     return np.concatenate([changes_of(leg, size) for leg in legs or mechanism.legs])
 
 

@@ -67,7 +67,7 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
         )
     lost, lengths = lost_directions(J)
     directions = lost / lengths
-    size = largest_size(problem.legs, mechanism.platform)
+    size = largest_size(problem.legs)
     gain = -np.linalg.pinv(generic.leg_pose) @ generic.leg_parameter
     moved = (directions @ T.T)[:, :n_legs].T
     _, inside = split_frames(mechanism.platform, generic.matrices, gain, moved, size)
@@ -145,7 +145,7 @@ def _weights(mechanism: Mechanism, problem: Problem) -> Array:
     The frame is taken as it comes; targets too, unless nothing else tells the frame from them.
     """
     outside, legs = problem.observation.external, plausible_changes(mechanism)
-    length = DIFFER * largest_size(mechanism.legs, mechanism.platform)
+    length = DIFFER * largest_size(mechanism.legs)
     scales = np.array([length if unit == "m" else DIFFER for unit in outside.units])
     counts = [0.0 if name.startswith("tracker.") else _TARGETS for name in outside.names]
     return np.concatenate((1.0 / legs**2, np.array(counts) / scales**2))

@@ -69,7 +69,7 @@ def derivatives_near(
     """
     platform = mechanism.platform
     start = problem.start(unknowns.start[: problem.columns[-1].stop])
-    size = largest_size(problem.legs, platform)
+    size = largest_size(problem.legs)
     chosen = np.arange(len(start.matrices))
     if generic:  # the same ones in whatever order rows were measured
         chosen = np.lexsort((*start.matrices[:, :3, 3].T, *problem.readings.T))[:GENERIC]

@@ -82,7 +82,7 @@ def weakly_determined(
         problem: The problem, at its start.
         unknowns: Of the problem, none unobservable.
     """
-    size, T = largest_size(mechanism.legs, mechanism.platform), unknowns.map
+    size, T = largest_size(mechanism.legs), unknowns.map
     outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
     plausible = np.concatenate((plausible_changes(mechanism, problem.legs), outside))
     state = problem.start(unknowns.start[: problem.n_parameters])

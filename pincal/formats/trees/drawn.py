@@ -13,7 +13,6 @@ from pincal.model.checks import ALIKE
 from pincal.model.home import ROUGH
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
 
 
 def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
@@ -30,7 +29,7 @@ def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
     if tree.homed:
         return
     gap = opening(legs, kind)
-    size = largest_size(legs, Platform(kind, (0.0,) * Platform.dof_of(kind)))
+    size = largest_size(legs)
     if gap > ROUGH * size:
         raise MechanismError(
             f"{tree.source}: the loops do not close near the joint positions that the file draws: "
@@ -51,7 +50,7 @@ def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
         for leg in mechanism.legs
     ]
     gap = opening(legs, mechanism.platform.form)
-    if gap <= ALIKE * largest_size(mechanism.legs, mechanism.platform):
+    if gap <= ALIKE * largest_size(mechanism.legs):
         return f"the loops close as drawn, within {gap:.2g} m", False
     moved: dict[str, tuple[float, str]] = {}
     for joint in (one for leg in mechanism.legs for one in leg.moving if one.name in drawn):
