@@ -26,6 +26,7 @@ ORDER = "order"
 OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
 _KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY, ORDER)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
+_MOST = 100_000  # periods in a turn: of the finest gratings
 GROWTH = "growth"
 """In the place of a reading: all lengths of the machine, which grow by one part of them."""
 READINGS = "readings"
@@ -49,24 +50,33 @@ class Kind:
         Raises:
             MeasurementError: numbers that are none, or that the kind does not have.
         """
-        name, colon, numbers = said.partition(":")
-        usual = _NUMBERS.get(name.strip(), ())
+        name, colon, numbers = (part.strip() for part in said.partition(":"))
+        usual = _NUMBERS.get(name, ())
         try:
             given = tuple(float(one) for one in numbers.split(",")) if colon else usual
         except ValueError:
             given = (np.nan,)
-        whole = name.strip() != POLYNOMIAL or all(one in range(2, 21) for one in given)
-        if not (all(0.0 < one < np.inf for one in given) and whole and bool(usual) >= bool(colon)):
+        known = {HARMONICS: _is_order, POLYNOMIAL: _is_power}.get(name, lambda _: False)
+        if not name or "," in name or not all(known(one) for one in given):
             raise MeasurementError(
-                f"terms {said!r}: expected harmonics:1,2 (periods in a turn), polynomial:2,3 "
-                "(powers, 2 to 20), backlash, gravity, or a column of the measurements"
+                f"terms {said!r}: expected harmonics:1,2 (periods in a turn, up to {_MOST:,}), "
+                "polynomial:2,3 (powers, 2 to 20), backlash, gravity, or a column of the "
+                "measurements; several as options of their own"
             )
-        return cls(name.strip(), given)
+        return cls(name, given)
 
     def __str__(self) -> str:
         if self.numbers == _NUMBERS.get(self.name, ()):
             return self.name
         return f"{self.name}:{','.join(f'{one:g}' for one in self.numbers)}"
+
+
+def _is_order(number: float) -> bool:
+    return 0.0 < number <= _MOST
+
+
+def _is_power(number: float) -> bool:
+    return number in range(2, 21)
 
 
 def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ...]:
@@ -200,5 +210,10 @@ def columns_said(terms: Sequence[str]) -> tuple[str, ...] | None:
 
 def _parts(text: str) -> tuple[str, Kind]:
     """Return the place that a text names, empty if it is every reading, and the kind."""
-    reading, _, kind = text.rpartition("=")
+    reading, of, kind = text.rpartition("=")
+    if of and kind.strip() == AUTO:
+        raise MeasurementError(
+            f"terms {text!r}: {AUTO!r} tries every kind in every place, so it stands alone; name "
+            f"a kind, such as {reading.strip()}=backlash"
+        )
     return reading.strip(), Kind.of(kind)
