@@ -29,10 +29,12 @@ from .kinematics.forward import forward
 from .kinematics.inverse import inverse
 from .kinematics.readers import free_of_collision
 from .kinematics.singularity import margins
-from .model.instrument import Condition, Instrument
 from .model.joint import Joint
 from .model.leg import Leg
-from .model.measurements import Measurements, Noise, Plan
+from .model.measuring.instrument import Condition, Instrument
+from .model.measuring.measurements import Measurements, Noise, Plan
+from .model.measuring.setup import Distance, Setup, Target
+from .model.measuring.uncertainty import Systematic, Tracker
 from .model.mechanism import Mechanism
 from .model.parameter import Parameter
 from .model.placement import Placement
@@ -41,8 +43,6 @@ from .model.platform_kind import PlatformKind
 from .model.sensors.load import Load
 from .model.sensors.sensor import Sensor
 from .model.sensors.terms import Harmonic, Knot, Power, Share, Term
-from .model.setup import Distance, Setup, Target
-from .model.uncertainty import Systematic, Tracker
 from .show.pictures.picture import picture
 from .show.view.view import view
 from .symmetry.detect import symmetry_group

@@ -10,7 +10,7 @@ from measured import EXACT, NOISE, machine, workspace
 
 import pincal
 from pincal.design.instrument_scale import SCALE, scale_effect
-from pincal.model.uncertainty import Systematic
+from pincal.model.measuring.uncertainty import Systematic
 
 
 @pytest.mark.parametrize("kind", ["3RRR", "6UPS"])

@@ -11,10 +11,17 @@ from measured import workspace
 from moved import moved, random_motion
 
 import pincal
-from pincal.design.distinct import distinct
 from pincal.design.information import leg_whitener
-from pincal.design.orbits import images, leg_orbits, maps, merged, selection_group, smallest
-from pincal.design.search import Search, SelectionOptions
+from pincal.design.selection.distinct import distinct
+from pincal.design.selection.orbits import (
+    images,
+    leg_orbits,
+    maps,
+    merged,
+    selection_group,
+    smallest,
+)
+from pincal.design.selection.search import Search, SelectionOptions
 from pincal.estimation.observability.indices import indices
 from pincal.kinematics.derivatives import leg_demand
 
@@ -238,7 +245,7 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
 
     log det is concave, and the group turns each leg's information into another's.
     """
-    from pincal.design.certificate import continuous_design
+    from pincal.design.selection.certificate import continuous_design
     from pincal.kinematics.batches import block_diagonal
 
     mechanism = pincal.load_mechanism("3RRR")

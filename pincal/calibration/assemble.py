@@ -21,7 +21,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.profile import profile
 from pincal.estimation.residuals.leg_residuals import leg_residuals
 from pincal.estimation.residuals.robust import Outlier, Robust
-from pincal.model.measurements import Noise
+from pincal.model.measuring.measurements import Noise
 from pincal.model.parameter import Parameter
 
 Array = NDArray[np.float64]

@@ -33,7 +33,7 @@ from pincal.errors import MisfitError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
 from pincal.files.given import as_measurements, as_mechanism
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

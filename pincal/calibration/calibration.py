@@ -15,17 +15,17 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.conditions.external import External
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
-from pincal.estimation.evidence import FoundTolerance
 from pincal.estimation.linear import State
-from pincal.estimation.noise import NoiseModel, noise_model
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import Unknowns, unknowns
+from pincal.estimation.variances.evidence import FoundTolerance
+from pincal.estimation.variances.noise import NoiseModel, noise_model
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.columns import by_name, influence_columns
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measuring.measurements import Measurements, Noise
+from pincal.model.measuring.setup import ORIGIN
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

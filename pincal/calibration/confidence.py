@@ -10,8 +10,8 @@ from scipy.special import chdtrc, chdtri, fdtrc, ndtri, stdtrit
 
 from pincal.calibration.fits import Fits
 from pincal.design.platform_error import CONFIDENCE
-from pincal.estimation.components import Moments, freedoms
-from pincal.estimation.noise import assumed_noise
+from pincal.estimation.variances.components import Moments, freedoms
+from pincal.estimation.variances.noise import assumed_noise
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
 from pincal.model.leg import Leg
+from pincal.model.measuring.uncertainty import Systematic
 from pincal.model.mechanism import Mechanism
-from pincal.model.uncertainty import Systematic
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from pincal.calibration.hypotheses.sample import whole_sample
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, PincalError
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 
 _FEW = 0.25  # of the rows: more that do not fit are no outliers
 

@@ -12,20 +12,20 @@ from scipy.special import chdtrc
 from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
-from pincal.estimation.components import Moments
 from pincal.estimation.curvature import curvature
-from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.drawings import DIFFER, plausible_changes
 from pincal.estimation.observability.unobservable import Held
 from pincal.estimation.residuals.chances import together
 from pincal.estimation.residuals.courses import Score, scores
 from pincal.estimation.residuals.losses import FALSE_ALARM
 from pincal.estimation.residuals.robust import Robust
+from pincal.estimation.variances.components import Moments
+from pincal.estimation.variances.noise import assumed_noise
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Measurements
-from pincal.model.setup import ORIGIN, Setup
+from pincal.model.measuring.measurements import Measurements
+from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.words.sentences import finding
 
 

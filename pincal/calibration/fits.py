@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.components import Beforehand, Moments, estimated_noise, widened
 from pincal.estimation.conditions.external import External
-from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.unobservable import Held, hold_unobservable
 from pincal.estimation.problem import Problem
@@ -24,8 +22,10 @@ from pincal.estimation.residuals.losses import Loss, loss_of
 from pincal.estimation.residuals.robust import Robust, robust_fit
 from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
+from pincal.estimation.variances.components import Beforehand, Moments, estimated_noise, widened
+from pincal.estimation.variances.noise import assumed_noise
 from pincal.kinematics.closure import largest_size
-from pincal.model.measurements import Noise
+from pincal.model.measuring.measurements import Noise
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from pincal.design.estimable import Method
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.leg_condition import Residual
 from pincal.estimation.residuals.losses import Loss, LossName, loss_of
-from pincal.model.measurements import Noise
-from pincal.model.setup import Setup
+from pincal.model.measuring.measurements import Noise
+from pincal.model.measuring.setup import Setup
 
 Poses = Literal["own", "all"]
 Intervals = Literal["wald", "profile"]

@@ -22,7 +22,7 @@ from pincal.design.platform_error import (
 )
 from pincal.estimation.conditions.external import External
 from pincal.finding import Finding
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 if TYPE_CHECKING:

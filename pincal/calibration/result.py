@@ -28,7 +28,7 @@ from pincal.estimation.conditions.external import External
 from pincal.estimation.observability.weak import WeakPair, weak_pairs
 from pincal.estimation.residuals.robust import Outlier
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements, Noise, Plan
+from pincal.model.measuring.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameters
 from pincal.words.numbers import rounded

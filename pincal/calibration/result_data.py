@@ -16,10 +16,10 @@ from pincal.calibration.checks.validation import Validation
 from pincal.calibration.options import Options, Progress, Tolerance
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
-from pincal.estimation.noise import NoiseModel
 from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
-from pincal.model.instrument import Instrument
-from pincal.model.measurements import Measurements
+from pincal.estimation.variances.noise import NoiseModel
+from pincal.model.measuring.instrument import Instrument
+from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 _APART = ("calibration", "identified")

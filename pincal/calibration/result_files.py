@@ -23,7 +23,7 @@ from pincal.files.mechanism_folders import load_mechanism, own_files
 from pincal.files.mechanism_writing import write_mechanism
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.table import write_table
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.words.sentences import sentence
 
 FORMAT = 2

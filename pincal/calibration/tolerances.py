@@ -17,8 +17,8 @@ from pincal.calibration.fits import BY, Fits, fitted
 from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
-from pincal.estimation.evidence import Evidence, FoundTolerance, likeliest
 from pincal.estimation.observability.drawings import DIFFER
+from pincal.estimation.variances.evidence import Evidence, FoundTolerance, likeliest
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE
 

@@ -23,7 +23,7 @@ from pincal.formats.corrections.code import LANGUAGES, code_of
 from pincal.formats.corrections.poses import corrected, correction_columns, corrections
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.influences.columns import own_influences
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount, counted, listed, reading_in
 from pincal.words.terms import AT_REFERENCE, NO_CORRECTION, NOT_IN_LAWS, OFFERS, WITH_COLUMNS

@@ -15,9 +15,9 @@ from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.setups import read_setup
 from pincal.files.tables.units import Units, counts_of
-from pincal.model.measurements import Noise
+from pincal.model.measuring.measurements import Noise
+from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup
 from pincal.model.units import UNITS
 
 _NUMBER = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf))\s*\[?([^\d\s\]]*)\]?\s*")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pincal.design.forecast import Forecast
 from pincal.design.information import parameter_ids
 from pincal.design.platform_error import PlatformError, platform_error
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 
 Array = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ from pincal.estimation.observability.indices import Identifiability, identifiabi
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, legs_at, nearby
 from pincal.kinematics.derivatives import leg_demand
-from pincal.model.measurements import Noise, Plan
+from pincal.model.measuring.measurements import Noise, Plan
+from pincal.model.measuring.setup import Setup
+from pincal.model.measuring.uncertainty import Systematic
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
-from pincal.model.uncertainty import Systematic
 
 Array = NDArray[np.float64]
 Method = Literal["all-legs", "per-leg"]

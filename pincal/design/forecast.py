@@ -32,10 +32,10 @@ from pincal.estimation.observability.weak import WeakPair, weak_pairs
 from pincal.files.given import as_noise, as_setup
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
-from pincal.model.measurements import Noise, Plan
+from pincal.model.measuring.measurements import Noise, Plan
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
-from pincal.model.setup import Setup
 from pincal.words.numbers import amount
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
 from pincal.kinematics.configurations import Legs
 from pincal.kinematics.derivatives import Demand
 from pincal.model.checks import described
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measuring.measurements import Measurements, Noise
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
-from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from pincal.design.information import information_rows
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.estimation.observability.drawings import nearest_to_nominal
 from pincal.kinematics.configurations import legs_at
-from pincal.model.measurements import Noise, Plan
-from pincal.model.setup import Setup
-from pincal.model.uncertainty import Systematic
+from pincal.model.measuring.measurements import Noise, Plan
+from pincal.model.measuring.setup import Setup
+from pincal.model.measuring.uncertainty import Systematic
 
 Array = NDArray[np.float64]
 SCALE = 1e-4

@@ -14,7 +14,7 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.checks import count_of
-from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
+from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 
 REFERENCE = "reference"

@@ -16,7 +16,7 @@ from pincal.estimation.observability.frames import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import leg_demands, legs_at
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.orbits import (
+from pincal.design.selection.orbits import (
     leg_orbits,
     maps,
     merged,
@@ -24,13 +24,13 @@ from pincal.design.orbits import (
     selection_group,
     smallest,
 )
-from pincal.design.search import Search, SelectionOptions
+from pincal.design.selection.search import Search, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.checks import ALIKE, count_of, described
-from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.selection import mapped_diagonals
 

@@ -15,11 +15,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.distinct import distinct
 from pincal.design.estimable import apart_from_frames, null_directions
 from pincal.design.information import information_rows
 from pincal.design.platform_error import without_frames
-from pincal.design.search import SelectionOptions, accurate, d_optimal
+from pincal.design.selection.distinct import distinct
+from pincal.design.selection.search import SelectionOptions, accurate, d_optimal
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import (
     NEGLIGIBLE,
@@ -32,9 +32,9 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at
 from pincal.model.checks import count_of
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 Goal = Literal["parameters", "platform"]

@@ -23,7 +23,7 @@ from pincal.kinematics.forward import forward
 from pincal.kinematics.influences.columns import by_name, influences_of
 from pincal.kinematics.inverse import inverse
 from pincal.model.checks import generator_of, number_of
-from pincal.model.measurements import Measurements, Noise, Plan
+from pincal.model.measuring.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
 from pincal.model.platform import Poses

@@ -16,9 +16,9 @@ from pincal.errors import MeasurementError
 from pincal.estimation.conditions.external import External
 from pincal.estimation.linear import State
 from pincal.estimation.problem import Problem
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
+from pincal.model.measuring.setup import ORIGIN
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN
 from pincal.words.numbers import amount
 
 Array = NDArray[np.float64]

@@ -24,9 +24,9 @@ from pincal.kinematics.inverse import inverse
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.singularity import platform_margin
 from pincal.kinematics.starts import home_mode, mode_sign
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
+from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup
 from pincal.words.numbers import amount
 
 Array = NDArray[np.float64]

@@ -15,9 +15,9 @@ from pincal.files.setups import read_setup
 from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.tables.table import is_dataframe
 from pincal.model.checks import array_of, must_be
-from pincal.model.measurements import Measurements, Noise, Plan
+from pincal.model.measuring.measurements import Measurements, Noise, Plan
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 
 
 def as_plan(given: Any, mechanism: Mechanism, *, partial: bool = False) -> Plan:

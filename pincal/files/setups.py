@@ -11,8 +11,8 @@ from pincal.errors import MeasurementError
 from pincal.files.strict import Name, Number, Strict
 from pincal.files.yaml_reading import read_yaml
 from pincal.model.checks import must_be
-from pincal.model.setup import ORIGIN, Distance, Setup, Target
-from pincal.model.uncertainty import STEEL, Systematic, Tracker
+from pincal.model.measuring.setup import ORIGIN, Distance, Setup, Target
+from pincal.model.measuring.uncertainty import STEEL, Systematic, Tracker
 
 
 class _TargetSpec(Strict):

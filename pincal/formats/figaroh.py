@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.errors import MeasurementError
 from pincal.files.tables.table import Table
 from pincal.files.tables.table_reading import read_table
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

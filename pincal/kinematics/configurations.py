@@ -22,7 +22,7 @@ from pincal.kinematics.influences.columns import influences_of
 from pincal.kinematics.inverse import InverseSolution, inverse
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.checks import numbers_of
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from pincal.files.urdf_writing import leg_urdf
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Leg
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
-from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
+from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import noisy_series, parameters
 from pincal.show.style import EVERY, PAGE, look

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
 from pincal.calibration.result import CalibrationResult
-from pincal.model.measurements import Noise
+from pincal.model.measuring.measurements import Noise
 from pincal.words.results import noise
 from pincal.words.sentences import WORDINGS, sentence
 

@@ -17,7 +17,7 @@ from pincal.design.platform_error import PlatformError, root_mean_squares, sizes
 from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.kinematics.configurations import as_plan
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 

@@ -22,7 +22,7 @@ from pincal.kinematics.closure import joint_range, nominal_legs
 from pincal.kinematics.forward import forward
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import count_of, generator_of
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.workspace.axes import MOST
 from pincal.workspace.box import reach_box

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 
 Array = NDArray[np.float64]
 By = Literal["region", "turn", "run"]

@@ -19,7 +19,7 @@ from pincal.calibration.fits import Fits
 from pincal.design.platform_error import CONFIDENCE, DRAWS
 from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.forward import forward
-from pincal.model.setup import ORIGIN
+from pincal.model.measuring.setup import ORIGIN
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
 from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount, chance
 from pincal.words.sentences import finding, sentences

@@ -30,7 +30,7 @@ from pincal.calibration.promise import UNEXPLAINED
 from pincal.errors import MeasurementError
 from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import chance
 from pincal.words.results import missed as missed_in_words

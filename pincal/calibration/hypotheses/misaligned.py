@@ -20,7 +20,7 @@ from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding
 

@@ -30,9 +30,9 @@ from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.inverse import inverse
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measuring.measurements import Measurements, Noise
+from pincal.model.measuring.setup import ORIGIN, Setup, Target
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup, Target
 from pincal.words.sentences import finding, sentence, sentences
 
 Array = NDArray[np.float64]

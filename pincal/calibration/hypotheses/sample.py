@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.forward import forward
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
+from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
-from pincal.model.setup import ORIGIN, Setup
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

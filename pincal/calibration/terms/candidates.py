@@ -27,7 +27,7 @@ from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.columns import by_name
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensors.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
 

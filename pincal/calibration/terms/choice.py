@@ -25,7 +25,7 @@ from pincal.calibration.terms.path import RULES, TROUBLE, Step, grown, held_out
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.errors import MeasurementError
 from pincal.estimation.residuals.slips import Slip, slips
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 
 Array = NDArray[np.float64]
 DRAWN, ALIGNED, GEOMETRY = "as drawn", "rigid alignment", "geometry"

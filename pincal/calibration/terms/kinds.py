@@ -15,7 +15,7 @@ import numpy as np
 
 from pincal.calibration.options import AUTO
 from pincal.errors import MeasurementError
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import listed
 from pincal.model.sensors.terms import APPROACH, LOAD

@@ -42,10 +42,10 @@ from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurements import read_measurements
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measuring.measurements import Measurements, Noise
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
-from pincal.model.setup import Setup
 from pincal.model.units import UNITS
 from pincal.show.report.report import report
 from pincal.show.result_tables import calibration_tables

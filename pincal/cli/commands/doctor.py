@@ -35,8 +35,8 @@ from pincal.files.tables.measurements import read_measurements
 from pincal.files.tables.table import Table, write_table
 from pincal.files.tables.table_reading import read_table
 from pincal.files.tables.units import COUNTS, scale_of
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 from pincal.show.remedies import advice, remedy_table, tried
 
 

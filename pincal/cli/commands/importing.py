@@ -29,7 +29,7 @@ from pincal.formats.trees.mjcf import read_mjcf
 from pincal.formats.trees.serial import serial_arm
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.inverse import inverse
-from pincal.model.measurements import Measurements
+from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 PROBING = "probing.csv"

@@ -31,7 +31,7 @@ from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.influences.columns import own_influences
 from pincal.kinematics.inverse import InverseSolution, outside_limits
 from pincal.kinematics.inverse import inverse as solve_inverse
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.wording import LISTED
 from pincal.workspace.criteria import Margins

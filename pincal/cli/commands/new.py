@@ -37,7 +37,7 @@ from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.measuring_sheet import write_sheet
 from pincal.files.tables.units import WRITTEN
 from pincal.kinematics.inverse import inverse
-from pincal.model.measurements import Noise, Plan
+from pincal.model.measuring.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.tables import choice_table
 from pincal.workspace.criteria import in_workspace

@@ -31,7 +31,7 @@ from pincal.files.output import refuse_existing
 from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.tables.table_reading import read_table
 from pincal.kinematics.forward import forward
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.view.scene import MAGNIFY, Scene
 from pincal.show.view.view import View

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measuring.measurements import Measurements, Noise
+from pincal.model.measuring.setup import ORIGIN, Setup
+from pincal.model.measuring.uncertainty import POLAR, Tracker
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, Setup
-from pincal.model.uncertainty import POLAR, Tracker
 
 Array = NDArray[np.float64]
 

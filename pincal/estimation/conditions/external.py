@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.kinematics.batches import inverse_left_jacobian
+from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, Setup
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,12 @@ from pincal.estimation.conditions.angles import angle
 from pincal.estimation.conditions.covariances import RowNoise, row_noise
 from pincal.estimation.conditions.external import External, ExternalUnknowns
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
-from pincal.model.instrument import checked
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measuring.instrument import checked
+from pincal.model.measuring.measurements import Measurements, Noise
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -17,7 +17,7 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at, nearby
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.chances import Form, of_forms
 from pincal.estimation.residuals.score import Residuals
-from pincal.model.setup import ORIGIN
+from pincal.model.measuring.setup import ORIGIN
 
 Array = NDArray[np.float64]
 _HARMONICS = (1, 2, 3)

@@ -20,7 +20,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.residuals.courses import errors_of, of_frame, of_target
 from pincal.estimation.residuals.losses import CLEAR, FALSE_ALARM
 from pincal.estimation.residuals.score import Residuals
-from pincal.model.setup import ORIGIN
+from pincal.model.measuring.setup import ORIGIN
 
 Array = NDArray[np.float64]
 What = Literal["frame", "target", "orientation", "reading"]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.files.tables.table import Table
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 from pincal.words.numbers import amount
 
 Array = NDArray[np.float64]

@@ -14,11 +14,11 @@ from pincal.files.tables.covariances import product_unit
 from pincal.files.tables.table import write_table
 from pincal.files.tables.units import SI, Units
 from pincal.model.checks import array_of, must_be
-from pincal.model.measurements import Measurements, Plan
+from pincal.model.measuring.measurements import Measurements, Plan
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.orientation import columns_of as angles_of
-from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array | tuple[str, ...]]

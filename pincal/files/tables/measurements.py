@@ -17,10 +17,10 @@ from pincal.files.tables.covariances import read_covariances
 from pincal.files.tables.level import levelled, tilt_column
 from pincal.files.tables.table import Table
 from pincal.model.checks import must_be
-from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
+from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Measurements, Plan
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
-from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.files.tables.measurement_writing import columns_of
 from pincal.files.tables.table import write_table
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.units import UNITS
 from pincal.words.sheet import COUNTED, DRIVEN, FILL_IN, HEADS, MEASURED, PLANNED, READ, ROW, SET

@@ -20,7 +20,7 @@ from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences.columns import own_influences
 from pincal.kinematics.inverse import inverse
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import array_of
-from pincal.model.measurements import Measurements, Plan
+from pincal.model.measuring.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensors.terms import APPROACH
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import joints_at
 from pincal.model.checks import EXACT
-from pincal.model.measurements import EVERY_LEG
+from pincal.model.measuring.measurements import EVERY_LEG
 from pincal.show import style
 from pincal.show.pictures.dimension_lines import draw_dimensions, symbol
 from pincal.show.pictures.dimensions import Dimension, dimensions_of

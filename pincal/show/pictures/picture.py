@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
 if TYPE_CHECKING:  # matplotlib is imported where it is needed

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pincal.calibration.result import CalibrationResult
-from pincal.model.measurements import EVERY_LEG, Noise
+from pincal.model.measuring.measurements import EVERY_LEG, Noise
 from pincal.show.results import noise_said
 from pincal.show.summary import check_lines, tie_lines
 from pincal.words.numbers import capital, counted

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
-from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
 from pincal.show.plots import (
     along,

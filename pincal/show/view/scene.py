@@ -15,7 +15,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of
-from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.style import AXES, EVERY, look
 from pincal.show.view.bodies import Body, Shape, body

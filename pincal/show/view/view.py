@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
-from pincal.model.measurements import Plan
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.page import Page
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene

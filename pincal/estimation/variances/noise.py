@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.covariances import RowNoise, row_noise
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
+from pincal.model.measuring.measurements import SMALLEST_SIGMA, Measurements, Noise
+from pincal.model.measuring.setup import Setup
+from pincal.model.measuring.uncertainty import POLAR
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
-from pincal.model.uncertainty import POLAR
 
 Array = NDArray[np.float64]
 Freedoms = tuple[float, float, float]

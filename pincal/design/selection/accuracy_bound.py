@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.exchange import Effort
+from pincal.design.selection.exchange import Effort
 
 Array = NDArray[np.float64]
 _EFFORT = Effort(exchanges=100, pool=400, rounds=40, tolerance=1e-2)

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.accuracy_bound import accurate_design
-from pincal.design.certificate import continuous_design
-from pincal.design.criteria import MeanVariance, Parts
-from pincal.design.distinct import distinct
-from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener
-from pincal.design.orbits import images
+from pincal.design.selection.accuracy_bound import accurate_design
+from pincal.design.selection.certificate import continuous_design
+from pincal.design.selection.criteria import MeanVariance, Parts
+from pincal.design.selection.distinct import distinct
+from pincal.design.selection.exchange import exchange
+from pincal.design.selection.orbits import images
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.given import as_noise
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.inverse import reached
 from pincal.model.checks import count_of, generator_of
-from pincal.model.measurements import Noise
+from pincal.model.measuring.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import Element
 

@@ -20,7 +20,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Orthonormal
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
-from pincal.model.measurements import Noise
+from pincal.model.measuring.measurements import Noise
 
 Array = NDArray[np.float64]
 _P, _O, _R = range(3)  # position, orientation, reading

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.criteria import Criterion, Determinant, Parts
+from pincal.design.selection.criteria import Criterion, Determinant, Parts
 from pincal.kinematics.closing import CHUNK
 from pincal.model.checks import ROUNDING
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.criteria import Parts, variance
+from pincal.design.selection.criteria import Parts, variance
 from pincal.errors import ObservabilityError
 from pincal.kinematics.closing import CHUNK
 from pincal.model.checks import ROUNDING

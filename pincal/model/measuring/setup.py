@@ -14,13 +14,13 @@ from typing import Any
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import array_of, must_be
-from pincal.model.instrument import Instrument
+from pincal.model.measuring.instrument import Instrument
+from pincal.model.measuring.uncertainty import POLAR, Systematic, Tracker
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
 from pincal.model.overview import one_line
 from pincal.model.parameter import listed
 from pincal.model.platform import Platform
-from pincal.model.uncertainty import POLAR, Systematic, Tracker
 
 Point = tuple[float, float, float]
 _FAR = 3.0  # times the longest leg: no target is that far from its platform

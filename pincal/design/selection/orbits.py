@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from pincal.design.distinct import perhaps_alike, places_of
+from pincal.design.selection.distinct import perhaps_alike, places_of
 from pincal.errors import SymmetryError
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ALIKE
-from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import LARGEST, array_of, must_be, names_of, number_of
+from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import counted, one_line
-from pincal.model.setup import Setup
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

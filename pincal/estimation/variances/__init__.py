@@ -1,0 +1,1 @@
+"""How large noise and deviations are: given, from residuals, or by evidence."""

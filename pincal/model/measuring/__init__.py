@@ -1,0 +1,1 @@
+"""What was measured: rows, targets and frames, instruments, and how well they measure."""
