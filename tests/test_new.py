@@ -48,7 +48,7 @@ def sizes(kind: str, seed: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("seed", quick(1, range(2)))
-@pytest.mark.parametrize("kind", some_slow(KINDS, "cable-4", "linear-delta"))
+@pytest.mark.parametrize("kind", some_slow(KINDS, "cable-4", "linear-delta", "hexapod"))
 def test_readings_are_those_of_the_dimensions(kind: str, seed: int) -> None:
     """Inverse kinematics is the closed form of the dimensions, over the workspace."""
     own = sizes(kind, seed)

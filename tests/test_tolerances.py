@@ -127,6 +127,7 @@ def test_a_machine_as_drawn_is_found_as_drawn() -> None:
     assert np.trace(result.covariance) < 0.5 * np.trace(free.covariance)
 
 
+@pytest.mark.slow
 def test_sizes_of_a_single_pose_lie_in_their_intervals() -> None:
     """Three equations say little of 24 parameters: no more than that."""
     _, data = drawn("3RRR", 24, seed=2)
