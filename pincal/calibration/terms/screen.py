@@ -100,7 +100,9 @@ def screened(parts: Sequence[tuple[Residuals, Sequence[Trial]]]) -> list[Candida
         part, _, rows = tried[index]
         residuals = parts[part][0]
         others = {other.pair: (other, W) for own, other, W in tried[index + 1 :] if own == part}
-        alike = inseparable(one, [other for other, _ in others.values()], residuals.chi2)
+        rest = (1.0 - one.share) * residuals.chi2 / max(residuals.degrees_of_freedom - one.rank, 1)
+        chi2 = residuals.chi2 / max(rest, 1e-300)  # by what is left, as F tests have it
+        alike = inseparable(one, [other for other, _ in others.values()], chi2)
         left = residuals.without(rows) if alike else residuals
         gone = [other.pair for other in alike if not _clear(left, others[other.pair][1])]
         found[index] = replace(one, or_else=tuple(gone))
@@ -127,7 +129,7 @@ def _candidate(residuals: Residuals, one: Trial) -> Candidate:
 def _clear(residuals: Residuals, rows: Array) -> bool:
     """Return whether a term is still there."""
     answer = residuals.amplitudes(rows)
-    return answer.inside - answer.rank >= CLEAR**2
+    return answer.rank * (answer.F - 1.0) >= CLEAR**2
 
 
 def trials(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residuals, list[Trial]]]:
@@ -170,7 +172,7 @@ def inseparable(one: Candidate, others: Sequence[Candidate], chi2: float) -> lis
     Args:
         one: The candidate.
         others: Among which they are.
-        chi2: Of the fit, of which shares are.
+        chi2: Of which shares are, in units of the variance that is left.
     """
     found = []
     for other in others:

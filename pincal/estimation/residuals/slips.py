@@ -71,10 +71,12 @@ def slips(one: Fit) -> list[Slip]:
         if not tried or tried[0].slip.p_value * len(tried) >= FALSE_ALARM:
             break
         first = tried[0]
+        free = max(left.degrees_of_freedom - len(first.slip.size), 1)
+        clear = CLEAR**2 * (left.chi2 - first.inside) / free  # by what is left, as F tests have it
         alike = tuple(
             (other.slip.what, other.slip.name)
             for other in tried[1:]
-            if other.slip.steady == first.slip.steady and first.inside - other.inside < CLEAR**2
+            if other.slip.steady == first.slip.steady and first.inside - other.inside < clear
             if other.slip.unit == first.slip.unit and len(other.slip.size) == len(first.slip.size)
         )
         chance = first.slip.p_value * len(tried)
