@@ -18,6 +18,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.chances import Form, of_forms
 from pincal.estimation.residuals.score import Residuals
+from pincal.kinematics.influences.columns import sides
 from pincal.model.measuring.setup import ORIGIN
 
 Array = NDArray[np.float64]
@@ -214,5 +215,4 @@ def _of_pose(one: Fit, used: NDArray[np.intp]) -> Array:
 
 def _side(one: Fit, column: int, used: NDArray[np.intp]) -> Array:
     """Return from which side a reading was come to, shape (n_used, 1)."""
-    side = np.sign(np.diff(one.problem.readings[:, column], prepend=np.nan))[used]
-    return np.nan_to_num(side)[:, None]
+    return np.nan_to_num(sides(one.problem.readings[:, column])[used])[:, None]
