@@ -97,7 +97,8 @@ class Study:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerows([list(columns), *_rows(columns, digits=8)])
             stem.with_suffix(".md").write_text(markdown(columns) + "\n", encoding="utf-8")
-        with mpl.rc_context({"svg.hashsalt": self.name, "savefig.dpi": 300}):
+        dots = 100 if self.quick else 300  # an inch
+        with mpl.rc_context({"svg.hashsalt": self.name, "savefig.dpi": dots}):
             for name, figure in self.figures.items():
                 stem = folder / "figures" / name
                 figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
