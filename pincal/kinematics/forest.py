@@ -30,7 +30,6 @@ _JOINTS = {
 _COLUMNS = (
     40  # keep nv near this: calls cost what they do with 64, Pinocchio's data (nv³) a quarter
 )
-_PLANAR = (0, 1, 5)  # rows of twists that are not zero in the plane across z
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,8 @@ class Forest:
             joints = self._columns(configurations)
         twists = np.matmul(wanted, joints.transpose(0, 2, 1))
         if base is not None:
-            moved = base.twists if self.spatial else base.twists[list(_PLANAR)]
+            # in the plane across z the other rows are zero
+            moved = base.twists if self.spatial else base.twists[[0, 1, 5]]
             twists[:, -moved.shape[1] :] += moved[:, :, None]
         return (_in_space if self.spatial else _in_plane)(twists)
 

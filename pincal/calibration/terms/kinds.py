@@ -26,7 +26,6 @@ ORDER = "order"
 OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
 _KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY, ORDER)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
-_MOST = 100_000  # periods in a turn: of the finest gratings
 GROWTH = "growth"
 """In the place of a reading: all lengths of the machine, which grow by one part of them."""
 READINGS = "readings"
@@ -59,7 +58,7 @@ class Kind:
         known = {HARMONICS: _is_order, POLYNOMIAL: _is_power}.get(name, lambda _: False)
         if not name or "," in name or not all(known(one) for one in given):
             raise MeasurementError(
-                f"terms {said!r}: expected harmonics:1,2 (periods in a turn, up to {_MOST:,}), "
+                f"terms {said!r}: expected harmonics:1,2 (periods in a turn, up to 100,000), "
                 "polynomial:2,3 (powers, 2 to 20), backlash, gravity, or a column of the "
                 "measurements; several as options of their own"
             )
@@ -72,7 +71,8 @@ class Kind:
 
 
 def _is_order(number: float) -> bool:
-    return 0.0 < number <= _MOST
+    """Return whether so many periods in a turn can be: the finest gratings have 100,000."""
+    return 0.0 < number <= 1e5
 
 
 def _is_power(number: float) -> bool:

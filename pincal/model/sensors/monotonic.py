@@ -11,7 +11,6 @@ from pincal.model.sensors.terms import Harmonic
 Array = NDArray[np.float64]
 _POINTS = 2000
 _OF_A_PERIOD = 24
-_MOST = 1_000_000  # of points; shorter waves are met at other phases, period by period
 
 
 def turning(law: SensorLaw, low: Array, high: Array) -> Array:
@@ -31,7 +30,8 @@ def turning(law: SensorLaw, low: Array, high: Array) -> Array:
         for one in law.terms
         if isinstance(one.term.basis, Harmonic)
     ]
-    count = int(min(max([_POINTS, *(_OF_A_PERIOD * wave for wave in waves)]), _MOST))
+    count = int(max([_POINTS, *(_OF_A_PERIOD * wave for wave in waves)]))
+    count = min(count, 500 * _POINTS)  # shorter waves are met at other phases, period by period
     readings = np.linspace(first, last, count + 1)
     back = np.broadcast_to(law.slopes(readings), readings.shape) * np.sign(law.slope) <= 0.0
     return np.where(back.any(axis=0), readings[back.argmax(axis=0), np.arange(len(first))], np.nan)
