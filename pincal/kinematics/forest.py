@@ -133,33 +133,31 @@ class Forest:
                 for root in self._roots:
                     self._model.jointPlacements[root] = placement
                 self._base = base
-            joints = self._columns(configurations)
-        twists = np.matmul(wanted, joints.transpose(0, 2, 1))
+            columns = self._columns(configurations)
+        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
+        twists = np.empty((len(rows), len(wanted), columns.shape[1]))
+        for twist, row in zip(twists, rows, strict=True):
+            np.matmul(wanted, columns[row].T, out=twist)
         if base is not None:
-            # in the plane across z the other rows are zero
-            moved = base.twists if self.spatial else base.twists[[0, 1, 5]]
+            moved = base.twists[rows]
             twists[:, -moved.shape[1] :] += moved[:, :, None]
         return (_in_space if self.spatial else _in_plane)(twists)
 
     def _columns(self, configurations: Array) -> Array:
-        """Return Pinocchio's joint columns at the base's origin, shape (3 or 6, N, width)."""
+        """Return Pinocchio's joint columns at the base's origin, shape (6, N, width)."""
         count, n = configurations.shape
         blocks = -(-count // self.copies)
         padded = np.zeros((blocks * self.copies, self.width))
         padded[:count, :n] = configurations
-        out = np.empty((6 if self.spatial else 3, blocks, self.copies * self.width))
+        out = np.empty((6, blocks, self.copies * self.width))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
         columns = data.J  # Pinocchio's own memory: a copy of what each call returns costs as much
-        along, turn = columns[:2], columns[5]
         for target, q in zip(
             out.swapaxes(0, 1), padded.reshape(blocks, self.copies * self.width), strict=True
         ):
             evaluate(model, data, q)
-            if self.spatial:
-                target[:] = columns
-            else:
-                target[:2], target[2] = along, turn
-        return out.reshape(len(out), blocks * self.copies, self.width)[:, :count]
+            target[:] = columns
+        return out.reshape(6, blocks * self.copies, self.width)[:, :count]
 
 
 @dataclass(frozen=True)
