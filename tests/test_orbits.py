@@ -13,15 +13,16 @@ from moved import moved, random_motion
 import pincal
 from pincal.design.information import leg_whitener
 from pincal.design.selection.distinct import distinct
+from pincal.design.selection.leg_rows import LegRows
 from pincal.design.selection.orbits import (
-    images,
     leg_orbits,
     maps,
     merged,
+    orbit_of,
+    repeated,
     selection_group,
     smallest,
 )
-from pincal.design.selection.search import Search, SelectionOptions
 from pincal.estimation.observability.indices import indices
 from pincal.kinematics.derivatives import leg_demand
 
@@ -114,15 +115,16 @@ def test_candidates_on_a_mirror() -> None:
     poses[:, 2] = rng.uniform(1.7, 2.2, 300)
     poses[:, 4] = rng.uniform(0.0, 0.3, 300)  # tilted about y: in the mirror plane y = 0
     elements = smallest(selection_group(mechanism))
-    found, own, repeated = images(mechanism.platform, elements, poses)
-    assert found.shape == (6, 300, 6)
+    found, own = orbit_of(elements, mechanism.platform.matrices(poses))
+    assert found.shape == (6, 300, 4, 4)
     assert (own.sum(axis=0) == 3).all()
-    assert not repeated.any()
+    assert not repeated(found).any()
     chosen = pincal.select_poses(mechanism, poses, 12, "orbits", starts=2)
     assert len(chosen.plan.poses) == 36
     assert chosen.candidates == 300
     assert no_pose_twice(mechanism, chosen.plan)
-    mapped = pincal.select_poses(mechanism, found[:3].reshape(-1, 6), 12, "symmetric", starts=2)
+    half = mechanism.platform.from_matrices(found[:3].reshape(-1, 4, 4))
+    mapped = pincal.select_poses(mechanism, half, 12, "symmetric", starts=2)
     assert no_pose_twice(mechanism, mapped.plan)
     assert [leg.poses for leg in mapped.legs] == [12] * 6
     assert len(mapped.plan.poses) <= 36  # each serves two legs or more
@@ -135,9 +137,10 @@ def test_images_of_candidates_are_not_chosen_again() -> None:
     poses = workspace("3RRR", 50)
     turned = pincal.Element(2 * np.pi / 3).poses(mechanism.platform, poses[:20])
     elements = smallest(selection_group(mechanism))
-    _, own, repeated = images(mechanism.platform, elements, np.concatenate((poses, turned)))
+    every = np.concatenate((poses, turned))
+    found, own = orbit_of(elements, mechanism.platform.matrices(every))
     assert own.all()
-    np.testing.assert_array_equal(np.flatnonzero(repeated), np.arange(50, 70))
+    np.testing.assert_array_equal(np.flatnonzero(repeated(found)), np.arange(50, 70))
 
 
 def test_a_plan_serves_several_legs(tmp_path: pytest.TempPathFactory) -> None:
@@ -175,10 +178,9 @@ def test_offsets_and_gains_do_not_matter() -> None:
     geared = mechanism.with_parameters({"leg_2": {"k": 1.5}})
     noise = pincal.Noise(1e-4, 1e-4, 1e-4)
     found = pincal.select_poses(geared, poses, 12, "symmetric", noise=noise, starts=2)
-    search = Search(geared, poses, SelectionOptions(noise=noise))
     assert 0.5 < found.legs[1].efficiency <= 1.0
     assert found.legs[1].efficiency != pytest.approx(found.legs[0].efficiency, rel=1e-6)
-    assert search.reached.all()
+    assert pincal.inverse(geared, poses).reached.all()
 
 
 @pytest.mark.parametrize("name", quick(1, ["3RRR", "6UPS"]))
@@ -250,10 +252,13 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
 
     mechanism = pincal.load_mechanism("3RRR")
     elements = smallest(selection_group(mechanism))
-    found, _, _ = images(mechanism.platform, elements, workspace("3RRR", 150))
-    search = Search(mechanism, found.reshape(-1, 3), SelectionOptions())
-    every = block_diagonal([search.rows(leg, search.candidates) for leg in mechanism.leg_names])
-    orbits = np.concatenate([search.rows("leg_1", poses) for poses in found], axis=1)
+    poses = workspace("3RRR", 150)
+    found, _ = orbit_of(elements, mechanism.platform.matrices(poses))
+    names, every_one = mechanism.leg_names, slice(None)
+    every = block_diagonal(
+        list(LegRows(mechanism, found.reshape(-1, 4, 4), names, pincal.Noise())(every_one))
+    )
+    (orbits,) = LegRows(mechanism, poses, ("leg_1",), pincal.Noise(), elements)(every_one)
     common = continuous_design((every,)).log_det_bound / len(mechanism.legs)
     own = continuous_design((orbits,)).log_det_bound - orbits.shape[2] * np.log(len(elements))
     assert own == pytest.approx(common, abs=2e-2)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.selection.leg_rows import LegRows
 from pincal.design.selection.orbits import (
     leg_orbits,
     maps,
@@ -27,6 +28,7 @@ from pincal.design.selection.orbits import (
 from pincal.design.selection.search import Search, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
+from pincal.files.given import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.derivatives import leg_demand
 from pincal.model.checks import ALIKE, count_of, described
@@ -141,7 +143,8 @@ def select_poses(
             is there twice counts once, whatever its whole turns and its last digits.
         count: Poses for each leg; with ``orbits``, number of orbits; with ``common``, poses.
         protocol: See the module.
-        **options: ``noise``, ``seed``, ``starts``, ``progress``: see ``SelectionOptions``.
+        **options: ``noise``, ``seed``, ``starts``, ``jobs``, ``scheduler``, ``progress``: see
+            ``SelectionOptions``.
 
     Raises:
         ObservabilityError: too few poses for the parameters, too few candidates in reach, or
@@ -192,7 +195,7 @@ def _by_symmetry(
     """
     mechanism = search.mechanism
     group, platform = selection_group(mechanism), mechanism.platform
-    some = search.candidates[search.reached][:_SOME]
+    some = search.some(_SOME)
     found = leg_orbits(group, some)
     first = {leg: orbit.legs[0] for orbit in found for leg in orbit.legs}
     references = tuple(first[name] for name in mechanism.leg_names)
@@ -205,19 +208,19 @@ def _by_symmetry(
         poses, efficiency = search.orbits(legs, count, smallest(group))
         return Plan(poses, (EVERY_LEG,) * len(poses)), [efficiency] * len(first), references
     parts, wanted, efficiencies = [], [], {}
+
+    def white(leg: str, poses: Array) -> Array:
+        (rows,) = LegRows(mechanism, poses, (leg,), as_noise(search.options.noise))(slice(None))
+        return rows.reshape(-1, rows.shape[2])
+
     for orbit in found:
         chosen, efficiency = search.own(orbit.legs[0], count)
-        rows = search.rows(orbit.legs[0], some)
+        rows = white(orbit.legs[0], some)
         for leg, element in zip(orbit.legs, orbit.carriers, strict=True):
             parts.append(element.poses(platform, search.candidates[chosen]))
             wanted += [leg] * count
-            own = search.rows(leg, element.poses(platform, some))
-            flat = [one.reshape(-1, one.shape[2]) for one in (rows, own)]
-            efficiencies[leg] = (
-                efficiency
-                if maps(*flat)
-                else search.efficiency(leg, element.poses(platform, search.candidates), chosen)
-            )
+            same = maps(rows, white(leg, element.poses(platform, some)))
+            efficiencies[leg] = efficiency if same else search.efficiency(leg, element, chosen)
     plan = merged(mechanism, np.concatenate(parts), wanted)
     return plan, [efficiencies[name] for name in mechanism.leg_names], references
 

@@ -132,8 +132,20 @@ def leg_demand(
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
+    placed = mechanism.platform.placed(poses)
+    return leg_demand_at(mechanism, leg, placed, parameters, readings, influences)
+
+
+def leg_demand_at(
+    mechanism: Mechanism,
+    leg: str,
+    placed: RigidTransform | Array,
+    parameters: Array | None = None,
+    readings: Array | None = None,
+    influences: Array | None = None,
+) -> Demand:
+    """Return what a leg demands at transforms, or matrices (N, 4, 4): see ``leg_demand``."""
     platform, one = mechanism.platform, mechanism.leg(leg)
-    placed = platform.placed(poses)
     closure = LegClosure(one, platform, parameters)
     count, k = len(placed), len(platform.closing(one.closes)) - len(one.passive)
     sizes = (len(one.parameters), platform.dof, len(one.sensors))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import Closure, LegClosure, joint_range
 from pincal.model.leg import Leg
@@ -86,6 +87,8 @@ def mode_sign(closure: Closure) -> Array:
         return np.ones(len(both))
     if both.shape[1] == 2:
         return np.sign(both[:, 0, 0] * both[:, 1, 1] - both[:, 0, 1] * both[:, 1, 0])
+    if both.shape[1] == 3:
+        return np.sign((both[:, :, 0] * cross(both[:, :, 1], both[:, :, 2])).sum(axis=1))
     return np.sign(np.linalg.det(both))
 
 

@@ -71,7 +71,8 @@ class Candidates:
     goal: Annotated[
         Goal, typer.Option(help="Best for the parameters, or for the calibrated platform.")
     ] = "parameters"
-    starts: Annotated[int, typer.Option(min=1, help="Starts of the search; the best is kept.")] = 20
+    starts: Annotated[int, typer.Option(min=1, help="Starts of the search; the best is kept.")] = 5
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one a core.")] = 1
     verify: Annotated[
         int,
         typer.Option(min=0, help="Random poses beside them, by which the calibration is checked."),
@@ -226,6 +227,7 @@ def _by_protocol(
         noise=noise,
         seed=how.seed,
         starts=how.starts,
+        jobs=how.jobs,
         progress=progress,
     )
     found = {

@@ -5,8 +5,11 @@ theorem of Kiefer and Wolfowitz, any weights w bound the best ones: det M(w*) �
 det M(w) · (maxⱼ dⱼ / n)ⁿ with dⱼ = tr Aⱼ M(w)⁻¹ Aⱼᵀ. No set of N candidates has more
 information than Nⁿ det M(w*), so the bound is a proof whether or not w has converged.
 
-Few candidates carry weight. On these, log det M is maximised by Newton's method; then those that
-violate dⱼ ≤ n most join them, until none does (column generation).
+Few candidates carry weight. On these, log det M is maximised by Newton's steps; then those that
+violate dⱼ ≤ n most join them, until none does (column generation). Every look at the candidates
+leaves out those that no optimal design rests on: dⱼ < n h(ε), where maxⱼ dⱼ = n (1 + ε) (R. Harman
+and L. Pronzato, Statistics & Probability Letters 77, 2007, 90–94; for candidates of several rows
+R. Harman and M. Trnovská, Mathematica Slovaca 59, 2009, 693–704). The first look is at all.
 """
 
 from __future__ import annotations
@@ -16,26 +19,41 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.selection.criteria import Parts, variance
+from pincal.design.selection.candidates import Held, Rows, most_of, squares
+from pincal.design.selection.criteria import Parts
 from pincal.errors import ObservabilityError
-from pincal.kinematics.closing import CHUNK
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class Generation:
     """How candidates with weight are found, and how near to the best weights."""
 
-    first: int = 400
+    sample: int = 1000
+    """Candidates that are looked at before all are."""
+    first: int = 200
     """Candidates that the first weights are on."""
-    multiplied: int = 30
+    multiplied: int = 15
     """Multiplicative steps of these."""
     small: float = 0.05
-    """Of the largest weight: those below are dropped before Newton's steps begin."""
-    newton: int = 100
-    """Steps between two looks at all candidates, at most."""
+    """Of the largest weight: those below are dropped after these."""
+    added: int = 4
+    """Times n: candidates that join after a look, at most."""
+    share: float = 1e-3
+    """Of the weight that these get, at most."""
+    mixed: float = 0.1
+    """Share of equal weights that interior steps begin with, and of n that slacks have."""
+    centred: float = 0.03
+    """Of the mean complementarity, where a step aims."""
+    within: float = 0.1
+    """Of the gap at the last look, to which steps go."""
+    dropped: float = 0.3
+    """Weight of the least that is dropped then, of that gap."""
+    steps: int = 40
+    """Between two looks at all candidates, at most."""
     rounds: int = 100
     """Looks at all, at most."""
     tolerance: float = 1e-4
@@ -52,7 +70,8 @@ class ContinuousDesign:
     weights: Array
     """Shape (M,), sum 1."""
     variance: Array
-    """dⱼ, shape (M,); n where the design rests, at most n (1 + gap) elsewhere."""
+    """dⱼ when the candidate was looked at last, shape (M,): n where the design rests, at most
+    n (1 + gap) elsewhere; −∞ where the candidate has no rows."""
     log_det: float
     """log det M(w)."""
     log_det_bound: float
@@ -74,76 +93,109 @@ class ContinuousDesign:
         return float(np.exp((log_det - self.log_det_bound) / n_params) / count)
 
 
-def continuous_design(parts: Parts) -> ContinuousDesign:
+def continuous_design(given: Rows | Parts, places: Index | None = None) -> ContinuousDesign:
     """Return a nearly D-optimal continuous design and its bound.
 
     Args:
-        parts: Rows that each candidate contributes, of each part of the parameters, (M, r, n).
+        given: Rows of candidates; or those that each candidate contributes, of each part of the
+            parameters, shape (M, r, n).
+        places: Candidates that count; all if not given. Those whose rows are NaN do not.
 
     Raises:
         ObservabilityError: all candidates together leave a parameter undetermined.
     """
-    rows, shift = _normal(parts)
-    n = sum(one.shape[2] for one in rows)
-    count = len(rows[0])
-    seen = _variances(rows, tuple(np.eye(one.shape[2]) for one in rows))  # uniform: M = 1
-    pool = np.argsort(-seen, kind="stable")[: max(_BY.first, 4 * n)]
-    weights = np.zeros(count)
-    weights[pool] = _multiplicative(tuple(one[pool] for one in rows))
+    rows = Held(given) if isinstance(given, tuple) else given
+    left = np.arange(rows.total) if places is None else places
+    some, turns, shift = _normal(rows, left)
+    n, gap = sum(len(turn) for turn in turns), 1.0
+    size = max(_BY.first, 4 * n)
+    at = some[most_of(squares(rows, some, turns), size)]  # uniform: M = 1
+    weights = _multiplicative(_turned(rows(at), turns))
+    seen = np.full(rows.total, -np.inf)
     for _ in range(_BY.rounds):
-        support = np.flatnonzero(weights)
-        weights[support] = _newton(tuple(one[support] for one in rows), weights[support])
-        seen = _variances(rows, _inverse(rows, weights))
-        if seen.max() <= n * (1.0 + _BY.tolerance):
+        own = _turned(rows(at), turns)
+        weights = _interior(own, weights, max(_BY.within * gap, 0.1 * _BY.tolerance))
+        kept = weights > 0.0
+        at, weights = at[kept], weights[kept]
+        information = _information(tuple(one[kept] for one in own), weights)
+        roots = [np.linalg.inv(np.linalg.cholesky(M)).T for M in information]
+        half = tuple(turn @ root for turn, root in zip(turns, roots, strict=True))
+        found = squares(rows, left, half)
+        seen[left] = found = np.where(np.isfinite(found), found, -np.inf)
+        gap = float(found.max()) / n - 1.0
+        design = _weighted(rows.total, at, weights)
+        if gap <= _BY.tolerance:
             break
-        worst = np.argpartition(-seen, min(2 * n, count - 1))[: 2 * n]
-        worst = worst[seen[worst] > n]
-        weights *= 1.0 - _BY.tolerance
-        weights[worst] += _BY.tolerance / len(worst)
-    log_det = sum(float(np.linalg.slogdet(M)[1]) for M in _information(rows, weights)) + shift
-    bound = log_det + n * float(np.log(max(1.0, seen.max() / n)))
-    return ContinuousDesign(weights, seen, log_det, bound)
+        left = left[found >= n * least_share(gap, n)]
+        worst = left[most_of(seen[left], _BY.added * n)]
+        worst = np.setdiff1d(worst[seen[worst] > n], at)
+        share = min(_BY.share, gap) if len(worst) else 0.0
+        at = np.concatenate((at, worst))
+        more = np.full(len(worst), share / max(1, len(worst)))
+        weights = np.append((1.0 - share) * weights, more)
+    log_det = sum(float(np.linalg.slogdet(M)[1]) for M in information) + shift
+    bound = log_det + n * float(np.log1p(max(0.0, gap)))
+    return ContinuousDesign(design, seen, log_det, bound)
 
 
-def _normal(parts: Parts) -> tuple[Parts, float]:
-    """Return rows of which the information of uniform weights is 1, and log det of what it was.
+def _weighted(total: int, at: Index, weights: Array) -> Array:
+    every = np.zeros(total)
+    every[at] = weights
+    return every
+
+
+def least_share(gap: float, n: int) -> float:
+    """Return h: where dⱼ < h n no optimal design rests, if no dⱼ exceeds n (1 + gap)."""
+    return 1.0 + gap / 2.0 - float(np.sqrt(gap * (4.0 + gap - 4.0 / n))) / 2.0
+
+
+def _normal(rows: Rows, places: Index) -> tuple[Index, tuple[Array, ...], float]:
+    """Return a sample of candidates, what makes its information 1, and log det of what it was.
+
+    The sample grows until its rank is whole.
 
     Raises:
         ObservabilityError: the candidates leave a parameter undetermined.
     """
-    rows, shift = [], 0.0
-    for one in parts:
-        count, r, n = one.shape
-        factor = np.asarray(np.linalg.qr(one.reshape(-1, n), mode="r"))
-        scale = np.abs(np.diagonal(factor))
-        if len(factor) < n or scale.min() <= ROUNDING * np.linalg.norm(factor, axis=0).max():
+    size = _BY.sample
+    while True:
+        some = places[:: max(1, len(places) // size)]
+        parts = rows(some)
+        whole = np.logical_and.reduce([np.isfinite(one).all(axis=(1, 2)) for one in parts])
+        looked, some = len(some), some[whole]
+        turns, shift = [], 0.0
+        for one in (part[whole] for part in parts):
+            n = one.shape[2]
+            factor = np.asarray(np.linalg.qr(one.reshape(-1, n), mode="r"))
+            scale = np.abs(np.diagonal(factor))
+            if len(factor) < n or scale.min() <= ROUNDING * np.linalg.norm(factor, axis=0).max():
+                break
+            turns.append(np.linalg.inv(factor) * np.sqrt(len(some)))
+            shift += 2.0 * float(np.log(scale).sum()) - n * np.log(len(some))
+        else:
+            return some, tuple(turns), shift
+        if looked == len(places):
             raise ObservabilityError("the candidate poses leave a parameter undetermined")
-        inverse = np.linalg.inv(factor) * np.sqrt(count)
-        rows.append((one.reshape(-1, n) @ inverse).reshape(count, r, n))
-        shift += 2.0 * float(np.log(scale).sum()) - n * np.log(count)
-    return tuple(rows), shift
+        size *= 8
+
+
+def _turned(rows: Parts, turns: Parts) -> Parts:
+    return tuple(one @ turn for one, turn in zip(rows, turns, strict=True))
 
 
 def _information(rows: Parts, weights: Array) -> Parts:
-    used = np.flatnonzero(weights)
     found = []
     for one in rows:
-        flat = (one[used] * np.sqrt(weights[used])[:, None, None]).reshape(-1, one.shape[2])
+        flat = (one * np.sqrt(weights)[:, None, None]).reshape(-1, one.shape[2])
         found.append(flat.T @ flat)
     return tuple(found)
 
 
-def _inverse(rows: Parts, weights: Array) -> Parts:
-    return tuple(np.asarray(np.linalg.inv(M), np.float64) for M in _information(rows, weights))
-
-
-def _variances(rows: Parts, inverse: Parts) -> Array:
-    """Return dⱼ = tr Aⱼ M⁻¹ Aⱼᵀ, shape (M,), in parts that memory holds."""
-    found = np.zeros(len(rows[0]))
-    for first in range(0, len(found), CHUNK):
-        some = slice(first, first + CHUNK)
-        for one, M in zip(rows, inverse, strict=True):
-            found[some] += variance(one[some], M[None])[0]
+def _shares(rows: Parts, weights: Array) -> Array:
+    """Return dⱼ = tr Aⱼ M⁻¹ Aⱼᵀ of few candidates, shape (s,)."""
+    found = np.zeros(len(weights))
+    for one, M in zip(rows, _information(rows, weights), strict=True):
+        found += ((one @ np.linalg.inv(M)) * one).sum(axis=(1, 2))
     return found
 
 
@@ -151,64 +203,57 @@ def _multiplicative(rows: Parts) -> Array:
     """Return weights after steps wⱼ ← wⱼ dⱼ / n, small ones dropped: where Newton's steps begin."""
     weights = np.full(len(rows[0]), 1.0 / len(rows[0]))
     for _ in range(_BY.multiplied):
-        weights = weights * _variances(rows, _inverse(rows, weights))
-        weights /= weights.sum()
+        weights = weights * _shares(rows, weights)
+        weights = weights / weights.sum()
     large = weights >= _BY.small * weights.max()
     ranks = [np.linalg.matrix_rank(one[large].reshape(-1, one.shape[2])) for one in rows]
     if all(rank == one.shape[2] for rank, one in zip(ranks, rows, strict=True)):
         weights[~large] = 0.0
-    return weights / weights.sum()
+    return np.asarray(weights / weights.sum())
 
 
-def _newton(rows: Parts, weights: Array) -> Array:
-    """Return the weights of few candidates that maximise log det M, those at zero dropped.
+def _interior(rows: Parts, weights: Array, gap: float) -> Array:
+    """Return the weights of few candidates that maximise log det M, by an interior-point method.
 
-    With M⁻¹ = F Fᵀ, the gradient is dⱼ and the Hessian −|Aᵢ M⁻¹ Aⱼᵀ|²; weights stay a share of 1.
+    Slacks z of dⱼ + zⱼ = n, and wⱼ zⱼ = μ → 0. The gradient is dⱼ, the Hessian −|Aᵢ M⁻¹ Aⱼᵀ|².
+
+    Args:
+        rows: Of the candidates.
+        weights: Where it begins.
+        gap: Part by which dⱼ may exceed n; the least weights are dropped then.
     """
-    weights = weights.copy()
-    n = sum(one.shape[2] for one in rows)
-    for _ in range(_BY.newton):
-        used = np.flatnonzero(weights)
-        own = tuple(one[used] for one in rows)
-        hessian, gradient = _derivatives(own, weights[used])
-        if np.abs(gradient - n).max() <= 0.1 * _BY.tolerance * n:
+    s, n = len(weights), sum(one.shape[2] for one in rows)
+    w = (1.0 - _BY.mixed) * weights + _BY.mixed / s
+    hessian, gradient = _derivatives(rows, w)
+    z = np.maximum(n - gradient, _BY.mixed * n)
+    for _ in range(_BY.steps):
+        middle = _BY.centred * float(w @ z) / s
+        sides = np.column_stack((gradient + middle / w, np.ones(s)))
+        both = np.linalg.solve(hessian + np.diag(z / w), sides)
+        level = (both[:, 0].sum() + w.sum() - 1.0) / both[:, 1].sum()
+        by_w = both[:, 0] - level * both[:, 1]
+        by_z = middle / w - z - z / w * by_w
+        w, z = w + _inside(w, by_w) * by_w, z + _inside(z, by_z) * by_z
+        hessian, gradient = _derivatives(rows, w)
+        if gradient.max() <= n * (1.0 + gap):
+            least = np.argsort(w)
+            w[least[np.cumsum(w[least]) <= _BY.dropped * gap]] = 0.0
             break
-        step = _step(hessian, gradient)
-        falling = step < 0.0
-        reach = np.min(weights[used][falling] / -step[falling], initial=np.inf)
-        size, value = min(1.0, reach), _log_det(own, weights[used])
-        while size > ROUNDING:
-            trial = np.maximum(weights[used] + size * step, 0.0)
-            if _log_det(own, trial) >= value:
-                break
-            size /= 2.0
-        else:
-            break
-        trial[trial <= ROUNDING] = 0.0
-        weights[used] = trial / trial.sum()
-    return weights
+    return np.asarray(w / w.sum())
+
+
+def _inside(values: Array, change: Array) -> float:
+    """Return how much of a change leaves positive values positive, 1 at most."""
+    falling = change < 0.0
+    return float(np.min(0.99 * values[falling] / -change[falling], initial=1.0))
 
 
 def _derivatives(rows: Parts, weights: Array) -> tuple[Array, Array]:
     """Return what log det M is by weights: minus its Hessian, (s, s), and its gradient, (s,)."""
     s = len(weights)
     hessian, gradient = np.zeros((s, s)), np.zeros(s)
-    for one, M in zip(rows, _inverse(rows, weights), strict=True):
-        P = M @ (one.transpose(0, 2, 1) @ one)  # M⁻¹ Aᵢᵀ Aᵢ, and |Aᵢ M⁻¹ Aⱼᵀ|² = tr Pᵢ Pⱼ
+    for one, M in zip(rows, _information(rows, weights), strict=True):
+        P = np.linalg.inv(M) @ (one.transpose(0, 2, 1) @ one)  # |Aᵢ M⁻¹ Aⱼᵀ|² = tr Pᵢ Pⱼ
         hessian += P.reshape(s, -1) @ P.transpose(0, 2, 1).reshape(s, -1).T
         gradient += np.einsum("saa->s", P)
     return hessian, gradient
-
-
-def _step(hessian: Array, gradient: Array) -> Array:
-    """Return Newton's step of weights whose sum stays."""
-    s = len(gradient)
-    ridge = ROUNDING * float(np.trace(hessian)) * np.eye(s)
-    both = np.linalg.solve(hessian + ridge, np.column_stack((gradient, np.ones(s))))
-    level = both[:, 0].sum() / both[:, 1].sum()
-    return np.asarray(both[:, 0] - level * both[:, 1])
-
-
-def _log_det(rows: Parts, weights: Array) -> float:
-    found = [np.linalg.slogdet(M) for M in _information(rows, weights)]
-    return sum(float(value) if sign > 0.0 else -np.inf for sign, value in found)

@@ -42,8 +42,11 @@ class Criterion(Protocol):
             sign: 1 or -1.
         """
 
-    def promise(self, rows: Parts, inverse: Parts) -> Array:
-        """Return the change by a small weight on each candidate, to first order, (S, M)."""
+    def turns(self, inverse: Parts) -> Parts:
+        """Return T, shape (S, n, k) for each part.
+
+        |Aⱼ T|² is the change by a small weight on a candidate, to first order, but for a factor.
+        """
 
 
 @dataclass(frozen=True)
@@ -64,9 +67,10 @@ class Determinant:
         found = [_log_det(inner(*pair), sign) for pair in zip(rows, inverse, strict=True)]
         return np.asarray(sum(found))
 
-    def promise(self, rows: Parts, inverse: Parts) -> Array:
-        """See ``Criterion``: tr K."""
-        return np.asarray(sum(variance(*pair) for pair in zip(rows, inverse, strict=True)))
+    def turns(self, inverse: Parts) -> Parts:
+        """See ``Criterion``: M⁻¹ = T Tᵀ, which rounding may have left not quite positive."""
+        pairs = [np.linalg.eigh(one) for one in inverse]
+        return tuple(axes * np.sqrt(np.maximum(values, 0.0))[:, None] for values, axes in pairs)
 
 
 @dataclass(frozen=True)
@@ -99,10 +103,10 @@ class MeanVariance:
             changed = -np.log(np.maximum(1.0 - sign * change / self._now(by), 0.0))
         return np.where(change >= 0.0, changed, -np.inf)  # below, what is dropped was all there was
 
-    def promise(self, rows: Parts, inverse: Parts) -> Array:
-        """See ``Criterion``: tr Q over tr L M⁻¹."""
-        (own,), (by,) = rows, inverse
-        return np.asarray((_times(own, by @ self.C) ** 2).sum(axis=(2, 3)) / self._now(by))
+    def turns(self, inverse: Parts) -> Parts:
+        """See ``Criterion``: M⁻¹ C."""
+        (by,) = inverse
+        return (by @ self.C,)
 
     def _now(self, inverse: Array) -> Array:
         """Return tr L M⁻¹ of each choice, shape (S, 1)."""
@@ -124,12 +128,6 @@ def inner(rows: Array, inverse: Array) -> Array:
             both = np.einsum("smn,smn->sm", left[:, :, a], own[:, :, b])
             K[:, :, a, b] = K[:, :, b, a] = both
     return K
-
-
-def variance(rows: Array, inverse: Array) -> Array:
-    """Return tr K, shape (S, M), of candidates and choices."""
-    left, own = _times(rows, inverse), rows.reshape(-1, *rows.shape[-3:])
-    return np.einsum("smrn,smrn->sm", left, own)
 
 
 def _log_det(K: Array, sign: float) -> Array:

@@ -28,7 +28,11 @@ def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -
     Raises:
         MechanismError: a pose of a wrong shape, or not finite.
     """
-    matrices = platform.matrices(poses)
+    return places_at(platform.matrices(poses), readings)
+
+
+def places_at(matrices: Array, readings: Array | None = None) -> Array:
+    """Return where poses as matrices, shape (N, 4, 4), are: see ``places_of``."""
     parts = [matrices[:, :3, 3], matrices[:, :3, :3].reshape(-1, 9)]
     parts += [] if readings is None else list(readings.T[:, :, None])
     sizes = [np.abs(part).max(initial=0.0) for part in parts]

@@ -7,13 +7,15 @@ All starts are exchanged at once.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.design.selection.candidates import Held, Rows, most_of, squares
 from pincal.design.selection.criteria import Criterion, Determinant, Parts
-from pincal.kinematics.closing import CHUNK
+from pincal.errors import ObservabilityError
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
@@ -34,20 +36,25 @@ class Effort:
     """Of the bound on det^(1/n), where it ends."""
     at_once: int = 1
     """Of the best sets, those that are exchanged against all candidates."""
+    swaps: int = 50
+    """Of these, at most."""
+    out: int = 24
+    """Of a set, those that it would miss least, which are swapped."""
     few: int = 40
     """Candidates of several rows, of those that promise most, whose gain is looked at exactly."""
 
 
-_EFFORT = Effort(exchanges=1000, pool=500, rounds=100, tolerance=1e-9, at_once=5)
+_EFFORT = Effort(exchanges=1000, pool=500, rounds=100, tolerance=1e-9, at_once=2)
 
 
 def exchange(
-    parts: Parts,
+    given: Rows | Parts,
     count: int,
     priority: Array,
     rng: np.random.Generator,
     starts: int,
     criterion: Criterion | None = None,
+    admitted: Callable[[Index], Index] = np.asarray,
 ) -> tuple[Index, float]:
     """Return the best set of candidates found from several starts, and its value.
 
@@ -56,55 +63,60 @@ def exchange(
     would improve them, until none does.
 
     Args:
-        parts: Rows that each candidate contributes, of each part of the parameters, shape
-            (M, r, n); together of rank n.
+        given: Rows of candidates; or those that each contributes, of each part of the parameters,
+            shape (M, r, n); together of rank n.
         count: Size of the set, without repetition.
-        priority: By which candidates come first into the pool, shape (M,): the continuous design.
+        priority: By which candidates come first into the pool, shape (M,): the continuous design;
+            −∞ for those that do not count.
         rng: Source of the random starts.
         starts: Number of starts.
         criterion: What is made large; log det if not given.
+        admitted: Takes candidates in order, and returns those that may be taken, no two alike.
+
+    Raises:
+        ObservabilityError: fewer candidates than the set is to have.
     """
-    scales = tuple(np.linalg.norm(one.reshape(-1, one.shape[2]), axis=0) for one in parts)
-    rows = tuple(one / scale for one, scale in zip(parts, scales, strict=True))
+    rows = Held(given) if isinstance(given, tuple) else given
+    places = np.flatnonzero(np.isfinite(priority))
+    first = places[most_of(priority[places], max(_EFFORT.pool, 2 * count))]
+    others = places[rng.permutation(len(places))[: len(first)]]
+    pool = admitted(np.union1d(first, others))
+    pool = pool if len(pool) >= count else admitted(places)
+    if len(pool) < count:
+        raise ObservabilityError(
+            f"{len(pool)} of {rows.total} candidates are in reach, no two of them alike; "
+            f"{count} are to be chosen"
+        )
+    scales = tuple(np.linalg.norm(one.reshape(-1, one.shape[2]), axis=0) for one in rows(pool))
     criterion, lacking = (criterion or Determinant()).scaled(scales)
-    total = len(parts[0])
-    pool = np.argsort(-priority, kind="stable")[: max(_EFFORT.pool, 2 * count)]
-    drawn = [pool[:count], *(rng.permutation(total)[:count] for _ in range(starts - 1))]
-    sets = np.array(drawn)
-    best = -np.inf
+    foremost = pool[np.argsort(-priority[pool], kind="stable")[:count]]
+    drawn = [pool[rng.permutation(len(pool))[:count]] for _ in range(starts - 1)]
+    sets, best = np.array([foremost, *drawn]), -np.inf
     for _ in range(_EFFORT.rounds):
-        pool = np.union1d(pool, sets)
-        own = tuple(one[pool] for one in rows)
-        sets = pool[_improved(own, np.searchsorted(pool, sets), criterion)]
-        sets = np.unique(np.sort(sets, axis=1), axis=0)
-        values = np.array([_value(rows, one, criterion) for one in sets])
-        order = np.argsort(-values, kind="stable")[: _EFFORT.at_once]
-        sets, values = sets[order], values[order]
+        own = tuple(one / scale for one, scale in zip(rows(pool), scales, strict=True))
+        sets = np.sort(_improved(own, np.searchsorted(pool, sets), criterion), axis=1)
+        sets, values = _sorted(own, np.unique(sets, axis=0), criterion)
+        sets = np.array([_swapped(own, one, criterion) for one in sets[: _EFFORT.at_once]])
+        sets, values = _sorted(own, sets, criterion)
+        inverse = _inverses(own, sets)
+        sets = pool[sets]
         if not values[0] > best + _EFFORT.tolerance:
             break
         best = values[0]
-        pool = np.union1d(pool, _promising(rows, sets, criterion))
+        turns = zip(criterion.turns(inverse), scales, strict=True)
+        by = tuple(turn / scale[:, None] for turn, scale in turns)
+        gains = [squares(rows, places, tuple(one[i] for one in by)) for i in range(len(sets))]
+        more = [places[most_of(gain, _EFFORT.pool)] for gain in gains]
+        pool = np.union1d(pool, admitted(np.unique(np.concatenate((sets.ravel(), *more)))))
     return sets[0], float(values[0]) + lacking
 
 
-def _value(rows: Parts, chosen: Index, criterion: Criterion) -> float:
-    return criterion.value(tuple(one[chosen].reshape(-1, one.shape[2]) for one in rows))
-
-
-def _promising(rows: Parts, sets: Index, criterion: Criterion) -> Index:
-    """Return the candidates that would improve one of some sets most."""
-    total = len(rows[0])
-    if total <= _EFFORT.pool:
-        return np.arange(total)
-    inverse = _inverses(rows, sets)
-    gain = np.concatenate(
-        [
-            criterion.promise(tuple(one[first : first + CHUNK] for one in rows), inverse)
-            for first in range(0, total, CHUNK)
-        ],
-        axis=1,
-    )
-    return np.unique(np.argpartition(-gain, _EFFORT.pool, axis=1)[:, : _EFFORT.pool])
+def _sorted(rows: Parts, sets: Index, criterion: Criterion) -> tuple[Index, Array]:
+    """Return sets, shape (S, count), and their values, the best first."""
+    chosen = [tuple(part[one].reshape(-1, part.shape[2]) for part in rows) for one in sets]
+    values = np.array([criterion.value(one) for one in chosen])
+    order = np.argsort(-values, kind="stable")
+    return sets[order], values[order]
 
 
 def _improved(rows: Parts, sets: Index, criterion: Criterion) -> Index:
@@ -138,6 +150,24 @@ def _improved(rows: Parts, sets: Index, criterion: Criterion) -> Index:
     return sets
 
 
+def _swapped(rows: Parts, chosen: Index, criterion: Criterion) -> Index:
+    """Return a set, shape (count,), that no swap of one of it for another candidate improves."""
+    own = chosen.copy()
+    for _ in range(_EFFORT.swaps if len(own) < len(rows[0]) else 0):
+        inverse = _inverses(rows, own[None])
+        loss = criterion.change(tuple(one[own] for one in rows), inverse, -1.0)[0]
+        least = np.argsort(-loss, kind="stable")[: _EFFORT.out]
+        each = tuple(np.repeat(one, len(least), axis=0) for one in inverse)
+        less = _updated(each, rows, own[least], -1.0)
+        gain = loss[least, None] + criterion.change(rows, less, 1.0)
+        gain[:, own] = -np.inf
+        out, into = np.unravel_index(int(gain.argmax()), gain.shape)
+        if not gain[out, into] > _EFFORT.tolerance:
+            break
+        own[least[out]] = into
+    return own
+
+
 def _best(rows: Parts, sets: Index, inverse: Parts, criterion: Criterion) -> Index:
     """Return the candidate that each set, shape (S, count), gains most by, shape (S,).
 
@@ -145,13 +175,23 @@ def _best(rows: Parts, sets: Index, inverse: Parts, criterion: Criterion) -> Ind
     """
     several = any(one.shape[1] > 1 for one in rows)
     promised = several and len(rows[0]) > sets.shape[1] + _EFFORT.few
-    gain = criterion.promise(rows, inverse) if promised else criterion.change(rows, inverse, 1.0)
+    if promised:
+        pairs = zip(rows, criterion.turns(inverse), strict=True)
+        gain = np.asarray(sum(_promise(*pair) for pair in pairs))
+    else:
+        gain = criterion.change(rows, inverse, 1.0)
     np.put_along_axis(gain, sets, -np.inf, axis=1)
     if not promised:
         return np.asarray(gain.argmax(axis=1))
     few = np.argpartition(-gain, _EFFORT.few, axis=1)[:, : _EFFORT.few]
     exact = criterion.change(tuple(one[few] for one in rows), inverse, 1.0)
     return np.take_along_axis(few, exact.argmax(axis=1)[:, None], axis=1)[:, 0]
+
+
+def _promise(rows: Array, turns: Array) -> Array:
+    """Return |Aⱼ T|², shape (S, M), of candidates (M, r, n) and of T (S, n, k)."""
+    turned = rows.reshape(-1, rows.shape[2]) @ turns
+    return np.einsum("sjk,sjk->sj", turned, turned).reshape(len(turns), *rows.shape[:2]).sum(axis=2)
 
 
 def _inverses(rows: Parts, sets: Index) -> Parts:

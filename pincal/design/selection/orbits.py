@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from pincal.design.selection.distinct import perhaps_alike, places_of
+from pincal.design.selection.distinct import perhaps_alike, places_at, places_of
 from pincal.errors import SymmetryError
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ALIKE
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element
 
@@ -123,39 +122,54 @@ def multiplicities(orbits: Sequence[LegOrbit]) -> list[int]:
     return [size // gcd(*sizes) for size in sizes]
 
 
-def images(
-    platform: Platform, elements: Sequence[Element], poses: Array
-) -> tuple[Array, Mask, Mask]:
+def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]:
     """Return the orbits of poses, and which images count.
 
     Args:
-        platform: The platform.
         elements: Of a group, the identity first.
-        poses: Coordinates, shape (M, dof).
+        matrices: Poses ``T_base_platform``, shape (M, 4, 4).
 
     Returns:
-        Images, shape (E, M, dof); which are not an earlier one of the same pose, shape (E, M): a
-        pose on a mirror has a smaller orbit; and which poses are an image of an earlier pose, (M,).
+        Images, shape (E, M, 4, 4); and which are not an earlier one of the same pose, (E, M): a
+        pose on a mirror has a smaller orbit.
     """
-    found = np.stack([g.poses(platform, poses) for g in elements])
-    count = len(elements)
-    places = places_of(platform, found.reshape(-1, platform.dof)).reshape(count, len(poses), -1)
-    own = np.ones((count, len(poses)), dtype=bool)
-    for later in range(1, count):  # some element leaves a pose where it is, or none does
+    if len(elements) == 1:
+        return matrices[None], np.ones((1, len(matrices)), dtype=bool)
+    found = np.stack([g.matrices(matrices) for g in elements])
+    places = _places(found)
+    own = np.ones(found.shape[:2], dtype=bool)
+    for later in range(1, len(found)):  # some element leaves a pose where it is, or none does
         own[later] = np.abs(places[later] - places[0]).max(axis=1) > ALIKE
     fixed = np.flatnonzero(~own.all(axis=0))
-    for later in range(2, count):
+    for later in range(2, len(found)):
         for earlier in range(1, later):
             apart = np.abs(places[later, fixed] - places[earlier, fixed]).max(axis=1)
             own[later, fixed] &= apart > ALIKE
-    alike = perhaps_alike(places.reshape(count * len(poses), -1)).reshape(count, -1)
-    repeated, first = np.zeros(len(poses), dtype=bool), np.flatnonzero(alike[0])
+    return found, own
+
+
+def repeated(images: Array) -> Mask:
+    """Return which poses are an image of an earlier one, shape (M,), of images (E, M, 4, 4)."""
+    places = _places(images)
+    count, poses, width = places.shape
+    alike = perhaps_alike(places.reshape(-1, width)).reshape(count, poses)
+    found, first = np.zeros(poses, dtype=bool), np.flatnonzero(alike[0])
+    if not len(first):
+        return found
     tree = KDTree(places[0, first])
-    for image, where in zip(places[1:], alike[1:], strict=True):
-        rows = np.flatnonzero(where) if len(first) else first
-        distance, other = tree.query(image[rows], p=np.inf)
-        repeated[rows] |= (distance <= ALIKE) & (first[other] < rows)
-    return found, own, repeated
+    for image, where in zip(places, alike, strict=True):
+        rows = np.flatnonzero(where)
+        near = tree.query_ball_point(image[rows], ALIKE, p=np.inf)
+        found[rows] |= [
+            first[min(some)] < row if some else False for some, row in zip(near, rows, strict=True)
+        ]
+    return found
+
+
+def _places(images: Array) -> Array:
+    """Return where images, shape (E, M, 4, 4), are, shape (E, M, k): see ``places_of``."""
+    places = places_at(images.reshape(-1, 4, 4))
+    return places.reshape(*images.shape[:2], -1)
 
 
 def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:

@@ -8,25 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.information import leg_whitener
 from pincal.design.selection.accuracy_bound import accurate_design
-from pincal.design.selection.certificate import continuous_design
+from pincal.design.selection.candidates import Rows, most_of
+from pincal.design.selection.certificate import ContinuousDesign, continuous_design
 from pincal.design.selection.criteria import MeanVariance, Parts
-from pincal.design.selection.distinct import distinct
 from pincal.design.selection.exchange import exchange
-from pincal.design.selection.orbits import images
+from pincal.design.selection.leg_rows import HELD, LegRows, held
+from pincal.design.selection.orbits import orbit_of
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.given import as_noise
-from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.inverse import reached
 from pincal.model.checks import count_of, generator_of
 from pincal.model.measuring.measurements import Noise
 from pincal.model.mechanism import Mechanism
-from pincal.symmetry.elements import Element
+from pincal.symmetry.elements import IDENTITY, Element
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+_FIRST = 1000  # candidates that are asked first whether they are reached and determine all
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,12 @@ class SelectionOptions:
     """Standard deviations of the measurements to come; only their ratios matter."""
     seed: int | np.random.Generator = 0
     """Seed or generator of the random starts."""
-    starts: int = 20
+    starts: int = 5
     """Starts of the exchange; the best is kept."""
+    jobs: int = 1
+    """Processes on this machine that evaluate candidates; -1 for one a core."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler to evaluate them on."""
     progress: Callable[[str], None] | None = None
     """Called with what is being done."""
 
@@ -57,7 +61,7 @@ class Search:
     """Candidates of a mechanism, and the best of them."""
 
     def __init__(self, mechanism: Mechanism, candidates: Array, options: SelectionOptions) -> None:
-        """Hold distinct candidates.
+        """Hold candidates; which of them are reached and alike is asked of those that matter.
 
         Args:
             mechanism: The mechanism.
@@ -67,25 +71,45 @@ class Search:
         Raises:
             MechanismError: poses of a wrong shape, or not finite.
         """
-        transforms = mechanism.platform.transforms(candidates)
-        kept = distinct(mechanism.platform, transforms)
         self.mechanism, self.options = mechanism, options
+        self.candidates = mechanism.platform.coordinates_of(candidates)
+        matrices = mechanism.platform.matrices(candidates)
         self.rng = np.random.default_rng(options.seed)
-        self.candidates = np.asarray(candidates, dtype=np.float64)[kept]
-        transforms = transforms if len(kept) == len(transforms) else transforms[kept]
-        self.reached = np.asarray(reached(mechanism, transforms).all(axis=1))
-        self.usable, self.unreachable = len(self.candidates), 0
+        self.usable, self.unreachable = len(matrices), 0
+        self._poses = matrices if matrices.size <= HELD else self.candidates
+        self._known = np.zeros(len(matrices), dtype=bool)  # to be reached
+        self._within: Index | None = None  # all that are, once one was not
 
-    def rows(self, leg: str, poses: Array) -> Array:
-        """Return the whitened rows of a leg at poses, shape (N, k, n)."""
-        demand = leg_demand(self.mechanism, leg, poses)
-        whitener = leg_whitener(demand, self.mechanism, as_noise(self.options.noise))
-        return whitener(demand.parameter)
+    def some(self, count: int) -> Array:
+        """Return the first candidates that all legs reach, coordinates."""
+        places = np.arange(min(count, len(self.candidates)))
+        if not self._all_reach(places):
+            places = self._reached()[:count]
+        return self.candidates[places]
+
+    def _all_reach(self, places: Index) -> bool:
+        """Return whether all legs reach candidates."""
+        asked = places[~self._known[places]]
+        found = reached(self.mechanism, self.candidates[asked]).all(axis=1)
+        self._known[asked[found]] = True
+        return bool(found.all())
+
+    def _reached(self) -> Index:
+        """Return the candidates that all legs reach; all are asked."""
+        if self._within is None:
+            self._all_reach(np.arange(len(self.candidates)))
+            self._within = np.flatnonzero(self._known)
+        return self._within
+
+    def rows(self, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)) -> LegRows:
+        """Return the rows of legs at the candidates, or at all poses of their orbits."""
+        noise = as_noise(self.options.noise)
+        return LegRows(self.mechanism, self._poses, tuple(legs), noise, tuple(elements))
 
     def own(self, leg: str, count: int) -> tuple[Index, float]:
         """Return the chosen candidates for one leg, and their efficiency."""
         self.options.say(f"choosing poses for {leg}")
-        return self._choose((self.rows(leg, self.candidates),), count, [leg])
+        return self._choose(self.rows([leg]), count)
 
     def orbits(
         self, legs: Sequence[str], count: int, elements: Sequence[Element]
@@ -98,80 +122,110 @@ class Search:
             elements: Group that makes the orbits.
         """
         self.options.say("choosing orbits")
-        found, own, repeated = images(self.mechanism.platform, elements, self.candidates)
-        rows = {}
-        for leg in dict.fromkeys(legs):
-            images_of = [self.rows(leg, poses) for poses in found]
-            for image, counts in zip(images_of, own, strict=True):
-                image[~counts] = 0.0  # measured once
-            rows[leg] = np.concatenate(images_of, axis=1)
-        parts = tuple(rows[leg] for leg in legs)
-        for one in parts:
-            one[repeated] = np.nan
-        chosen, efficiency = self._choose(parts, count, legs)
-        kept = own[:, chosen]
-        return found[:, chosen][kept], efficiency
+        rows = self.rows(legs, elements)
+        chosen, efficiency = self._choose(rows, count)
+        found, own = orbit_of(elements, rows.matrices(chosen))
+        poses = self.mechanism.platform.from_matrices(found.reshape(-1, 4, 4))
+        return poses[own.ravel()], efficiency
 
-    def efficiency(self, leg: str, poses: Array, chosen: Index) -> float:
-        """Return the efficiency of a choice for a leg among candidates of its own.
+    def efficiency(self, leg: str, element: Element, chosen: Index) -> float:
+        """Return the efficiency of carried poses for a leg, among carried candidates.
 
         Args:
             leg: The leg.
-            poses: Its candidates, coordinates of shape (M, dof).
+            element: Carries candidates to its own.
             chosen: Which of them are chosen.
         """
-        blocks = self.rows(leg, poses)
-        design = continuous_design((blocks[np.isfinite(blocks).all(axis=(1, 2))],))
-        own = blocks[chosen].reshape(-1, blocks.shape[2])
-        log_det = float(np.linalg.slogdet(own.T @ own)[1])
-        return design.efficiency(log_det, len(chosen), blocks.shape[2])
+        platform = self.mechanism.platform
+        poses = element.poses(platform, self.candidates)
+        rows = LegRows(self.mechanism, poses, (leg,), as_noise(self.options.noise))
+        design = continuous_design(held(rows, self.options.jobs, self.options.scheduler))
+        log_det, n = _value(rows, chosen)
+        return design.efficiency(log_det, len(chosen), n)
 
     def common(self, count: int) -> tuple[Index, float]:
         """Return the candidates chosen for all legs together, and their efficiency."""
         self.options.say("choosing common poses")
-        legs = self.mechanism.leg_names
-        return self._choose(tuple(self.rows(leg, self.candidates) for leg in legs), count, legs)
+        return self._choose(self.rows(self.mechanism.leg_names), count)
 
-    def _choose(self, parts: Parts, count: int, legs: Sequence[str]) -> tuple[Index, float]:
+    def _choose(self, rows: LegRows, count: int) -> tuple[Index, float]:
         """Return the candidates chosen by their rows, and their efficiency.
-
-        Args:
-            parts: Rows of each leg, shape (M, r, n).
-            count: How many.
-            legs: The legs.
 
         Raises:
             ObservabilityError: too few poses or candidates, or some parameter undetermined.
         """
-        where = legs[0] if len(legs) == 1 else self.mechanism.name
-        n, r = (sum(one.shape[axis] for one in parts) for axis in (2, 1))
-        whole = [np.isfinite(one).all(axis=(1, 2)) for one in parts]
-        usable = np.flatnonzero(np.logical_and.reduce(whole) & self.reached)
-        self.usable = min(self.usable, len(usable))
-        self.unreachable = max(self.unreachable, len(self.candidates) - len(usable))
+        where = rows.legs[0] if len(rows.legs) == 1 else self.mechanism.name
+        n, r = (sum(one.shape[axis] for one in rows(slice(0, 1))) for axis in (2, 1))
         if count * r < n:
             raise ObservabilityError(
                 f"{count} poses give {count * r} equations for the {n} parameters of {where}; "
                 f"choose at least {-(-n // r)}, better two or three times as many"
             )
-        if len(usable) < count:
-            raise ObservabilityError(
-                f"{self.mechanism.name} reaches {len(usable)} of {len(self.candidates)} candidate "
-                f"poses; {count} are to be chosen"
-            )
-        parts = tuple(one[usable] for one in parts)
-        lost = []
-        for leg, one in zip(legs, parts, strict=True):
-            ids = [f"{leg}.{name}" for name in self.mechanism.leg(leg).parameter_names]
-            found = identifiability(one.reshape(-1, one.shape[2]), ids)
-            lost += [] if found.complete else [found.describe()]
-        if lost:
-            raise ObservabilityError(
-                f"the candidate poses leave parameters undetermined: {'; '.join(lost)}. "
-                "Add poses that determine each of them, or make one of them a constant"
-            )
-        chosen, efficiency = d_optimal(parts, count, self.rng, self.options.starts)
-        return usable[chosen], efficiency
+        how = self.options
+        quick, places = held(rows, how.jobs, how.scheduler), np.arange(rows.total)
+        if self._within is not None or not self._all_reach(_sample(places)):
+            places = self._reached()
+        if len(places) < count:
+            raise self._too_few(len(places), count)
+        design = self._bound(quick, rows.legs, places)
+        usable = np.flatnonzero(np.isfinite(design.variance))
+        if self._within is None and not self._all_reach(
+            usable[most_of(design.priority[usable], _FIRST)]
+        ):
+            design = self._bound(quick, rows.legs, self._reached())
+            usable = np.flatnonzero(np.isfinite(design.variance))
+        self.usable = min(self.usable, len(usable))
+        self.unreachable = max(self.unreachable, rows.total - len(usable))
+
+        def admitted(some: Index) -> Index:
+            if not self._all_reach(some):
+                some = some[self._known[some]]
+            return rows.distinct(some)
+
+        chosen, log_det = exchange(
+            quick, count, design.priority, self.rng, how.starts, admitted=admitted
+        )
+        return chosen, design.efficiency(log_det, count, n)
+
+    def _too_few(self, found: int, count: int) -> ObservabilityError:
+        return ObservabilityError(
+            f"{self.mechanism.name} reaches {found} of {len(self.candidates)} candidate "
+            f"poses; {count} are to be chosen"
+        )
+
+    def _bound(self, rows: Rows, legs: Sequence[str], places: Index) -> ContinuousDesign:
+        """Return the continuous design among candidates at their places.
+
+        Raises:
+            ObservabilityError: they leave some parameter undetermined.
+        """
+        for some in (_sample(places), places):
+            lost = []
+            for leg, one in zip(legs, rows(some), strict=True):
+                ids = [f"{leg}.{name}" for name in self.mechanism.leg(leg).parameter_names]
+                own = one[np.isfinite(one).all(axis=(1, 2))]
+                found = identifiability(own.reshape(-1, one.shape[2]), ids)
+                lost += [] if found.complete else [found.describe()]
+            if not lost:
+                return continuous_design(rows, places)
+        raise ObservabilityError(
+            f"the candidate poses leave parameters undetermined: {'; '.join(lost)}. "
+            "Add poses that determine each of them, or make one of them a constant"
+        )
+
+
+def _sample(places: Index) -> Index:
+    """Return some candidates, from all over."""
+    return places[:: max(1, len(places) // _FIRST)]
+
+
+def _value(rows: Rows, chosen: Index) -> tuple[float, int]:
+    """Return log det of a choice's information, and of how many parameters."""
+    total, n = 0.0, 0
+    for one in rows(chosen):
+        flat = one.reshape(-1, one.shape[2])
+        total, n = total + float(np.linalg.slogdet(flat.T @ flat)[1]), n + one.shape[2]
+    return total, n
 
 
 def accurate(

@@ -1,0 +1,135 @@
+"""Selections are quick by what they need not look at: none of it changes what is proved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from measured import workspace
+
+import pincal
+from pincal.design.selection import candidates, certificate, leg_rows
+from pincal.design.selection.candidates import squares
+from pincal.design.selection.certificate import continuous_design, least_share
+from pincal.design.selection.exchange import exchange
+from pincal.design.selection.leg_rows import LegRows, held
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+def test_no_optimal_design_rests_on_what_is_left_out(rows: int) -> None:
+    """Where dⱼ < n h(ε) of any weights, the best weights are zero; ε from nearly none to 3."""
+    rng = np.random.default_rng(rows)
+    blocks = rng.standard_normal((400, rows, 5)) * rng.uniform(0.2, 1.0, (400, 1, 1))
+    best = continuous_design((blocks,))
+    gaps = []
+    for share in (0.0, 0.02, 0.2, 0.6, 1.0):
+        weights = (1.0 - share) * best.weights + share * rng.dirichlet(np.ones(400))
+        M = np.einsum("j,jri,jrk->ik", weights, blocks, blocks)
+        seen = np.einsum("jri,ik,jrk->j", blocks, np.linalg.inv(M), blocks)
+        gaps.append(seen.max() / 5 - 1.0)
+        excluded = seen < 5 * least_share(gaps[-1], 5)
+        assert best.weights[excluded].sum() < 1e-3
+        assert excluded.any() or gaps[-1] > 0.5
+    assert gaps[0] < 1e-4 < 0.5 < gaps[-1]
+
+
+def test_the_bound_is_that_of_an_optimiser_of_all_candidates() -> None:
+    """The multiplicative algorithm on all candidates, 30,000 steps, ends at the same design."""
+    rng = np.random.default_rng(0)
+    blocks = rng.standard_normal((300, 2, 4))
+    weights = np.full(300, 1 / 300)
+    for _ in range(30_000):
+        M = np.einsum("j,jri,jrk->ik", weights, blocks, blocks)
+        weights = weights * np.einsum("jri,ik,jrk->j", blocks, np.linalg.inv(M), blocks) / 4
+    design = continuous_design((blocks,))
+    log_det = np.linalg.slogdet(M)[1]
+    assert design.log_det - 1e-9 <= log_det <= design.log_det_bound + 1e-9
+    assert design.log_det_bound - design.log_det <= 4 * 1e-4
+
+
+def test_no_swap_of_two_improves_a_set() -> None:
+    """Of 60 candidates of two rows, 9 chosen: each of the 459 swaps loses."""
+    rng = np.random.default_rng(3)
+    blocks = rng.standard_normal((60, 2, 4))
+    chosen, log_det = exchange((blocks,), 9, rng.random(60), rng, starts=1)
+
+    def value(places: list[int]) -> float:
+        flat = blocks[places].reshape(-1, 4)
+        return float(np.linalg.slogdet(flat.T @ flat)[1])
+
+    assert value(list(chosen)) == pytest.approx(log_det, abs=1e-9)
+    for kept in combinations(chosen.tolist(), 8):
+        for other in set(range(60)) - set(chosen.tolist()):
+            assert value([*kept, other]) <= log_det + 1e-9
+
+
+@pytest.mark.parametrize("protocol", ["symmetric", "orbits", "common"])
+def test_rows_that_are_not_held_choose_the_same(
+    monkeypatch: pytest.MonkeyPatch, protocol: str
+) -> None:
+    """More candidates than memory holds: evaluated chunk by chunk, the same poses are chosen."""
+    mechanism, poses = pincal.load_mechanism("3RRR"), workspace("3RRR", 3000)
+    whole = pincal.select_poses(mechanism, poses, 12, protocol, starts=2)  # type: ignore[arg-type]
+    monkeypatch.setattr(leg_rows, "HELD", 1000)
+    monkeypatch.setattr(candidates, "_AT_ONCE", 700)
+    parts = pincal.select_poses(mechanism, poses, 12, protocol, starts=2)  # type: ignore[arg-type]
+    np.testing.assert_allclose(parts.plan.poses, whole.plan.poses, atol=1e-12)
+    assert parts.efficiency == pytest.approx(whole.efficiency, abs=1e-9)
+
+
+def test_cores_evaluate_the_same_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On two processes the rows are those of one, to the last bit."""
+    monkeypatch.setattr(leg_rows, "_TASK", 150)
+    mechanism = pincal.load_mechanism("3RRR")
+    rows = LegRows(mechanism, workspace("3RRR", 400), mechanism.leg_names, pincal.Noise())
+    for alone, together in zip(
+        held(rows)(slice(None)), held(rows, jobs=2)(slice(None)), strict=True
+    ):
+        np.testing.assert_array_equal(alone, together)
+
+
+def test_candidates_out_of_reach_carry_no_weight_and_are_not_chosen() -> None:
+    """Half of the candidates are far away: the choice and its bound are those of the others."""
+    mechanism, poses = pincal.load_mechanism("3RRR"), workspace("3RRR", 1500)
+    far = poses + np.array([5.0, 0.0, 0.0])
+    mixed = np.stack((poses, far), axis=1).reshape(-1, 3)
+    for protocol in ("symmetric", "common"):
+        alone = pincal.select_poses(mechanism, poses, 12, protocol)  # type: ignore[arg-type]
+        among = pincal.select_poses(mechanism, mixed, 12, protocol)  # type: ignore[arg-type]
+        assert (among.candidates, among.unreachable) == (1500, 1500)
+        assert among.efficiency == pytest.approx(alone.efficiency, abs=5e-3)
+        assert pincal.inverse(mechanism, among.plan.poses).reached.all()
+
+
+def test_a_leg_that_reaches_less_than_the_one_that_is_designed() -> None:
+    """Leg 1 reaches candidates that leg 3 does not: they are left out of choice and bound."""
+    mechanism = pincal.load_mechanism("3RRR")
+    rng = np.random.default_rng(0)
+    wide = np.column_stack((rng.uniform(-1, 1, (6000, 2)), rng.uniform(-1, 1, 6000)))
+    reached = pincal.inverse(mechanism, wide).reached
+    assert (reached[:, 0] & ~reached.all(axis=1)).sum() > 100
+    chosen = pincal.select_poses(mechanism, wide, 12, "independent")
+    assert chosen.candidates == reached.all(axis=1).sum()
+    assert pincal.inverse(mechanism, chosen.plan.poses).reached.all()
+    within = pincal.select_poses(mechanism, wide[reached.all(axis=1)], 12, "independent")
+    assert chosen.efficiency == pytest.approx(within.efficiency, abs=1e-2)
+
+
+def test_looks_leave_candidates_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the first look at all of 3000 candidates, later ones see fewer and fewer."""
+    rng = np.random.default_rng(0)
+    blocks = rng.standard_normal((3000, 1, 6))
+    looks: list[int] = []
+
+    def look(rows: candidates.Rows, places: np.ndarray, turns: candidates.Parts) -> np.ndarray:
+        looks.append(len(places))
+        return squares(rows, places, turns)
+
+    monkeypatch.setattr(certificate, "squares", look)
+    monkeypatch.setattr(certificate, "_BY", replace(certificate._BY, sample=500))
+    continuous_design((blocks,))
+    assert looks[:2] == [500, 3000]
+    assert looks[-1] < 300
+    assert sorted(looks[1:], reverse=True) == looks[1:]
