@@ -31,6 +31,8 @@ WHY = {
     "pydantic": "checks mechanism files, with errors that name the place",
     "typer": "command line",
     "rich": "tables and progress",
+    "threadpoolctl": "one thread of BLAS while small matrices are computed: two take up to four "
+    "times as long",
     "matplotlib": "plots, also those inside reports, as SVG",
     "meshcat": "`pincal view`: draws scenes in the browser; its viewer (three.js, MIT) is one file "
     "that goes into the page; its server, and what that needs (tornado, pyzmq, pyngrok, ipython), "

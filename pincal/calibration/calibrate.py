@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.calibration.assemble import assemble
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.wrong_rows import wrong_rows
@@ -80,6 +81,7 @@ def prepared(
     return Calibration(machine, replace(data), chosen)  # a copy: the user's may be changed
 
 
+@on_one_thread
 def started(calibration: Calibration) -> Calibration:
     """Return a calibration whose measurements were looked at: its terms, where its search starts.
 
@@ -110,6 +112,7 @@ def _with_terms(calibration: Calibration) -> Calibration:
     return extended(plain, choose(started(plain), every_pair(mechanism, data)).model.added)
 
 
+@on_one_thread
 def identify(calibration: Calibration) -> CalibrationResult:
     """Return what a calibration finds; errors are those of ``calibrate``."""
     calibration, options = started(calibration), calibration.options

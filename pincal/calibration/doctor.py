@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.checked import checked
@@ -105,6 +106,7 @@ def _stages(
         yield [((), calibration.with_options(rough=True))]
 
 
+@on_one_thread
 def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     try:
         result = identify(calibration)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.design.estimable import (
     Estimable,
     Method,
@@ -138,6 +139,7 @@ class Forecast(Estimable):
         return "\n".join([repr(self), "standard errors (1 σ):", *rows, *words])
 
 
+@on_one_thread
 def forecast(
     mechanism: GivenMechanism,
     poses: Plan | Array,

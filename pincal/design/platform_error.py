@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.estimation.observability.frames import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.kinematics.closure import largest_size
@@ -129,6 +130,7 @@ class PlatformError:
         return f"{said}, {amount(orientation, 'rad')}" if "rad" in self.units else said
 
 
+@on_one_thread
 def platform_error(
     mechanism: Mechanism,
     covariance: Array,

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.design.selection.leg_rows import LegRows
 from pincal.design.selection.orbits import (
     leg_orbits,
@@ -125,6 +126,7 @@ class Selection:
         return "\n".join(lines)
 
 
+@on_one_thread
 def select_poses(
     mechanism: GivenMechanism,
     candidates: Array,

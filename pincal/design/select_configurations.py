@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.design.estimable import apart_from_frames, null_directions
 from pincal.design.information import information_rows
 from pincal.design.platform_error import without_frames
@@ -64,6 +65,7 @@ class ConfigurationChoice:
         return f"{self!r}\nmeasured: {', '.join(self.measured)}; {self.rank}"
 
 
+@on_one_thread
 def select_configurations(
     mechanism: GivenMechanism,
     candidates: Plan | Array,

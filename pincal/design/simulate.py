@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.files.given import as_noise, as_plan
@@ -80,6 +81,7 @@ class Simulation:
         return "\n".join([repr(self), *lost[:ROWS], *more])
 
 
+@on_one_thread
 def simulate(
     mechanism: GivenMechanism,
     truth: GivenMechanism,
@@ -181,6 +183,7 @@ class Accuracy:
         return f"Accuracy({size}, {self.poses} poses, {self.unreachable} not reached)"
 
 
+@on_one_thread
 def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Array:
     """Return how far the true mechanism goes from poses that a model commands, shape (N, dof).
 

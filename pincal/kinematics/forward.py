@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
@@ -66,6 +67,7 @@ class ForwardSolution:
         return "\n".join([repr(self), *(f"  {n}: {why}" for why, n in counts.most_common())])
 
 
+@on_one_thread
 def forward(
     mechanism: GivenMechanism,
     readings: Array,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closed_forms import closed_form
@@ -63,6 +64,7 @@ class InverseSolution:
         return "\n".join([repr(self), *lines, *([f"  and {more} more"] if more > 0 else [])])
 
 
+@on_one_thread
 def inverse(
     mechanism: GivenMechanism,
     poses: Poses,

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables.table import write_table
@@ -220,6 +221,7 @@ class Computing:
     """Called with the number of positions done."""
 
 
+@on_one_thread
 def compute_workspace(
     mechanism: GivenMechanism,
     kind: str,

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import close, sensor_law
@@ -56,6 +57,7 @@ class Effort:
 _EFFORT = Effort()
 
 
+@on_one_thread
 def sample_configurations(
     mechanism: GivenMechanism,
     count: int,
@@ -115,6 +117,7 @@ def _reading_limits(mechanism: Mechanism) -> tuple[Array, Array]:
     return both.min(axis=0), both.max(axis=0)
 
 
+@on_one_thread
 def sample_workspace(
     mechanism: GivenMechanism,
     count: int,

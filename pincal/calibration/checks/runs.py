@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import identify, prepared
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.confidence import exceeded
@@ -103,6 +104,7 @@ def compare_runs(
     return runs_compared(prepared(mechanism, measurements, options, **more))
 
 
+@on_one_thread
 def runs_compared(calibration: Calibration) -> RunComparison:
     """Return how well the runs of a calibration agree; errors are those of ``compare_runs``."""
     mechanism, measurements = calibration.mechanism, calibration.measurements

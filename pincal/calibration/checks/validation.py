@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import FOLDS, By, folds_of
@@ -117,6 +118,7 @@ def validate(
     return held_out(started(calibration), calibration.options.folds, by)
 
 
+@on_one_thread
 def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") -> Validation:
     """Return the errors of a calibration at held-out rows; errors are those of ``validate``."""
     whole = _converged(calibration, "the fit of all rows")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from scipy.special import ndtri
 
+from pincal.blas import on_one_thread
 from pincal.calibration.assemble import assemble
 from pincal.calibration.findings import QUESTIONS
 from pincal.calibration.fits import fitted
@@ -31,6 +32,7 @@ _FOLLOW = frozenset(
 )
 
 
+@on_one_thread
 def wrong_rows(result: CalibrationResult) -> CalibrationResult:
     """Return a result that says which few rows spoil it, if without them χ² is as it should be.
 

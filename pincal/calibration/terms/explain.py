@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import identify, prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO, Options
@@ -79,6 +80,7 @@ def explain(
     return explained(prepared(mechanism, measurements, asked))
 
 
+@on_one_thread
 def explained(calibration: Calibration) -> Explanation:
     """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
     asked = calibration.options.terms
