@@ -131,7 +131,7 @@ def independent(leg: Leg, platform: Platform, order: tuple[str, ...]) -> tuple[s
     rng = np.random.default_rng(0)
     joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))
     part = closure.evaluate(joints, _turned_at_random(closure, joints, rng))
-    rows = part.project(part.parameter)
+    rows = part.constraint_by_parameter
     rows = rows.reshape(-1, rows.shape[2])
     size = closure.size or 1.0
     scale = np.array([1.0 if leg.units[name] == "m" else 1.0 / size for name in order])

@@ -56,7 +56,7 @@ class Chain:
         for row, column, entry in self._entries:
             if column < joints.shape[1]:
                 q[:, row] += entry * joints[:, column]
-        return self.forest.motion(q, self._wanted, base)
+        return self.forest.motion(q, self._moving_rates, base)
 
     @cached_property
     def _begun(self) -> Callable[[bytes], tuple[Array, Base | None]]:
@@ -88,8 +88,8 @@ class Chain:
         return np.concatenate((self.from_joints, self.from_parameters), axis=1).T
 
     @cached_property
-    def _wanted(self) -> Array:
-        return self.forest.wanted(self._rates[:, self.still.width :])
+    def _moving_rates(self) -> Array:
+        return self._rates[:, self.still.width :]
 
 
 @lru_cache(maxsize=64)  # a chain keeps its forest, of some megabytes

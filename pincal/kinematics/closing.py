@@ -184,8 +184,7 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
             f"reach with {values}; correct the home pose or these values"
         )
     with np.errstate(divide="ignore", invalid="ignore"):
-        by_parameter = closed.closure.project(closed.closure.parameter)
-        slopes = -least_squares(closed.closure.drive, by_parameter)
+        slopes = -least_squares(closed.closure.drive, closed.closure.constraint_by_parameter)
     return closed.joints[0, leg.leg.active], slopes[0]
 
 

@@ -11,7 +11,7 @@ one equation; one with fewer passive joints more, a serial arm six.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -22,16 +22,13 @@ from scipy.spatial.transform import Rotation
 from pincal.kinematics.batches import (
     applied,
     cross,
-    inverse_left_jacobian,
     least_squares,
     left_null,
-    point_velocity,
     product,
     solve,
-    turn_between,
 )
 from pincal.kinematics.chain import PlatformPoint, deformed_point, leg_chain, platform_point
-from pincal.kinematics.forest import Motion
+from pincal.kinematics.placed import Placed
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
@@ -56,7 +53,11 @@ class Newton:
 
 @dataclass(frozen=True)
 class Closure:
-    """Closure c of one leg and its derivatives at N configurations; m rows are kept."""
+    """Closure c of one leg and its derivatives at N configurations; m rows are kept.
+
+    A row of Nᵀc is a wrench on the tip, and what it changes by along a motion is the wrench's
+    power: of many parameters only that is worked out.
+    """
 
     gap: Array
     """c, shape (N, m), base frame, [m]."""
@@ -64,19 +65,18 @@ class Closure:
     """∂c/∂θ, shape (N, m, n_active)."""
     passive: Array
     """∂c/∂p, shape (N, m, n_passive)."""
-    parameter: Array
-    """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
-    make_pose: Callable[[], Array]
-    """Returns ``pose``, which not everyone asks for."""
-    drive_twists: Callable[[], tuple[Array, Array | None]]
-    """Returns the tip twists (6, N) of the first active joint and of the next revolute joint."""
-    passive_turning: Callable[[], Array]
-    """Returns how passive joints turn the tip, shape (1 or 3, n_passive, N): across z, or all."""
+    at: Placed
+    """The leg and the platform there."""
+
+    @cached_property
+    def parameter(self) -> Array:
+        """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
+        return self.at.by_parameter()
 
     @cached_property
     def pose(self) -> Array:
         """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
-        return self.make_pose()
+        return self.at.by_pose()
 
     @cached_property
     def normal(self) -> Array:
@@ -95,6 +95,20 @@ class Closure:
         return self.project(self.gap[:, :, None])[:, :, 0]
 
     @cached_property
+    def constraint_by_parameter(self) -> Array:
+        """Nᵀ ∂c/∂φ at fixed joints, shape (N, m - n_passive, n_params)."""
+        if not self.passive.shape[2]:
+            return self.parameter
+        return self.at.power_by_parameter(self.normal)
+
+    @cached_property
+    def constraint_by_pose(self) -> Array:
+        """Nᵀ ∂c/∂x, shape (N, m - n_passive, dof)."""
+        if not self.passive.shape[2]:
+            return self.pose
+        return self.at.power_by_pose(self.normal)
+
+    @cached_property
     def drive(self) -> Array:
         """Nᵀ ∂c/∂θ, shape (N, m - n_passive, n_active): less of rank at a type-1 singularity."""
         return self.project(self.active)
@@ -105,7 +119,7 @@ class Closure:
 
         At a planar dyad the length l; the tip's own speed where there is no such axis.
         """
-        active, following = self.drive_twists()
+        active, following = self.at.drive_twists()
         own = np.linalg.norm(self.active[:, :, 0], axis=1)
         if following is None:
             return own
@@ -143,9 +157,9 @@ class LegClosure:
         self.leg = leg
         self.platform = platform
         self.parameters = leg.nominal if parameters is None else np.asarray(parameters, float)
-        self._rows = platform.closing(leg.closes)
-        self._turns = leg.closes == "frame"
-        self._chain = leg_chain(leg, platform.space == 3 or self._turns)
+        self.turns = leg.closes == "frame"
+        self.axes = [row - 3 for row in platform.closing(leg.closes) if row >= 3]
+        self._chain = leg_chain(leg, platform.space == 3 or self.turns)
         self._key = (leg, platform, self.parameters.tobytes())
         self._hash = hash(self._key)
         self._point = platform_point(leg, self.parameters)
@@ -223,69 +237,16 @@ class LegClosure:
             joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
             matrices: Shape (N, 4, 4).
         """
-        motion, point = self._chain.motion(self.parameters, joints), self._point_at(joints)
-        m = self.platform.space
-        gap = motion.tips[:m] - applied(matrices, point.place)[:m, 0]
-        columns, n = motion.linear[:m], len(self.leg.moving)
-        moved, parameter = columns[:, :n], columns[:, n:]
-        if len(point.parameters):
-            parameter[:, point.parameters] -= applied(matrices, point.speeds)[:m]
-        rows = [
-            part.transpose(2, 0, 1)
-            for part in (moved[:, self.leg.active], moved[:, self.leg.passive], parameter)
-        ]
-        gap = gap.T
-        error = None
-        if self._turns:
-            error = turn_between(motion.turns, matrices[:, :3, :3] @ point.turn)
-            turned, by_joints = self._turning(error, matrices, motion, point)
-            gap = np.concatenate((gap, turned), axis=1)
-            parts = (
-                by_joints[:, :, self.leg.active],
-                by_joints[:, :, self.leg.passive],
-                by_joints[:, :, n:],
-            )
-            rows = [np.concatenate(both, axis=1) for both in zip(rows, parts, strict=True)]
-        active, passive, parameter = rows
-        return Closure(
-            gap,
-            active,
-            passive,
-            parameter,
-            make_pose=lambda: self._by_pose(matrices, error, point),
-            drive_twists=lambda: self._drive_twists(motion),
-            passive_turning=lambda: motion.angular[:, self.leg.passive],
+        placed = Placed(
+            self,
+            matrices,
+            self._chain.motion(self.parameters, joints),
+            self._point_at(joints),
         )
-
-    def _turning(
-        self, error: Array, matrices: Array, motion: Motion, point: PlatformPoint
-    ) -> tuple[Array, Array]:
-        """Return the rows of the turn, and their derivatives by joints and parameters.
-
-        Rotation vectors times the leg's size, so that all rows are lengths.
-        """
-        axes = [row - 3 for row in self._rows if row >= 3]
-        spread = self.size * inverse_left_jacobian(error)[:, axes]
-        columns = spread @ np.ascontiguousarray(motion.angular.transpose(2, 0, 1))
-        if len(point.parameters):
-            own = len(self.leg.moving) + point.parameters
-            columns[:, :, own] -= self._back(error) @ matrices[:, :3, :3] @ point.turning
-        return self.size * error[:, axes], columns
-
-    def _back(self, error: Array) -> Array:
-        """Return the derivative of the turn's rows by a turn of the platform, (N, 1 or 3, 3)."""
-        axes = [row - 3 for row in self._rows if row >= 3]
-        return self.size * inverse_left_jacobian(error).transpose(0, 2, 1)[:, axes]
-
-    def _by_pose(self, matrices: Array, error: Array | None, point: PlatformPoint) -> Array:
-        """Return ∂c/∂x, shape (N, m, dof), given the turn's error if there is one, (N, 3)."""
-        arm = applied(matrices, point.arm)[:, 0].T
-        twist_rows = self.platform.twist_rows
-        pose = -point_velocity(arm, twist_rows)[:, : self.platform.space]
-        if error is None:
-            return pose
-        turned = np.equal.outer((3, 4, 5), twist_rows).astype(float)
-        return np.concatenate((pose, -(self._back(error) @ turned)), axis=1)
+        moved = placed.by_joints
+        return Closure(
+            placed.gap, moved[:, :, self.leg.active], moved[:, :, self.leg.passive], placed
+        )
 
     def frame(self, joints: Array, gap: Array | None = None) -> Array:
         """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
@@ -303,13 +264,6 @@ class LegClosure:
         matrices[:, :3, :3] = turns @ np.swapaxes(point.turn, -1, -2)
         matrices[:, :3, 3] = tips - applied(matrices, point.arm)[:, 0].T
         return matrices
-
-    def _drive_twists(self, motion: Motion) -> tuple[Array, Array | None]:
-        """Return the tip twists of the first active joint and of the next revolute joint."""
-        moving, active = self.leg.moving, self.leg.active[0]
-        following = [i for i in range(active + 1, len(moving)) if moving[i].kind == "revolute"]
-        turn = motion.twists(following[0]) if following else None
-        return motion.twists(active), turn
 
 
 def _padded(rows: Array) -> Array:

@@ -69,7 +69,7 @@ def demand(leg: LegClosure, closure: Closure, known: Array) -> Demand:
     return Demand(
         closure.constraint,
         _by_parameter(leg, closure, known),
-        closure.project(closure.pose),
+        closure.constraint_by_pose,
         closure.drive * sensor_law(leg).slopes(known)[..., None, :],
     )
 
@@ -79,7 +79,7 @@ def _by_parameter(leg: LegClosure, closure: Closure, known: Array) -> Array:
 
     A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
     """
-    rows = closure.project(closure.parameter)
+    rows = closure.constraint_by_parameter
     found = rows + product(closure.drive, sensor_law(leg).by_parameter(known))
     if leg.leg.deformed:
         by = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :])

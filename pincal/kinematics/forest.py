@@ -8,7 +8,7 @@ configurations, and ``data.J`` holds every joint column of every copy.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from threading import Lock
 
 import numpy as np
@@ -107,24 +107,12 @@ class Forest:
             end = self._data.oMi[self.width].copy()
         return Base(end, columns.reshape(6, -1) @ wanted.T)  # a single column comes as a row
 
-    def wanted(self, rates: Array) -> Array:
-        """Return what ``motion`` takes: the dummies, then k motions, shape (k + 1 or 2, width).
-
-        Args:
-            rates: Rates of the chain's n joints in each motion, shape (k, n).
-        """
-        count, n = rates.shape
-        dummies = self.width - n
-        result = np.zeros((dummies + count, self.width))
-        result[:dummies, n:], result[dummies:, :n] = np.eye(dummies), rates
-        return result
-
     def motion(self, configurations: Array, wanted: Array, base: Base | None = None) -> Motion:
         """Return where the tip is and how it moves.
 
         Args:
             configurations: N configurations of the chain, shape (N, n), without dummies.
-            wanted: Motions of the chain, from ``wanted``.
+            wanted: Rates of the chain's joints in k motions, shape (k, n).
             base: Where the chain begins, if not at the base's origin.
         """
         with self._turn:
@@ -134,14 +122,12 @@ class Forest:
                     self._model.jointPlacements[root] = placement
                 self._base = base
             columns = self._columns(configurations)
-        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
-        twists = np.empty((len(rows), len(wanted), columns.shape[1]))
-        for twist, row in zip(twists, rows, strict=True):
-            np.matmul(wanted, columns[row].T, out=twist)
-        if base is not None:
-            moved = base.twists[rows]
-            twists[:, -moved.shape[1] :] += moved[:, :, None]
-        return (_in_space if self.spatial else _in_plane)(twists)
+        n, rows = configurations.shape[1], [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]
+        kept = np.empty((len(rows), self.width, len(configurations)))
+        for target, row in zip(kept, rows, strict=True):  # across z the others are zero
+            target[:] = columns[row].T
+        tips, turns = (_tips_in_space if self.spatial else _tips_in_plane)(kept[:, n:])
+        return Motion(tips, turns, kept[:, :n], wanted, None if base is None else base.twists[rows])
 
     def _columns(self, configurations: Array) -> Array:
         """Return Pinocchio's joint columns at the base's origin, shape (6, N, width)."""
@@ -169,44 +155,98 @@ class Motion:
 
     tips: Array
     """Shape (2 or 3, N), [m]."""
-    linear: Array
-    """Of the tip, shape (2 or 3, k, N), [m] a unit."""
-    angular: Array
-    """Shape (1 or 3, k, N), [rad] a unit."""
     turns: Array
     """Orientations of the tip in space, shape (N, 3, 3); none in the plane, shape (0, 3, 3)."""
+    columns: Array
+    """Twists at the base's origin by the chain's joints, linear first, shape (3 or 6, n, N)."""
+    rates: Array
+    """Of the joints in each motion, shape (k, n)."""
+    begun: Array | None
+    """Twists at the base's origin by what moves where the chain begins, shape (3 or 6, k)."""
 
-    def twists(self, which: int | slice = slice(None)) -> Array:
-        """Return twists at the tip, linear first: of all motions, shape (6, k, N), or of some."""
-        linear, angular = self.linear[:, which], self.angular[:, which]
-        full = np.zeros((6, *linear.shape[1:]))
-        full[: len(linear)], full[6 - len(angular) :] = linear, angular
+    @cached_property
+    def whole(self) -> Array:
+        """Twists at the tip in all motions, linear first, shape (3 or 6, k, N)."""
+        return self.some(slice(None))
+
+    def some(self, which: slice | list[int]) -> Array:
+        """Return twists at the tip in some motions, linear first, shape (3 or 6, s, N)."""
+        rates = self.rates[which]
+        twists = np.empty((len(self.columns), len(rates), self.columns.shape[2]))
+        for twist, row in zip(twists, self.columns, strict=True):
+            np.matmul(rates, row, out=twist)
+        if self.begun is not None and (begun := self.begun[:, which]).any():
+            twists += begun[:, :, None]
+        return _at(self.tips, twists)
+
+    def power(self, force: Array, moment: Array | None, after: int) -> Array:
+        """Return the power of wrenches on the tip in all motions after the first, shape (k', N).
+
+        It is the same at every point: taken at the base's origin, no twist has to be carried on.
+
+        Args:
+            force: Shape (2 or 3, N).
+            moment: About the tip, shape (1 or 3, N); none if not given.
+            after: How many motions are left out.
+        """
+        about = moments(self.tips, force)
+        wrench = np.concatenate((force, about if moment is None else about + moment))
+        power = self.rates[after:] @ np.einsum("rjn,rn->jn", self.columns, wrench)
+        if self.begun is not None:
+            power += self.begun[:, after:].T @ wrench
+        return np.asarray(power)
+
+    @property
+    def linear(self) -> Array:
+        """Velocities of the tip, shape (2 or 3, k, N), [m] a unit."""
+        return self.whole[: len(self.tips)]
+
+    @property
+    def angular(self) -> Array:
+        """How the tip turns, shape (1 or 3, k, N), [rad] a unit."""
+        return self.whole[len(self.tips) :]
+
+    def twists(self, which: slice | list[int] = slice(None)) -> Array:
+        """Return twists at the tip in space, linear first: of all motions, (6, k, N), or some."""
+        found, m = self.some(which), len(self.tips)
+        full = np.zeros((6, *found.shape[1:]))
+        full[:m], full[6 - (len(found) - m) :] = found[:m], found[m:]
         return full
 
 
-def _in_plane(twists: Array) -> Motion:
-    """Return the motion of twists (vx, vy, ωz) at the base's origin, of the dummy first."""
-    tips = twists[1::-1, 0] * twists[2, 0]  # (y, −x, 0) = ωz p × z, and ωz = ±1
+def moments(arms: Array, force: Array) -> Array:
+    """Return arm × force, shape (1 or 3, N), of shapes (2 or 3, N): in the plane about z."""
+    if len(arms) == 2:
+        return (arms[0] * force[1] - arms[1] * force[0])[None]
+    return cross(arms.T, force.T).T
+
+
+def _at(tips: Array, twists: Array) -> Array:
+    """Return twists (3 or 6, k, N) at the base's origin as twists at tips, in place."""
+    if len(tips) == 2:
+        twists[0] -= twists[2] * tips[1]
+        twists[1] += twists[2] * tips[0]
+        return twists
+    (x, y, z), (wx, wy, wz) = tips, twists[3:]
+    twists[0] += wy * z - wz * y
+    twists[1] += wz * x - wx * z
+    twists[2] += wx * y - wy * x
+    return twists
+
+
+def _tips_in_plane(dummy: Array) -> tuple[Array, Array]:
+    """Return the tip and no turn, of the dummy's twist at the base's origin, shape (3, 1, N)."""
+    tips = dummy[1::-1, 0] * dummy[2, 0]  # (y, −x, 0) = ωz p × z, and ωz = ±1
     tips[0] *= -1.0
-    linear, angular = twists[:2, 1:], twists[2:, 1:]
-    linear[0] -= angular[0] * tips[1]
-    linear[1] += angular[0] * tips[0]
-    return Motion(tips, linear, angular, np.empty((0, 3, 3)))
+    return tips, np.empty((0, 3, 3))
 
 
-def _in_space(twists: Array) -> Motion:
-    """Return the motion of twists at the base's origin, shape (6, 2 + k, N), of dummies first."""
-    (moment, second), (a, b) = twists[:3, :2].swapaxes(0, 1), twists[3:, :2].swapaxes(0, 1)
+def _tips_in_space(dummies: Array) -> tuple[Array, Array]:
+    """Return tips and turns, of the dummies' twists at the base's origin, shape (6, 2, N)."""
+    (moment, second), (a, b) = dummies[:3].swapaxes(0, 1), dummies[3:].swapaxes(0, 1)
     across = cross(a.T, b.T).T
     tips = cross(a.T, moment.T).T + a * (second * across).sum(axis=0)  # (p × b)·(a × b) = p·a
-    x, y, z = tips
-    wx, wy, wz = angular = twists[3:, 2:]
-    linear = twists[:3, 2:]
-    linear[0] += wy * z - wz * y
-    linear[1] += wz * x - wx * z
-    linear[2] += wx * y - wy * x
-    turns = np.array((b, across, a)).transpose(2, 1, 0)  # the dummies turn about the tip's z and x
-    return Motion(tips, linear, angular, turns)
+    return tips, np.array((b, across, a)).transpose(2, 1, 0)  # they turn about the tip's z and x
 
 
 @lru_cache(maxsize=64)

@@ -276,7 +276,7 @@ def _in_mode(leg: LegClosure, joints: Array, matrices: Array, rows: NDArray[np.i
 
 def _platform_step(closures: list[Closure]) -> Array:
     """Return the twist that closes all legs to first order, shape (N, dof)."""
-    lines = np.concatenate([c.project(c.pose) for c in closures], axis=1)
+    lines = np.concatenate([c.constraint_by_pose for c in closures], axis=1)
     gaps = np.concatenate([c.constraint for c in closures], axis=1)[:, :, None]
     return -least_squares(lines, gaps)[:, :, 0]
 
@@ -306,7 +306,7 @@ def _reasons(
     for leg, closure in zip(legs, closures, strict=True):
         left = product(
             closure.normal,
-            closure.constraint[:, :, None] + product(closure.project(closure.pose), twist),
+            closure.constraint[:, :, None] + product(closure.constraint_by_pose, twist),
         )
         closable = closure.gap - left[:, :, 0]  # by motions of platform and passive joints
         closes &= (np.abs(closable) <= _NEWTON.closed * leg.size).all(axis=1)

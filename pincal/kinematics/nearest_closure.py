@@ -97,7 +97,7 @@ def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:
     gap, J = closed.gap[rows], closed.passive[rows]
     n, m = len(gap), gap.shape[1]
     turning, space = np.zeros((3, J.shape[2], n)), np.zeros((n, 3, J.shape[2] + 1))
-    own = closed.passive_turning()[:, :, rows]
+    own = closed.at.passive_turning()[:, :, rows]
     turning[3 - len(own) :] = own
     space[:, :m, :-1], space[:, :m, -1] = J, gap
     v, c = space[:, :, :-1], space[:, :, -1]

@@ -111,7 +111,7 @@ def _rods(mechanism: Mechanism, matrices: Array) -> Array | None:
 
 
 def _determinant(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
-    return _volume(mechanism, np.concatenate([c.project(c.pose) for c in closures], axis=1))
+    return _volume(mechanism, np.concatenate([c.constraint_by_pose for c in closures], axis=1))
 
 
 def _volume(mechanism: Mechanism, lines: Array) -> Array:

@@ -157,7 +157,8 @@ class Element:
 
     def matrices(self, matrices: Array) -> Array:
         """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
-        return self.base.matrix @ matrices @ self.platform.inverse().matrix
+        both = np.kron(self.base.matrix, self.platform.inverse().matrix.T)  # one product for all
+        return (matrices.reshape(-1, 16) @ both.T).reshape(matrices.shape)
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
         """Return where poses go, coordinates of shape (N, dof)."""

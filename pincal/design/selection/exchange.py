@@ -136,11 +136,10 @@ def _improved(rows: Parts, sets: Index, criterion: Criterion) -> Index:
         if step % 25 == 24:  # rounding
             inverse = _inverses(rows, sets[active])
         own, each = sets[active], np.arange(len(active))
-        added = _best(rows, own, inverse, criterion)
+        added, gain = _best(rows, own, inverse, criterion)
         larger = _updated(inverse, rows, added, 1.0)
         loss = criterion.change(tuple(one[own] for one in rows), larger, -1.0)
         place = loss.argmax(axis=1)
-        gain = criterion.change(tuple(one[added][:, None] for one in rows), inverse, 1.0)[:, 0]
         gains = gain + loss[each, place] > _EFFORT.tolerance
         dropped = own[each, place]
         sets[active[gains], place[gains]] = added[gains]
@@ -159,33 +158,34 @@ def _swapped(rows: Parts, chosen: Index, criterion: Criterion) -> Index:
         least = np.argsort(-loss, kind="stable")[: _EFFORT.out]
         each = tuple(np.repeat(one, len(least), axis=0) for one in inverse)
         less = _updated(each, rows, own[least], -1.0)
-        gain = loss[least, None] + criterion.change(rows, less, 1.0)
-        gain[:, own] = -np.inf
-        out, into = np.unravel_index(int(gain.argmax()), gain.shape)
-        if not gain[out, into] > _EFFORT.tolerance:
+        into, gain = _best(rows, np.tile(own, (len(least), 1)), less, criterion)
+        gain = gain + loss[least]
+        out = int(gain.argmax())
+        if not gain[out] > _EFFORT.tolerance:
             break
-        own[least[out]] = into
+        own[least[out]] = into[out]
     return own
 
 
-def _best(rows: Parts, sets: Index, inverse: Parts, criterion: Criterion) -> Index:
-    """Return the candidate that each set, shape (S, count), gains most by, shape (S,).
+def _best(rows: Parts, sets: Index, inverse: Parts, criterion: Criterion) -> tuple[Index, Array]:
+    """Return the candidate that each set, shape (S, count), gains most by, and the gain, (S,).
 
     Where candidates have several rows, of those that promise most: log det(I + K) is tr K at most.
     """
     several = any(one.shape[1] > 1 for one in rows)
-    promised = several and len(rows[0]) > sets.shape[1] + _EFFORT.few
-    if promised:
+    few = None
+    if several and len(rows[0]) > sets.shape[1] + _EFFORT.few:
         pairs = zip(rows, criterion.turns(inverse), strict=True)
-        gain = np.asarray(sum(_promise(*pair) for pair in pairs))
+        promised = np.asarray(sum(_promise(*pair) for pair in pairs))
+        np.put_along_axis(promised, sets, -np.inf, axis=1)
+        few = np.argpartition(-promised, _EFFORT.few, axis=1)[:, : _EFFORT.few]
+        gain = criterion.change(tuple(one[few] for one in rows), inverse, 1.0)
     else:
         gain = criterion.change(rows, inverse, 1.0)
-    np.put_along_axis(gain, sets, -np.inf, axis=1)
-    if not promised:
-        return np.asarray(gain.argmax(axis=1))
-    few = np.argpartition(-gain, _EFFORT.few, axis=1)[:, : _EFFORT.few]
-    exact = criterion.change(tuple(one[few] for one in rows), inverse, 1.0)
-    return np.take_along_axis(few, exact.argmax(axis=1)[:, None], axis=1)[:, 0]
+        np.put_along_axis(gain, sets, -np.inf, axis=1)
+    place = gain.argmax(axis=1)[:, None]
+    best = place if few is None else np.take_along_axis(few, place, axis=1)
+    return best[:, 0], np.take_along_axis(gain, place, axis=1)[:, 0]
 
 
 def _promise(rows: Array, turns: Array) -> Array:

@@ -136,16 +136,24 @@ def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]
     if len(elements) == 1:
         return matrices[None], np.ones((1, len(matrices)), dtype=bool)
     found = np.stack([g.matrices(matrices) for g in elements])
-    places = _places(found)
+    size = float(np.ptp(found[..., :3, 3], axis=(0, 1)).max())
+    within = ALIKE * np.array((1.0, 1.0, 1.0, size or 1.0))
     own = np.ones(found.shape[:2], dtype=bool)
     for later in range(1, len(found)):  # some element leaves a pose where it is, or none does
-        own[later] = np.abs(places[later] - places[0]).max(axis=1) > ALIKE
+        own[later] = ~_together(found[later], found[0], within)
     fixed = np.flatnonzero(~own.all(axis=0))
-    for later in range(2, len(found)):
+    for later in range(2, len(found) if len(fixed) else 0):
         for earlier in range(1, later):
-            apart = np.abs(places[later, fixed] - places[earlier, fixed]).max(axis=1)
-            own[later, fixed] &= apart > ALIKE
+            own[later, fixed] &= ~_together(found[later, fixed], found[earlier, fixed], within)
     return found, own
+
+
+def _together(first: Array, second: Array, within: Array) -> Mask:
+    """Return which poses, shape (M, 4, 4), are the same within something by column, shape (M,)."""
+    same = np.abs(first[:, 0, 3] - second[:, 0, 3]) <= within[3]
+    some = np.flatnonzero(same)
+    same[some] = (np.abs(first[some, :3] - second[some, :3]) <= within).all(axis=(1, 2))
+    return same
 
 
 def repeated(images: Array) -> Mask:

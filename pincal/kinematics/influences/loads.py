@@ -88,7 +88,7 @@ def _held(leg: LegClosure, matrices: Array, known: Array, gravity: Array) -> _He
         by_joint = by_joint + _along(closed.active, force)
         by_parameter = by_parameter + _along(closed.parameter, force)
         platform = _along(closed.pose, force)
-    rows = (closed.drive, closed.project(closed.parameter), closed.project(closed.pose))
+    rows = (closed.drive, closed.constraint_by_parameter, closed.constraint_by_pose)
     return _Held(by_joint, by_parameter, platform, *rows)
 
 
