@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pincal.calibration.calibration import Calibration
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.conditions.external import External
+from pincal.estimation.linear import State
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.unobservable import Held, hold_unobservable
 from pincal.estimation.problem import Problem
@@ -84,19 +85,21 @@ class Fits:
         return {name: found[name] for name in mechanism.leg_names}
 
 
-def fitted(calibration: Calibration, *, tied: bool = True) -> Fits:
+def fitted(calibration: Calibration, *, tied: bool = True, near: State | None = None) -> Fits:
     """Return the fits of a calibration, the noise estimated by group if it was not given.
 
     Args:
         calibration: What is to be identified.
         tied: Whether ties count, or are left out for the test of the same estimator.
+        near: Where the search for all legs at once begins, if the optimum is known to be near.
 
     Raises:
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
         MeasurementError: measurements that do not suit the method.
     """
-    search = _all_legs if calibration.options.latent else _measured
-    one = search(calibration, tied, None)
+    latent = calibration.options.latent
+    one = _all_legs(calibration, tied, None, near) if latent else _measured(calibration, tied, None)
+    search = _all_legs if latent else _measured
     noise = calibration.noise.noise
     if (
         calibration.fixed_noise
@@ -193,13 +196,16 @@ def _loss(calibration: Calibration) -> Loss | None:
     return loss_of(calibration.options.loss)
 
 
-def _all_legs(calibration: Calibration, tied: bool, before: Fits | None) -> Fits:
+def _all_legs(
+    calibration: Calibration, tied: bool, before: Fits | None, near: State | None = None
+) -> Fits:
     """Return the fit of all legs, poses and frames at once.
 
     Args:
         calibration: What is to be identified.
         tied: Whether ties count.
         before: Fits at other noise, from which this one starts.
+        near: Where it starts otherwise, if that is known.
     """
     mechanism, options = calibration.mechanism, calibration.options
     problem, unknowns = calibration.latent_problem, calibration.unknowns(tied=tied)
@@ -218,7 +224,7 @@ def _all_legs(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     kept = calibration.counts
     system = System(problem, free, calibration.noise.known, kept=None if kept.all() else kept)
     every = np.arange(len(calibration.measurements))
-    start = None if before is None else before.fits[0].fit.last.state
+    start = near if before is None else before.fits[0].fit.last.state
     found = robust_fit(
         mechanism, system, every, _loss(calibration), start, progress=options.progress
     )

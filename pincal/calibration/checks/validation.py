@@ -29,6 +29,7 @@ from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.errors import MeasurementError
+from pincal.estimation.linear import State
 from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
 from pincal.model.measuring.measurements import Measurements
@@ -139,7 +140,8 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
         seen = calibration.rows(groups != fold).at_this_noise()
-        found = _converged(seen, f"fold {fold + 1} of {count}")
+        near = whole.fits[0].fit.last.state.rows(groups != fold) if whole.latent else None
+        found = _converged(seen, f"fold {fold + 1} of {count}", near)
         unseen = calibration.rows(groups == fold)
         own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]
         chances.append(_chance(found, own, total))
@@ -176,13 +178,13 @@ def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") ->
     )
 
 
-def _converged(calibration: Calibration, what: str) -> Fits:
-    """Return the fits of a calibration.
+def _converged(calibration: Calibration, what: str, near: State | None = None) -> Fits:
+    """Return the fits of a calibration, the search begun near a state if one is given.
 
     Raises:
         MeasurementError: they do not converge.
     """
-    found = fitted(calibration)
+    found = fitted(calibration, near=near)
     if not all(one.fit.converged for one in found.fits):
         raise MeasurementError(
             f"{what} does not converge; measure more poses, or give a better nominal mechanism"
