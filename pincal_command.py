@@ -3,7 +3,6 @@
 Beside the package, not in it: to find a module in the package, Python loads the package first.
 """
 
-import os
 import signal
 
 
@@ -12,7 +11,6 @@ def main() -> None:
     own = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if own:  # and not ignored, as in the background
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # see pincal/blas.py
     from pincal.cli import main as run
 
     if own:

@@ -31,6 +31,7 @@ MODULES = {
     "exporting": "export",
     "demo": "demo",
     "study": "study",
+    "bench": "bench",
 }
 NAMES = {
     name: f"pincal.cli.commands.{module}"
