@@ -17,6 +17,7 @@ from pincal.estimation.linear import Orthonormal
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
+from pincal.kinematics.batches import over_rows
 from pincal.model.leg import Leg
 from pincal.model.measuring.uncertainty import Systematic
 from pincal.model.mechanism import Mechanism
@@ -80,7 +81,7 @@ def chi2_freedoms(fits: Sequence[Robust]) -> float:
             A = W[mine] @ V[theirs].transpose(0, 2, 1)
             AP = A @ P[theirs]
             QA = A.transpose(0, 2, 1) @ Q[mine]
-            both = np.einsum("nmi,nmj->ij", Q[mine], AP)
+            both = over_rows(Q[mine], AP)
             shared += (A**2).sum() - (AP**2).sum() - (QA**2).sum() + (both**2).sum()
     return total**2 / (total + 2.0 * shared) if total else 0.0
 

@@ -84,6 +84,11 @@ def left_null(matrix: Array) -> Array:
     return q[:, :, p:]
 
 
+def over_rows(a: Array, b: Array) -> Array:
+    """Return Σ aᵀ b over all rows, (N, m, i) and (N, m, j) to (i, j), as one product of matrices."""
+    return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
+
+
 def lengths(vectors: Array) -> Array:
     """Return |v| of shape (N, k), shape (N,); NumPy's own is several times slower."""
     return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))

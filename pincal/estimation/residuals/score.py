@@ -18,6 +18,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Orthonormal
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.estimation.residuals.chances import Form
+from pincal.kinematics.batches import over_rows
 
 Array = NDArray[np.float64]
 
@@ -102,7 +103,7 @@ class Residuals:
         """
         lengths = np.linalg.norm(W, axis=(0, 1))
         lengths = np.where(lengths > 0.0, lengths, 1.0)
-        flat = (W - self.Q @ np.einsum("nmi,nmf->if", self.Q, W)).reshape(-1, W.shape[2]) / lengths
+        flat = (W - self.Q @ over_rows(self.Q, W)).reshape(-1, W.shape[2]) / lengths
         U, s, V = np.linalg.svd(flat, full_matrices=False)
         kept = s > RANK_TOLERANCE
         rank = int(kept.sum())

@@ -20,6 +20,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Orthonormal
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
+from pincal.kinematics.batches import over_rows
 from pincal.model.measuring.measurements import Noise
 
 Array = NDArray[np.float64]
@@ -220,10 +221,10 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
     _, prior = one.unknowns.prior_rows(one.unknowns.start)
     by = Orthonormal.of(J, prior)
     Q = by(J)
-    left = r - Q @ np.einsum("nmi,nm->i", Q, r)
+    left = r - Q @ over_rows(Q, r[:, :, None])[:, 0]
     V = [part @ part.transpose(0, 2, 1) for part in U]
     VQ = [part @ Q for part in V]
-    P = [np.einsum("nmi,nmj->ij", Q, part) for part in VQ]
+    P = [over_rows(Q, part) for part in VQ]
     both = list(zip(VQ, P, strict=True))
     F = np.array(
         [
@@ -237,6 +238,6 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
         ]
     )
     q = np.array([float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U])
-    rest = [[np.einsum("nmi,nmj->ij", a, b) - A @ B for b, B in both] for a, A in both]
+    rest = [[over_rows(a, b) - A @ B for b, B in both] for a, A in both]
     back = by(one.unknowns.map).T
     return Normal(F, q, float((left**2).sum()), np.array(P), np.array(rest), back)
