@@ -85,7 +85,7 @@ def left_null(matrix: Array) -> Array:
 
 
 def over_rows(a: Array, b: Array) -> Array:
-    """Return Σ aᵀ b over all rows, (N, m, i) and (N, m, j) to (i, j), as one product of matrices."""
+    """Return Σ aᵀ b over all rows, (N, m, i) and (N, m, j) to (i, j): one product of matrices."""
     return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
 
 
