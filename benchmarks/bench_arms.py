@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from arms import loaded, urdf
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
-COUNTS = (100, 300, 1000)
+COUNTS = (23, 100, 300, 1000)
 
 
 def tools() -> tuple[type, Callable[..., np.ndarray], Callable[..., object]]:
@@ -125,7 +125,7 @@ def test_against_figaroh(
     )
     print(f"{1e3 * errors[0]:.5f} mm by pincal, {1e3 * errors[1]:.5f} mm by FIGAROH")
     assert errors[0] <= errors[1] * (1 + 1e-6)
-    what = f"serial arm, UR10, {count} full poses"
-    for how, times, wanted in (("", theirs, "≥ 20"), (", its solve alone", alone, "")):
+    what, asked = f"serial arm, UR10, {count} full poses", "≥ 20" if count >= 100 else "≥ 5"
+    for how, times, wanted in (("", theirs, asked), (", its solve alone", alone, "")):
         ratio = float(np.median(times[1:]) / np.median(own[1:]))
         ratios(f"{what}: FIGAROH over pincal{how}", ratio, wanted)
