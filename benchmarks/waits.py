@@ -21,7 +21,7 @@ import numpy as np
 
 HERE = Path(__file__).parents[1]
 FILE = HERE / "pincal" / "cli" / "waits.py"
-#: What was asked of each task: times as fast as 0.1.0, or of its limit.
+#: How many times as fast as 0.1.0 each task was to be.
 ASKED = {
     **{f"select-{name}-3RRR": 10.0 for name in ("symmetric", "independent", "orbits", "common")},
     **{f"select-{name}-6UPS": 10.0 for name in ("symmetric", "independent", "orbits")},
@@ -60,8 +60,9 @@ def page(old: list[dict[str, dict[str, object]]], new: list[dict[str, dict[str, 
         "# What people wait for",
         "",
         "Written by `python benchmarks/waits.py OLD_TREE --write docs/waits.md`; seconds, medians",
-        f"of {len(new)} rounds in turn, with defaults. `pincal bench` prints the same on your",
-        f"machine. Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
+        f"of {len(new)} rounds in turn, with defaults. `pincal bench` prints these tasks on your",
+        "machine; like all commands it has one thread of BLAS.",
+        f"Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
         f"{platform.machine()}.",
         "",
         "| what | 0.1.0 | now | times as fast | asked | limit | now over it | what the limit is |",

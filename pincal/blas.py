@@ -1,11 +1,13 @@
 """One thread of BLAS while pincal computes: its matrices are small, threads wait for each other.
 
 A fit of 144 rows takes four times as long with two threads of OpenBLAS as with one. Whoever calls
-pincal keeps the number of threads that they have, before and after.
+pincal has the number of threads that they had when the last call of it ends. The limit is the
+process's: other threads see it meanwhile, and limits that they set meanwhile are lost.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, wraps
@@ -39,6 +41,19 @@ def one_thread() -> Iterator[None]:
             first = _within.pop()
             if first is not None:
                 first.restore_original_limits()
+
+
+def _begin_child() -> None:
+    """Begin anew in a forked process, whose other threads are gone."""
+    global _lock
+    _lock = Lock()
+    if _within and _within[0] is not None:
+        _within[0].restore_original_limits()
+    _within.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_begin_child)
 
 
 def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:

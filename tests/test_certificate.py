@@ -133,3 +133,22 @@ def test_looks_leave_candidates_out(monkeypatch: pytest.MonkeyPatch) -> None:
     assert looks[:2] == [500, 3000]
     assert looks[-1] < 300
     assert sorted(looks[1:], reverse=True) == looks[1:]
+
+
+def test_strong_candidates_off_the_sample_keep_the_design_whole() -> None:
+    """One candidate far stronger than those looked at first: a bound, and no lost rank."""
+    rows = np.random.default_rng(0).standard_normal((3000, 1, 4))
+    rows[1] *= 30
+    design = continuous_design((rows,))
+    chosen, value = exchange((rows,), 9, design.priority, np.random.default_rng(0), 3)
+    assert 1 in chosen
+    assert 0.8 < design.efficiency(value, 9, 4) <= 1.0
+
+
+def test_copies_of_few_candidates_have_all_of_the_rank() -> None:
+    """Many copies of few candidates have the bound of these."""
+    rng = np.random.default_rng(2)
+    few = rng.standard_normal((20, 1, 6))
+    copies = few[rng.integers(0, 20, 4000)]
+    bounds = [continuous_design((one,)).log_det_bound for one in (few, copies)]
+    assert bounds[0] == pytest.approx(bounds[1], abs=1e-3)

@@ -263,3 +263,23 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
     own = continuous_design((orbits,)).log_det_bound - orbits.shape[2] * np.log(len(elements))
     assert own == pytest.approx(common, abs=2e-2)
     assert indices(orbits.reshape(-1, 8)).O1 > 0.0
+
+
+def test_shuffled_copies_are_chosen_once() -> None:
+    """Forty poses, four hundred times each in any order: a plan without repetition."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = np.tile(workspace("3RRR", 40), (400, 1))
+    offered = poses[np.random.default_rng(0).permutation(len(poses))]
+    for protocol in ("independent", "orbits"):
+        plan = pincal.select_poses(mechanism, offered, 10, protocol).plan
+        sets = np.array(plan.sets)
+        for name in set(plan.sets):
+            own = plan.poses[sets == name]
+            assert len(np.unique(own.round(9), axis=0)) == len(own)
+
+
+def test_no_candidates_are_refused() -> None:
+    """By every protocol, with how many are reached."""
+    for protocol in ("symmetric", "independent", "orbits", "common"):
+        with pytest.raises(pincal.ObservabilityError, match="reaches 0 of 0"):
+            pincal.select_poses("3RRR", np.zeros((0, 3)), 10, protocol)

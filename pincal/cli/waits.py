@@ -239,7 +239,7 @@ def _method(name: str) -> str:
 
 def _command(*typed: object) -> None:
     run = [sys.executable, "-m", "pincal", *map(str, typed)]
-    subprocess.run(run, check=False, capture_output=True)
+    subprocess.run(run, check=True, capture_output=True)
 
 
 def main(names: list[str]) -> None:

@@ -71,9 +71,9 @@ class Selection:
     protocol: Protocol
     legs: tuple[LegDesign, ...]
     candidates: int
-    """Candidate poses that all legs reach."""
+    """Poses that were chosen from, copies counted; reach is asked in full only where it fails."""
     unreachable: int
-    """Candidate poses that were left out, not being reached."""
+    """Candidate poses that were found out of reach of a leg, and left out."""
 
     @property
     def efficiency(self) -> float:

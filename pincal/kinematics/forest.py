@@ -95,24 +95,24 @@ class Forest:
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
         self._base: Base | None = None  # where the copies begin now
 
-    def begin(self, configuration: Array, wanted: Array) -> Base:
+    def begin(self, configuration: Array, rates: Array) -> Base:
         """Return where the first copy ends, and how it moves: where another chain may begin.
 
         Args:
             configuration: Of the chain, shape (n,); it has no dummies.
-            wanted: Motions of the chain, shape (k, n).
+            rates: Of the chain's joints in k motions, shape (k, n).
         """
         with self._turn:
             columns = pin.computeJointJacobians(self._model, self._data, configuration)
             end = self._data.oMi[self.width].copy()
-        return Base(end, columns.reshape(6, -1) @ wanted.T)  # a single column comes as a row
+        return Base(end, columns.reshape(6, -1) @ rates.T)  # a single column comes as a row
 
-    def motion(self, configurations: Array, wanted: Array, base: Base | None = None) -> Motion:
+    def motion(self, configurations: Array, rates: Array, base: Base | None = None) -> Motion:
         """Return where the tip is and how it moves.
 
         Args:
             configurations: N configurations of the chain, shape (N, n), without dummies.
-            wanted: Rates of the chain's joints in k motions, shape (k, n).
+            rates: Of the chain's joints in k motions, shape (k, n).
             base: Where the chain begins, if not at the base's origin.
         """
         with self._turn:
@@ -127,7 +127,7 @@ class Forest:
         for target, row in zip(kept, rows, strict=True):  # across z the others are zero
             target[:] = columns[row].T
         tips, turns = (_tips_in_space if self.spatial else _tips_in_plane)(kept[:, n:])
-        return Motion(tips, turns, kept[:, :n], wanted, None if base is None else base.twists[rows])
+        return Motion(tips, turns, kept[:, :n], rates, None if base is None else base.twists[rows])
 
     def _columns(self, configurations: Array) -> Array:
         """Return Pinocchio's joint columns at the base's origin, shape (6, N, width)."""

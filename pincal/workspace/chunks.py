@@ -13,7 +13,10 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
+import numpy as np
+
 from pincal.errors import WorkspaceError
+from pincal.model.checks import described
 
 Chunk: TypeAlias = tuple[int, int]
 Task: TypeAlias = Callable[[int, int], bytes]
@@ -34,6 +37,16 @@ class Cluster:
 _CLUSTER = Cluster()
 
 
+def check_jobs(jobs: object) -> None:
+    """Raise if something is no number of processes.
+
+    Raises:
+        WorkspaceError: it is not.
+    """
+    if not isinstance(jobs, int | np.integer) or jobs == 0 or jobs < -1:
+        raise WorkspaceError(f"{described(jobs)} jobs; expected at least 1, or -1 for one a core")
+
+
 def run(
     task: Task, chunks: list[Chunk], jobs: int = 1, scheduler: str | None = None
 ) -> Iterator[tuple[Chunk, bytes]]:
@@ -49,8 +62,7 @@ def run(
         WorkspaceError: a wrong number of jobs, the scheduler cannot be reached, has no
             workers, or a chunk fails there.
     """
-    if jobs == 0 or jobs < -1:
-        raise WorkspaceError(f"{jobs} jobs; expected at least 1, or -1 for one a core")
+    check_jobs(jobs)
     if scheduler is not None:
         yield from _on_cluster(task, chunks, scheduler)
     elif jobs == 1 or len(chunks) == 1:

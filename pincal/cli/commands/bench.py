@@ -15,7 +15,9 @@ from pincal.words.table import Table, columns
 def bench(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="TASK", help="Tasks by the names of the table; else all."),
+        typer.Argument(
+            metavar="TASK", help="Tasks by the names of the table, such as command-help; else all."
+        ),
     ] = None,
     runs: Annotated[int, typer.Option(min=1, help="Runs of each, of which the median counts.")] = 3,
 ) -> None:
@@ -46,7 +48,7 @@ def waits_table(found: list[Wait]) -> Table:
         rows.append((one.name, one.what, one.seconds, one.least, ratio, one.limit))
     return Table(
         "What people wait for, on this machine",
-        columns("task", "what", "time [s]:.3g", "limit [s]:.3g", "ratio:.3g", "what the limit is"),
+        columns("task", "what", "time [s]:.3g", "could be [s]:.3g", "ratio:.3g", "as quick as"),
         rows,
-        "medians; the limit shows how quick a task could be, and is no promise",
+        "medians; what a task could be is no promise: it shows how much of the time is its own",
     )

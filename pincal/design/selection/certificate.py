@@ -5,11 +5,12 @@ theorem of Kiefer and Wolfowitz, any weights w bound the best ones: det M(w*) �
 det M(w) · (maxⱼ dⱼ / n)ⁿ with dⱼ = tr Aⱼ M(w)⁻¹ Aⱼᵀ. No set of N candidates has more
 information than Nⁿ det M(w*), so the bound is a proof whether or not w has converged.
 
-Few candidates carry weight. On these, log det M is maximised by Newton's steps; then those that
-violate dⱼ ≤ n most join them, until none does (column generation). Every look at the candidates
-leaves out those that no optimal design rests on: dⱼ < n h(ε), where maxⱼ dⱼ = n (1 + ε) (R. Harman
-and L. Pronzato, Statistics & Probability Letters 77, 2007, 90–94; for candidates of several rows
-R. Harman and M. Trnovská, Mathematica Slovaca 59, 2009, 693–704). The first look is at all.
+Few candidates carry weight. On these, log det M is maximised by interior-point steps; then
+those that violate dⱼ ≤ n most join them, until none does (column generation). Every look at the
+candidates leaves out those that no optimal design rests on: dⱼ < n h(ε), where
+maxⱼ dⱼ = n (1 + ε) (R. Harman and L. Pronzato, Statistics & Probability Letters 77, 2007, 90–94;
+for candidates of several rows R. Harman and M. Trnovská, Mathematica Slovaca 59, 2009, 693–704).
+The first look is at all.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
 from pincal.design.selection.candidates import Held, Rows, most_of, squares
 from pincal.design.selection.criteria import Parts
@@ -45,13 +47,13 @@ class Generation:
     share: float = 1e-3
     """Of the weight that these get, at most."""
     mixed: float = 0.1
-    """Share of equal weights that interior steps begin with, and of n that slacks have."""
+    """Share of equal weights that interior steps begin with; and of n, the least of slacks then."""
     centred: float = 0.03
     """Of the mean complementarity, where a step aims."""
     within: float = 0.1
     """Of the gap at the last look, to which steps go."""
     dropped: float = 0.3
-    """Weight of the least that is dropped then, of that gap."""
+    """Weight of the least that is dropped then, of that gap; never so much that rank is lost."""
     steps: int = 40
     """Between two looks at all candidates, at most."""
     rounds: int = 100
@@ -109,7 +111,8 @@ def continuous_design(given: Rows | Parts, places: Index | None = None) -> Conti
     some, turns, shift = _normal(rows, left)
     n, gap = sum(len(turn) for turn in turns), 1.0
     size = max(_BY.first, 4 * n)
-    at = some[most_of(squares(rows, some, turns), size)]  # uniform: M = 1
+    most = some[most_of(squares(rows, some, turns), size)]  # uniform: M = 1
+    at = _of_whole_rank(rows, some, most, turns)
     weights = _multiplicative(_turned(rows(at), turns))
     seen = np.full(rows.total, -np.inf)
     for _ in range(_BY.rounds):
@@ -179,6 +182,24 @@ def _normal(rows: Rows, places: Index) -> tuple[Index, tuple[Array, ...], float]
         size *= 8
 
 
+def _of_whole_rank(rows: Rows, sample: Index, most: Index, turns: Parts) -> Index:
+    """Return candidates, and if they lack rank, as copies do, those of a sample that have it all.
+
+    Args:
+        rows: The rows.
+        sample: Candidates whose rows have all of the rank.
+        most: Some of them.
+        turns: What makes their information 1.
+    """
+    at = [most]
+    for one, every in zip(_turned(rows(most), turns), _turned(rows(sample), turns), strict=True):
+        r, n = one.shape[1:]
+        if np.linalg.matrix_rank(one.reshape(-1, n)) < n:
+            _, pivots = qr(every.reshape(-1, n).T, mode="r", pivoting=True)
+            at.append(sample[pivots[:n] // r])
+    return np.unique(np.concatenate(at))
+
+
 def _turned(rows: Parts, turns: Parts) -> Parts:
     return tuple(one @ turn for one, turn in zip(rows, turns, strict=True))
 
@@ -200,7 +221,7 @@ def _shares(rows: Parts, weights: Array) -> Array:
 
 
 def _multiplicative(rows: Parts) -> Array:
-    """Return weights after steps wⱼ ← wⱼ dⱼ / n, small ones dropped: where Newton's steps begin."""
+    """Return weights after steps wⱼ ← wⱼ dⱼ / n, small ones dropped: where interior steps begin."""
     weights = np.full(len(rows[0]), 1.0 / len(rows[0]))
     for _ in range(_BY.multiplied):
         weights = weights * _shares(rows, weights)
@@ -237,7 +258,8 @@ def _interior(rows: Parts, weights: Array, gap: float) -> Array:
         hessian, gradient = _derivatives(rows, w)
         if gradient.max() <= n * (1.0 + gap):
             least = np.argsort(w)
-            w[least[np.cumsum(w[least]) <= _BY.dropped * gap]] = 0.0
+            most = min(_BY.dropped * gap, 0.5 / (n * (1.0 + gap)))  # at least M / 2 stays
+            w[least[np.cumsum(w[least]) <= most]] = 0.0
             break
     return np.asarray(w / w.sum())
 

@@ -48,6 +48,15 @@ class Criterion(Protocol):
         |Aⱼ T|² is the change by a small weight on a candidate, to first order, but for a factor.
         """
 
+    def most(self, promise: Array, inverse: Parts, width: int) -> Array:
+        """Return what no candidate changes more by than, by its |Aⱼ T|² and how many rows it has.
+
+        Args:
+            promise: |Aⱼ T|², shape (S,).
+            inverse: M⁻¹ of each choice, shape (S, n, n).
+            width: Rows of a candidate, of all parts.
+        """
+
 
 @dataclass(frozen=True)
 class Determinant:
@@ -71,6 +80,10 @@ class Determinant:
         """See ``Criterion``: M⁻¹ = T Tᵀ, which rounding may have left not quite positive."""
         pairs = [np.linalg.eigh(one) for one in inverse]
         return tuple(axes * np.sqrt(np.maximum(values, 0.0))[:, None] for values, axes in pairs)
+
+    def most(self, promise: Array, inverse: Parts, width: int) -> Array:  # noqa: ARG002
+        """See ``Criterion``: log det(I + K) ≤ r log(1 + tr K / r)."""
+        return np.asarray(width * np.log1p(promise / width))
 
 
 @dataclass(frozen=True)
@@ -107,6 +120,12 @@ class MeanVariance:
         """See ``Criterion``: M⁻¹ C."""
         (by,) = inverse
         return (by @ self.C,)
+
+    def most(self, promise: Array, inverse: Parts, width: int) -> Array:  # noqa: ARG002
+        """See ``Criterion``: tr (I + K)⁻¹ Q ≤ tr Q."""
+        left = 1.0 - promise / self._now(inverse[0])[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(left > 0.0, -np.log(left), np.inf)
 
     def _now(self, inverse: Array) -> Array:
         """Return tr L M⁻¹ of each choice, shape (S, 1)."""

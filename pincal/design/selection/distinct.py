@@ -10,8 +10,6 @@ from pincal.model.checks import ALIKE
 from pincal.model.platform import Platform, Poses
 
 Array = NDArray[np.float64]
-"""Of the candidates' extent, within which two of them are one; and the least extent, of the size
-of coordinates."""
 _LINES = 3  # along which places are looked at before they are looked at in full
 
 

@@ -41,7 +41,7 @@ class Effort:
     out: int = 24
     """Of a set, those that it would miss least, which are swapped."""
     few: int = 40
-    """Candidates of several rows, of those that promise most, whose gain is looked at exactly."""
+    """Candidates of several rows, those that promise most, whose gain is looked at first."""
 
 
 _EFFORT = Effort(exchanges=1000, pool=500, rounds=100, tolerance=1e-9, at_once=2)
@@ -107,7 +107,8 @@ def exchange(
         by = tuple(turn / scale[:, None] for turn, scale in turns)
         gains = [squares(rows, places, tuple(one[i] for one in by)) for i in range(len(sets))]
         more = [places[most_of(gain, _EFFORT.pool)] for gain in gains]
-        pool = np.union1d(pool, admitted(np.unique(np.concatenate((sets.ravel(), *more)))))
+        others = np.setdiff1d(np.concatenate(more), pool)
+        pool = np.sort(admitted(np.concatenate((pool, others))))  # of two alike the earlier stays
     return sets[0], float(values[0]) + lacking
 
 
@@ -150,7 +151,10 @@ def _improved(rows: Parts, sets: Index, criterion: Criterion) -> Index:
 
 
 def _swapped(rows: Parts, chosen: Index, criterion: Criterion) -> Index:
-    """Return a set, shape (count,), that no swap of one of it for another candidate improves."""
+    """Return a set, shape (count,), that no swap of one of it for another candidate improves.
+
+    Where a set without one of it lacks rank, gains are those beside a ridge: some may be missed.
+    """
     own = chosen.copy()
     for _ in range(_EFFORT.swaps if len(own) < len(rows[0]) else 0):
         inverse = _inverses(rows, own[None])
@@ -170,22 +174,35 @@ def _swapped(rows: Parts, chosen: Index, criterion: Criterion) -> Index:
 def _best(rows: Parts, sets: Index, inverse: Parts, criterion: Criterion) -> tuple[Index, Array]:
     """Return the candidate that each set, shape (S, count), gains most by, and the gain, (S,).
 
-    Where candidates have several rows, of those that promise most: log det(I + K) is tr K at most.
+    Where candidates have several rows, those that promise most are looked at first, and the others
+    where their promise leaves that open.
     """
-    several = any(one.shape[1] > 1 for one in rows)
-    few = None
-    if several and len(rows[0]) > sets.shape[1] + _EFFORT.few:
-        pairs = zip(rows, criterion.turns(inverse), strict=True)
-        promised = np.asarray(sum(_promise(*pair) for pair in pairs))
-        np.put_along_axis(promised, sets, -np.inf, axis=1)
-        few = np.argpartition(-promised, _EFFORT.few, axis=1)[:, : _EFFORT.few]
-        gain = criterion.change(tuple(one[few] for one in rows), inverse, 1.0)
-    else:
-        gain = criterion.change(rows, inverse, 1.0)
-        np.put_along_axis(gain, sets, -np.inf, axis=1)
-    place = gain.argmax(axis=1)[:, None]
-    best = place if few is None else np.take_along_axis(few, place, axis=1)
-    return best[:, 0], np.take_along_axis(gain, place, axis=1)[:, 0]
+    width = sum(one.shape[1] for one in rows)
+    if width == len(rows) or len(rows[0]) <= sets.shape[1] + _EFFORT.few:
+        return _best_of_all(rows, sets, inverse, criterion)
+    pairs = zip(rows, criterion.turns(inverse), strict=True)
+    promised = np.asarray(sum(_promise(*pair) for pair in pairs))
+    np.put_along_axis(promised, sets, -np.inf, axis=1)
+    few = np.argpartition(-promised, _EFFORT.few, axis=1)[:, : _EFFORT.few]
+    gains = criterion.change(tuple(one[few] for one in rows), inverse, 1.0)
+    place = gains.argmax(axis=1)[:, None]
+    best = np.take_along_axis(few, place, axis=1)[:, 0]
+    gain = np.take_along_axis(gains, place, axis=1)[:, 0]
+    np.put_along_axis(promised, few, 0.0, axis=1)
+    open_ = criterion.most(promised.max(axis=1), inverse, width) > gain
+    if open_.any():
+        some = tuple(one[open_] for one in inverse)
+        best[open_], gain[open_] = _best_of_all(rows, sets[open_], some, criterion)
+    return best, gain
+
+
+def _best_of_all(
+    rows: Parts, sets: Index, inverse: Parts, criterion: Criterion
+) -> tuple[Index, Array]:
+    gain = criterion.change(rows, inverse, 1.0)
+    np.put_along_axis(gain, sets, -np.inf, axis=1)
+    best = gain.argmax(axis=1)
+    return best, gain[np.arange(len(best)), best]
 
 
 def _promise(rows: Array, turns: Array) -> Array:

@@ -23,6 +23,7 @@ from pincal.model.checks import count_of, generator_of
 from pincal.model.measuring.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element
+from pincal.workspace.chunks import check_jobs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -49,6 +50,7 @@ class SelectionOptions:
     def __post_init__(self) -> None:
         as_noise(self.noise)
         count_of(self.starts, "starts", MeasurementError, 1)
+        check_jobs(self.jobs)
         generator_of(self.seed, MeasurementError)
 
     def say(self, text: str) -> None:
@@ -70,12 +72,15 @@ class Search:
 
         Raises:
             MechanismError: poses of a wrong shape, or not finite.
+            ObservabilityError: no candidates.
         """
         self.mechanism, self.options = mechanism, options
         self.candidates = mechanism.platform.coordinates_of(candidates)
         matrices = mechanism.platform.matrices(candidates)
         self.rng = np.random.default_rng(options.seed)
         self.usable, self.unreachable = len(matrices), 0
+        if not len(matrices):
+            raise self._too_few(0, 1)
         self._poses = matrices if matrices.size <= HELD else self.candidates
         self._known = np.zeros(len(matrices), dtype=bool)  # to be reached
         self._within: Index | None = None  # all that are, once one was not
