@@ -41,9 +41,12 @@ def broken(site: Path) -> tuple[list[str], int, int]:
             where = str(path.relative_to(site))
             if not target.exists():
                 wrong.append(f"{where}: {link}: no such file")
-            elif parts.fragment and target.suffix == ".html":
-                if unquote(parts.fragment) not in _anchors(target):
-                    wrong.append(f"{where}: {link}: no such heading")
+            elif (
+                parts.fragment
+                and target.suffix == ".html"
+                and unquote(parts.fragment) not in _anchors(target)
+            ):
+                wrong.append(f"{where}: {link}: no such heading")
     return list(dict.fromkeys(wrong)), inside, outside
 
 

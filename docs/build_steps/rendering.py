@@ -6,11 +6,14 @@ the place where people import it: ``pincal.model.mechanism.Mechanism`` is ``pinc
 
 from __future__ import annotations
 
+import html
 import re
 from typing import Any
 
 from docutils import nodes
+from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.util import logging
 
 import pincal
 
@@ -28,13 +31,22 @@ FOREIGN = [
 _BARE = re.compile(r"(``.*?``)|\|")
 
 
+def mathml(node: nodes.math | nodes.math_block, as_block: bool = False) -> str:
+    """Return an equation as MathML; one that cannot be is a warning, and stays as it is typed."""
+    try:
+        return str(tex2mathml(node.astext(), as_block=as_block))
+    except MathError as error:
+        logging.getLogger(__name__).warning(str(error), location=node)
+        return html.escape(node.astext())
+
+
 def _math(self: Any, node: nodes.math) -> None:
-    self.body.append(tex2mathml(node.astext()))
+    self.body.append(mathml(node))
     raise nodes.SkipNode
 
 
 def _equation(self: Any, node: nodes.math_block) -> None:
-    self.body.append(f'<div class="equation">{tex2mathml(node.astext(), as_block=True)}</div>')
+    self.body.append(f'<div class="equation">{mathml(node, as_block=True)}</div>')
     raise nodes.SkipNode
 
 
@@ -68,8 +80,8 @@ def links_within(_: Any, __: str, source: list[str]) -> None:
     """Lead links to the repository's top and examples to the pages that the site has of them."""
     text = re.sub(r"\]\(\.\./((?:\.\./)*)examples/(\w+)\.py\)", r"](\1gallery/\2.rst)", source[0])
     text = re.sub(r"\]\(\.\./((?:\.\./)*)examples/?\)", r"](\1gallery/index.rst)", text)
-    made = r"](\1reference/made/contributing.md)"
-    source[0] = re.sub(r"\]\(\.\./((?:\.\./)*)CONTRIBUTING\.md\)", made, text)
+    top = r"\]\(\.\./((?:\.\./)*)(CONTRIBUTING|CHANGELOG)\.md\)"
+    source[0] = re.sub(top, lambda one: f"]({one[1]}reference/made/{one[2].lower()}.md)", text)
 
 
 def setup(app: Any) -> None:
