@@ -59,6 +59,8 @@ html_title = f"pincal {release}"
 html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_copy_source = False
+html_context = {"default_mode": "auto"}
+html_sidebars = {"index": [], "start": [], "conventions": []}
 html_theme_options = {
     "logo": {"text": f"pincal {release}"},
     "header_links_before_dropdown": 6,
