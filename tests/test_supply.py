@@ -129,7 +129,7 @@ def test_wheel_and_sdist_hold_what_they_should(built: Path) -> None:
 
 @pytest.mark.slow
 def test_index_will_show_what_was_built(built: Path) -> None:
-    """The checker of uploads (twine) finds nothing to mend: the description renders, and metadata are whole."""
+    """Twine finds nothing to mend: the description renders, and metadata are whole."""
     python = built.parent / "venv" / "bin" / "python"
     command = [python, "-m", "twine", "check", "--strict", *built.iterdir()]
     run = subprocess.run(command, capture_output=True, text=True)
