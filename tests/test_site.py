@@ -7,6 +7,7 @@ import doctest
 import inspect
 import re
 import runpy
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,27 @@ def test_page_answers_what_it_says(page: Path, tmp_path: Path) -> None:
     for shown in re.findall(r"images/((?:start|concept)_[\w.]+)\)", text):
         assert (tmp_path / shown).exists()
         assert (DOCS / "images" / shown).exists()
+
+
+def test_programs_of_other_pages_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of the pages on printers and mechanisms, beside the files that they name.
+
+    The others' are run by tests/test_docs.py and tests/test_new.py.
+    """
+    monkeypatch.chdir(tmp_path)
+    config = re.findall("```ini\n(.*?)```", (DOCS / "how_to/delta_printer.md").read_text(), re.S)
+    (tmp_path / "printer.cfg").write_text(config[0])
+    files = metadata.files("example-robot-data") or []
+    urdf = next(Path(str(one.locate())) for one in files if one.name == "ur10_robot.urdf")
+    (tmp_path / "ur10_robot.urdf").write_text(urdf.read_text(encoding="utf-8"))
+    for page, made in {"printers": None, "mechanisms": "ur10/mechanism.yaml"}.items():
+        text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+        for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+            exec(compile(code, page, "exec"), {"pincal": pincal})
+        assert made is None or (tmp_path / made).exists()
+    shown = {one for one in DOCS.glob("*.md") if "```python" in one.read_text("utf-8")}
+    run = {"printers", "mechanisms", "measuring", "your_mechanism"}
+    assert {one.stem for one in shown} <= run | {one.stem for one in RUN}
 
 
 def test_every_page_is_in_a_table_of_contents() -> None:
