@@ -50,6 +50,14 @@ WHY = {
     "pytest": "runs the tests",
     "pytest-benchmark": "speeds",
     "pytest-xdist": "tests in two processes",
+    "sphinx": "the site: references that are checked, a strict build, search without a server",
+    "myst-parser": "pages of the site stay Markdown",
+    "pydata-sphinx-theme": "the site's looks: light and dark, telephones",
+    "sphinx-gallery": "runs the examples for the site, with thumbnails and notebooks",
+    "sphinx-copybutton": "commands of the site are copied without their prompts",
+    "sphinx-design": "cards on the site's first page",
+    "nbclient": "runs notebooks in the tests",
+    "ipykernel": "runs the code of notebooks",
     "import-linter": "the floors of the house",
     "mypy": "types",
     "ruff": "style, unused names, formatting",
@@ -142,7 +150,7 @@ def indirect() -> str:
 
 TABLES = {
     "library": direct,
-    "tools": lambda: direct("cluster", "excel", "parquet", "test", "dev"),
+    "tools": lambda: direct("cluster", "excel", "parquet", "test", "docs", "dev"),
     "brought": indirect,
 }
 

@@ -181,7 +181,8 @@ def members(name: str, what: object) -> list[tuple[str, object]]:
 def section(kind: type[errors.PincalError], where: list[tuple[str, str, str]]) -> str:
     """Return what the page says of one class."""
     base = kind.__bases__[-1]
-    text = re.sub(r"``(.*?)``", r"`\1`", inspect.getdoc(kind) or "")
+    told = (inspect.getdoc(kind) or "").partition("\n\nExample:")[0]
+    text = re.sub(r"``(.*?)``", r"`\1`", told)
     text = re.sub(r"^(Causes|What to do):", r"**\1**:", text, flags=re.MULTILINE)
     text = re.sub(r"docs/(\w+\.md)", r"[docs/\1](\1)", text)
     lines = [f"## {kind.__name__}\n", f"{text}\n"]

@@ -8,6 +8,14 @@ class PincalError(Exception):
     """Root of every error raised on purpose; its text says what, where, expected, what to do.
 
     What to do: read the message. ``except pincal.PincalError`` catches all of them.
+
+    Example:
+        >>> import pincal
+        >>> try:
+        ...     pincal.load_mechanism("9RRR")
+        ... except pincal.PincalError as error:
+        ...     print(type(error).__name__)
+        FileError
     """
 
 
@@ -20,6 +28,14 @@ class MechanismError(PincalError, ValueError):
 
     What to do: correct the place that the message names (file and line, or leg and joint);
     ``pincal check`` says whether all is well. docs/mechanism_files.md says what files may hold.
+
+    Example:
+        >>> import pincal
+        >>> try:
+        ...     pincal.new_mechanism("hexapod", base_radius=-1.0)
+        ... except pincal.MechanismError:
+        ...     print("a length is above zero")
+        a length is above zero
     """
 
 
@@ -33,6 +49,14 @@ class MeasurementError(PincalError, ValueError):
     What to do: correct the line and column that the message names. Where it says what would
     explain the measurements, look at the machine and the tracker before the numbers.
     docs/measuring.md says what tables may hold.
+
+    Example:
+        >>> import pincal
+        >>> try:
+        ...     pincal.Noise(position=-1.0)
+        ... except pincal.MeasurementError:
+        ...     print("a standard deviation is not negative")
+        a standard deviation is not negative
     """
 
 
@@ -55,6 +79,15 @@ class ObservabilityError(PincalError, ValueError):
     What to do: choose poses by ``pincal select``, ask ``pincal identifiability`` what they
     determine, measure more of the pose, or fix, tie or give a prior to a parameter that the
     message names.
+
+    Example:
+        >>> import pincal
+        >>> candidates = pincal.sample_workspace("5R", 50, seed=0)
+        >>> try:
+        ...     pincal.select_poses("5R", candidates, 2)
+        ... except pincal.ObservabilityError as error:
+        ...     print(str(error).partition(";")[0])
+        2 poses give 2 equations for the 6 parameters of leg_1
     """
 
 
@@ -66,6 +99,14 @@ class WorkspaceError(PincalError, ValueError):
 
     What to do: lower the margins or the count, correct the axis that the message names, or widen
     the joint limits in the URDFs if the machine has others.
+
+    Example:
+        >>> import pincal
+        >>> try:
+        ...     pincal.Grid.of("x=1:0:0.1", "y=0:1:0.1")
+        ... except pincal.WorkspaceError:
+        ...     print("an axis ends behind its start")
+        an axis ends behind its start
     """
 
 
@@ -77,6 +118,16 @@ class SymmetryError(PincalError, ValueError):
 
     What to do: ``pincal symmetry`` says what breaks it and by how much; mend that, or choose
     poses for each leg alone.
+
+    Example:
+        >>> import pincal
+        >>> robot = pincal.load_mechanism("5R")
+        >>> robot = robot.with_parameters({"leg_1.l": 1.1 * dict(robot.legs[0].parameters)["l"]})
+        >>> try:
+        ...     pincal.symmetry_group(robot).carriers()
+        ... except pincal.SymmetryError:
+        ...     print("these legs differ")
+        these legs differ
     """
 
 
@@ -88,4 +139,12 @@ class FileError(PincalError, OSError):
 
     What to do: correct the name or its rights, or say ``--force`` (``force=True``) to replace a
     file, or a folder that pincal wrote.
+
+    Example:
+        >>> import pincal
+        >>> try:
+        ...     pincal.load_result("nowhere")
+        ... except pincal.FileError as error:
+        ...     print("cannot read" in str(error))
+        True
     """

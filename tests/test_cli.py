@@ -777,6 +777,19 @@ def test_a_prior_said_twice_is_refused(work: Path) -> None:
     assert not Path("other").exists()
 
 
+def test_a_prior_may_have_a_unit_of_its_own_kind(work: Path) -> None:
+    """In mm or m it is the same; an angle's in mm is refused, and says what the parameter is in."""
+    call = ["calibrate", "--no-report", "--json", "--folds=0", "3RRR", "measured.csv", *NOISE]
+    plain = run(*call, "--prior", "l=1e-3", "-o", "plain")
+    typed = run(*call, "--prior", "l=1mm", "-o", "typed")
+    assert plain.code == typed.code == 0
+    assert plain.out == typed.out.replace("typed", "plain")
+    outcome = run(*call, "--prior", "beta=1mm", "-o", "other")
+    assert outcome.code == 2
+    assert "beta is in rad" in outcome.trouble
+    assert not Path("other").exists()
+
+
 def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory that runs out is one message and exit code 2, no traceback."""
 

@@ -491,7 +491,7 @@ def test_file_that_is_no_yaml_is_refused(data: bytes, words: str, folder: Path) 
     with pytest.raises(MechanismError) as caught:
         pincal.load_mechanism(folder)
     message = str(caught.value)
-    assert re.match(rf"{re.escape(str(folder / YAML))}(, line 1)?: ", message)  # as libyaml says
+    assert message.startswith((f"{folder / YAML}: ", f"{folder / YAML}, line 1: "))
     assert words in message
     assert "_Mechanism" not in message  # a name from inside pincal tells people nothing
     assert message.count(str(folder)) == 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 import subprocess
 import sys
@@ -75,13 +77,17 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("built")
     venv.create(folder / "venv", with_pip=True)
     python = folder / "venv" / "bin" / "python"
-    subprocess.run([python, "-m", "pip", "install", "-q", "build"], check=True)
+    tools = ["build", "cyclonedx-bom", "twine"]
+    subprocess.run([python, "-m", "pip", "install", "-q", *tools], check=True)
     names = ("pincal", "robots", "studies", "tests", "docs", "examples", "benchmarks", "tools")
+    names = (*names, "packaging")
     for name in names:
         ignored = shutil.ignore_patterns("__pycache__", ".*")
         shutil.copytree(ROOT / name, folder / "source" / name, ignore=ignored)
-    for name in ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "pincal_command.py"):
-        shutil.copy(ROOT / name, folder / "source")
+    for path in ROOT.glob("*.*"):
+        if path.is_file() and not path.name.startswith("."):
+            shutil.copy(path, folder / "source")
+    shutil.copy(ROOT / "LICENSE", folder / "source")
     command = [python, "-m", "build", "-o", folder / "dist", folder / "source"]
     subprocess.run(command, check=True, capture_output=True)
     return folder / "dist"
@@ -111,12 +117,54 @@ def test_wheel_and_sdist_hold_what_they_should(built: Path) -> None:
     }
     with tarfile.open(sdist) as file:
         held = {name.partition("/")[2] for name in file.getnames()}
-    assert {"tests/test_supply.py", "docs/dependencies.md", "LICENSE", "pyproject.toml"} <= held
+    assert {
+        "tests/test_supply.py",
+        "docs/dependencies.md",
+        "LICENSE",
+        "pyproject.toml",
+        "CITATION.cff",
+    } <= held
     assert source <= held
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13"])
+def test_index_will_show_what_was_built(built: Path) -> None:
+    """Twine finds nothing to mend: the description renders, and metadata are whole."""
+    python = built.parent / "venv" / "bin" / "python"
+    command = [python, "-m", "twine", "check", "--strict", *built.iterdir()]
+    run = subprocess.run(command, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert run.stdout.count("PASSED") == 2
+
+
+@pytest.mark.slow
+def test_built_again_it_is_the_same(built: Path, tmp_path: Path) -> None:
+    """Sdist and wheel of the same files are the same bytes, whenever they are built."""
+    python = built.parent / "venv" / "bin" / "python"
+    command = [python, "-m", "build", "-o", tmp_path, built.parent / "source"]
+    subprocess.run(command, check=True, capture_output=True)
+
+    def sums(folder: Path) -> dict[str, str]:
+        return {one.name: hashlib.sha256(one.read_bytes()).hexdigest() for one in folder.iterdir()}
+
+    assert sums(tmp_path) == sums(built)
+
+
+@pytest.mark.slow
+def test_bill_of_materials_names_all_that_comes_along(built: Path, tmp_path: Path) -> None:
+    """Each dependency stands in the CycloneDX file with its version and licence."""
+    program = built.parent / "venv" / "bin" / "cyclonedx-py"
+    made = tmp_path / "sbom.json"
+    command = [program, "environment", "--pyproject", ROOT / "pyproject.toml", "-o", made]
+    subprocess.run([*command, sys.executable], check=True, capture_output=True)
+    parts = {one["name"].lower(): one for one in json.loads(made.read_text())["components"]}
+    for name in ("pin", "numpy", "scipy", "pydantic", "libpinocchio"):
+        assert parts[name]["version"]
+        assert parts[name].get("licenses")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
 def test_wheel_installs_and_runs_elsewhere(built: Path, version: str, tmp_path: Path) -> None:
     """In a clean environment of each Python there is, the wheel runs without warnings."""
     python = shutil.which(f"python{version}")

@@ -52,7 +52,20 @@ class Page(Protocol):
 
 @dataclass(frozen=True, repr=False, eq=False)
 class CalibrationResult:
-    """Result of ``calibrate``; holds the mechanism, measurements and options it was made from."""
+    """Result of ``calibrate``; holds the mechanism, measurements and options it was made from.
+
+    Example:
+        >>> import numpy as np, pincal
+        >>> places = [[x, y] for x in (-0.3, 0.0, 0.3) for y in (1.0, 1.1, 1.2, 1.3)]
+        >>> plan = pincal.Plan(np.array(places))
+        >>> truth = pincal.disturb("5R", 1e-3, seed=1)
+        >>> data = pincal.simulate("5R", truth, plan, seed=1).measurements
+        >>> result = pincal.calibrate("5R", data, noise=pincal.Noise(position=1e-4))
+        >>> result.converged, len(result.parameters)
+        (True, 12)
+        >>> result["leg_1.l"].unit
+        'm'
+    """
 
     calibration: Calibration
     """What was calibrated, from what, and how."""

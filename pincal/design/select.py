@@ -65,7 +65,15 @@ class LegDesign:
 
 @dataclass(frozen=True, repr=False)
 class Selection:
-    """Selected poses and how good they are."""
+    """Selected poses and how good they are.
+
+    Example:
+        >>> import pincal
+        >>> candidates = pincal.sample_workspace("5R", 200, seed=0)
+        >>> selection = pincal.select_poses("5R", candidates, 8)
+        >>> len(selection.plan), bool(0.8 < selection.efficiency <= 1.0)
+        (16, True)
+    """
 
     plan: Plan
     protocol: Protocol

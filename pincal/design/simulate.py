@@ -213,6 +213,11 @@ def accuracy(model: GivenMechanism, truth: GivenMechanism, poses: Plan | Poses) 
     The root mean squares are the papers' RMSE of commanded against measured pose, without
     measuring noise.
 
+    Args:
+        model: The model that commands, as nominal or calibrated.
+        truth: The machine that moves.
+        poses: N poses that are commanded, shape (N, dof), [m] and [rad].
+
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """

@@ -178,6 +178,11 @@ def identification_jacobian(
 
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
+
+    Example:
+        >>> import pincal
+        >>> pincal.identification_jacobian("5R", "leg_1", [[0.0, 1.1], [0.2, 1.2]]).shape
+        (2, 6)
     """
     mechanism = as_mechanism(mechanism)
     placed = mechanism.platform.placed(poses)

@@ -41,6 +41,10 @@ class SingularityMargins:
 def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
     """Return the distances of poses from both types of singularity.
 
+    Args:
+        mechanism: The mechanism; or its name or folder.
+        poses: N poses, coordinates of shape (N, dof), [m] and [rad].
+
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """

@@ -31,6 +31,14 @@ def generate(
     side (working mode) that the rough home is on. Labels say by parameter's name what it is, for
     people.
 
+    Args:
+        name: The mechanism's name.
+        leg: The leg that is carried.
+        elements: One for each leg, the identity first.
+        platform: The platform on which they close.
+        description: A sentence about the mechanism.
+        labels: What parameters are, by name.
+
     Raises:
         MechanismError: a leg does not close at the home pose.
         SymmetryError: a placement whose coordinates cannot express a carried leg.

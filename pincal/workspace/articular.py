@@ -76,6 +76,12 @@ def articular_symmetry(
 
     Raises:
         MechanismError: a mechanism whose forward kinematics is not determined.
+
+    Example:
+        >>> import pincal
+        >>> found = pincal.articular_symmetry("5R", pincal.sample_workspace("5R", 50, seed=0))
+        >>> len(found) > 0
+        True
     """
     mechanism = as_mechanism(mechanism)
     platform, group = mechanism.platform, symmetry_group(mechanism)

@@ -30,7 +30,16 @@ _RIM_POSITIONS = {2: 500, 3: 2000}
 
 @dataclass(frozen=True, repr=False)
 class Inscribed:
-    """Largest circle (in a plane) or ball (in space) in which every position asked counts."""
+    """Largest circle (in a plane) or ball (in space) in which every position asked counts.
+
+    Example:
+        >>> import pincal
+        >>> grid = pincal.Grid.of("x=-1:1:0.1", "y=0.4:2:0.1")
+        >>> workspace = pincal.compute_workspace("5R", "total-orientation", grid)
+        >>> disc = pincal.largest_inscribed(workspace)
+        >>> disc.centre.shape, bool(disc.radius > 0.1)
+        ((3,), True)
+    """
 
     centre: Array
     """Shape (3,), base frame, [m]."""

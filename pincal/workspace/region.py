@@ -72,7 +72,15 @@ class _Task:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Workspace:
-    """Positions that count, of a grid or of samples."""
+    """Positions that count, of a grid or of samples.
+
+    Example:
+        >>> import pincal
+        >>> grid = pincal.Grid.of("x=-1:1:0.2", "y=0.4:2:0.2")
+        >>> workspace = pincal.compute_workspace("5R", "total-orientation", grid)
+        >>> workspace.positions.shape[1], workspace.kind
+        (3, 'total-orientation')
+    """
 
     kind: str
     test: PositionTest

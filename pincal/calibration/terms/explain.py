@@ -23,7 +23,18 @@ Verdict = Literal["as drawn", "rigid alignment", "geometry", "terms", "not compa
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """What residuals of a calibration follow, and which model predicts rows best."""
+    """What residuals of a calibration follow, and which model predicts rows best.
+
+    Example:
+        >>> import numpy as np, pincal
+        >>> plan = pincal.Plan(pincal.sample_workspace("5R", 40, seed=0))
+        >>> truth = pincal.disturb("5R", 1e-3, seed=1)
+        >>> noise = pincal.Noise(position=1e-4)
+        >>> data = pincal.simulate("5R", truth, plan, noise, seed=1).measurements
+        >>> found = pincal.explain("5R", data, noise=noise, terms=["harmonics"])
+        >>> found.terms  # geometry is all there is
+        ()
+    """
 
     result: CalibrationResult
     """The calibration of the geometry."""

@@ -225,7 +225,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             loss=self.robust,
             fixed=tuple(self.fix or ()),
             tied=tuple(self.tie or ()),
-            priors=_priors(self.prior or ()),
+            priors=_priors(self.prior or (), mechanism),
             tolerance=_tolerance(self.tolerance or ""),
             terms=terms,
             rough=self.rough,
@@ -345,7 +345,7 @@ def _tolerance(said: str) -> dict[str, float] | Literal["auto"]:
     return found
 
 
-def _priors(said: Sequence[str]) -> dict[str, float]:
+def _priors(said: Sequence[str], mechanism: Mechanism) -> dict[str, float]:
     """Return priors by name.
 
     Raises:
@@ -356,10 +356,12 @@ def _priors(said: Sequence[str]) -> dict[str, float]:
         name, _, value = (part.strip() for part in text.partition("="))
         if name in priors:
             raise MeasurementError(f"--prior {name} is said twice; leave out one of them")
+        own = {one.unit for one in mechanism.parameters if name in (one.name, one.id)}
         try:
-            priors[name] = float(value)
-        except ValueError:
+            priors[name] = in_si(value, " ".join((own or {"m", "rad"}) - {"1"}))
+        except typer.BadParameter:
             raise MeasurementError(
-                f"--prior {text!r}: expected a name and a standard deviation, such as l=0.0005 [m]"
+                f"--prior {text!r}: expected a name and a standard deviation, such as l=0.0005 [m] "
+                f"or l=0.5mm{f'; {name} is in {next(iter(own))}' if len(own) == 1 else ''}"
             ) from None
     return priors

@@ -46,6 +46,15 @@ def indices(C: Array) -> Indices:
 
     Singular values carry the units of the columns; compare sets of poses with them, not
     mechanisms.
+
+    Args:
+        C: Identification Jacobian, shape (m, n).
+
+    Example:
+        >>> import numpy as np, pincal
+        >>> found = pincal.indices(np.diag([4.0, 1.0]))
+        >>> round(float(found.O2), 6)  # least over greatest singular value
+        0.25
     """
     m, n = C.shape
     s = np.linalg.svd(C, compute_uv=False)

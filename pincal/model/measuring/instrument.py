@@ -38,7 +38,22 @@ class Condition:
 
 @runtime_checkable
 class Instrument(Protocol):
-    """Anything that reads the platform's pose, in its own columns and with its own unknowns."""
+    """Anything that reads the platform's pose, in its own columns and with its own unknowns.
+
+    Example:
+        >>> import numpy as np, pincal
+        >>> class Height:
+        ...     name, columns = "table", {"gauge": "m"}
+        ...     parameters = (pincal.Parameter("table", "z", "m", 0.0),)
+        ...
+        ...     def condition(self, poses, values, measured):
+        ...         by_twist = np.tile([0.0, 0, 1, 0, 0, 0], (len(poses), 1, 1))
+        ...         by_own = -np.ones((len(poses), 1, 1))
+        ...         height = poses[:, 2, 3:]
+        ...         return pincal.Condition(height - values[0] - measured, by_twist, by_own)
+        >>> isinstance(Height(), pincal.Instrument)
+        True
+    """
 
     @property
     def name(self) -> str:

@@ -13,7 +13,14 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Load:
-    """The weight of platform and payload, on which terms may depend (``of="load"``)."""
+    """The weight of platform and payload, on which terms may depend (``of="load"``).
+
+    Example:
+        >>> import pincal
+        >>> tool = pincal.Load(mass=2.5, centre=(0.0, 0.0, -0.05))
+        >>> tool.gravity
+        (0.0, 0.0, -9.81)
+    """
 
     mass: float = 0.0
     """Of platform and payload, [kg]."""

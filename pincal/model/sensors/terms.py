@@ -68,6 +68,12 @@ class Power:
     """A power of the reading over a range: what a screw or belt is off, as a polynomial.
 
     1 at ``centre`` + ``range``; powers 0 and 1 are offset and gain, which sensors have.
+
+    Example:
+        >>> import pincal
+        >>> bend = pincal.Term("bend", pincal.Power(power=2, range=1.5))
+        >>> bend.basis.power
+        2
     """
 
     power: int
@@ -98,6 +104,12 @@ class Knot:
 
     Outside the first and last knot the table goes on straight; if ``periodic``, the last knot is
     the first again, and has no amplitude of its own.
+
+    Example:
+        >>> import pincal
+        >>> hat = pincal.Knot(knots=(0.0, 1.0, 2.0), knot=1)
+        >>> pincal.Term("table_1", hat).parameter
+        'table_1'
     """
 
     knots: tuple[float, ...]
@@ -144,6 +156,12 @@ class Share:
 
     ``per`` may be negative, as for a coordinate that is: all lengths of a leg that grow by one
     share a of them have terms with the amplitude a, each by ``per`` over its length.
+
+    Example:
+        >>> import pincal
+        >>> warm = pincal.Term("grows", pincal.Share(per=10.0, reference=20.0), of="temperature")
+        >>> warm.of
+        'temperature'
     """
 
     per: float = 1.0

@@ -77,6 +77,12 @@ def view(
             is not one of this mechanism.
         MeasurementError: no poses, too many or not whole; a workspace of a wrong
             shape; a factor that is not positive.
+
+    Example:
+        >>> import pincal
+        >>> page = pincal.view("5R", [[0.0, 1.1]])
+        >>> page.html().startswith("<!DOCTYPE html>")
+        True
     """
     mechanism = as_mechanism(mechanism)
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)

@@ -1,0 +1,1 @@
+"""What the build of the site does before and while Sphinx reads the pages."""

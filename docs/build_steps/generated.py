@@ -1,0 +1,207 @@
+"""Pages that are made of the code at every build: commands, schemas, names, old names."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from typer.main import get_command
+
+import pincal
+from build_steps.names import GROUPS, RETURNED
+from pincal.cli.app import app
+from pincal.cli.registry import MODULES
+from pincal.files.schema import MechanismSpec
+from pincal.files.setups import _SetupSpec
+from pincal.old_names import OLD
+
+FOLDER = Path("reference") / "made"
+SCHEMAS = {"mechanism": MechanismSpec, "setup": _SetupSpec}
+
+
+def write(docs: Path) -> None:
+    """Write all of them, those alone that changed, so that Sphinx reads no more than it must."""
+    folder = docs / FOLDER
+    folder.mkdir(exist_ok=True)
+    pages = {
+        "commands.md": commands(),
+        "schemas.md": schemas(),
+        "old_names.md": old_names(),
+        "api.rst": names(),
+        "contributing.md": from_the_top(docs.parent / "CONTRIBUTING.md"),
+        "changelog.md": from_the_top(docs.parent / "CHANGELOG.md"),
+    }
+    for name, text in (pages | schema_files()).items():
+        path = folder / name
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def from_the_top(path: Path) -> str:
+    """Return a page of the repository's top folder with its links as they are from here."""
+    text = path.read_text(encoding="utf-8").replace("](docs/", "](../../")
+    text = text.replace("](CONTRIBUTING.md)", "](contributing.md)")
+    text = text.replace("](CHANGELOG.md)", "](changelog.md)")
+    return text.replace("](examples)", "](../../gallery/index.rst)")
+
+
+def _code(text: str) -> str:
+    """Return text with its options as code, safe within a Markdown table."""
+    marked = re.sub(r"(?<![\w`-])--?[a-z][a-z-]*", r"`\g<0>`", text)
+    return marked.replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*").replace("_", "\\_")
+
+
+def _row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _default(one: Any) -> str:
+    if one.default is None or one.default is False or one.required or one.default == ():
+        return ""
+    return f"`{one.default}`"
+
+
+def command(name: str, found: Any) -> str:
+    """Return the section of one command: its help, its arguments, its options with defaults."""
+    shown = [one for one in found.params if not getattr(one, "hidden", False)]
+    arguments = [one for one in shown if one.param_type_name == "argument"]
+    options = [one for one in shown if one.param_type_name == "option"]
+    typed = " ".join(f"{one.metavar or one.name.upper()}" for one in arguments)
+    paragraphs = [_code(" ".join(one.split())) for one in (found.help or "").split("\n\n")]
+    line = " ".join(f"pincal {name} {typed} [OPTIONS]".split())
+    lines = [f"## {name}", "", "```text", line]
+    lines += ["```", "", *(line for one in paragraphs for line in (one, ""))]
+    if arguments:
+        lines += ["| argument | what |", "|---|---|"]
+        lines += [_row((f"`{one.metavar}`", _code(one.help or ""))) for one in arguments] + [""]
+    if options:
+        lines += ["| option | what | default |", "|---|---|---|"]
+        for one in options:
+            spelled = ", ".join(f"`{opt}`" for opt in (*one.opts, *one.secondary_opts))
+            takes = "" if one.is_flag or not one.metavar else f" `{one.metavar}`"
+            cells = (spelled + takes.replace("|", "\\|"), _code(one.help or ""), _default(one))
+            lines += [_row(cells)]
+        lines += [""]
+    return "\n".join(lines)
+
+
+def commands() -> str:
+    """Return the page of the command line."""
+    group = get_command(app)
+    lines = [
+        "# Command line",
+        "",
+        "Made of the commands themselves, as `pincal COMMAND --help` shows them. `MECH` is the",
+        "name of a bundled mechanism or a folder. Exit codes: 0 done; 1 a fit that did not",
+        "converge or that χ² contradicts, or rows without a solution; 2 wrong input, and then",
+        "nothing was written.",
+        "",
+    ]
+    listed = [name for own in MODULES.values() for name in own.split()]
+    lines += [", ".join(f"[{name}](#{name})" for name in listed) + ".", ""]
+    return "\n".join(
+        lines + [command(name, group.get_command(None, name)) for name in listed]  # type: ignore[attr-defined]
+    )
+
+
+def schema_files() -> dict[str, str]:
+    """Return the JSON schemas as files: editors that know YAML check a mechanism with them."""
+    return {
+        f"{name}.schema.json": json.dumps(spec.model_json_schema(), indent=1) + "\n"
+        for name, spec in SCHEMAS.items()
+    }
+
+
+def _type(schema: dict[str, Any]) -> str:
+    """Return in a few words what a value of a schema may be."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower().strip('_')})"
+    if "const" in schema:
+        return f"`{schema['const']}`"
+    if "enum" in schema:
+        return " or ".join(f"`{one}`" for one in schema["enum"])
+    if "anyOf" in schema:
+        return " or ".join(dict.fromkeys(_type(one) for one in schema["anyOf"]))
+    if schema.get("type") == "array":
+        if "prefixItems" in schema:
+            return f"{len(schema['prefixItems'])} numbers"
+        return f"list of {_type(schema.get('items', {}))}"
+    if schema.get("type") == "object":
+        return f"map of {_type(schema.get('additionalProperties', {}) or {})}"
+    return {
+        "string": "text",
+        "number": "number",
+        "integer": "whole number",
+        "null": "nothing",
+        "boolean": "true or false",
+    }.get(schema.get("type", ""), "value")
+
+
+def _section(name: str, schema: dict[str, Any]) -> list[str]:
+    lines = [f"#### {name.strip('_')}", "", schema.get("description", ""), ""]
+    lines += ["| key | value | if left out |", "|---|---|---|"]
+    for key, one in schema.get("properties", {}).items():
+        needed = key in schema.get("required", ())
+        empty = one.get("default") in (None, {}, [], "") or isinstance(one.get("default"), dict)
+        default = "needed" if needed else "" if empty else f"`{one['default']}`"
+        lines += [_row((f"`{key}`", _type(one), default))]
+    return [*lines, ""]
+
+
+def schemas() -> str:
+    """Return the page of what YAML files may say, key by key."""
+    lines = [
+        "# Keys of the YAML files",
+        "",
+        "Made of the models that read the files. Lengths in m, angles in rad. A key that is not",
+        "here is refused by name and line. As JSON schemas, for editors that check YAML as you",
+        "type: {download}`mechanism.schema.json`, {download}`setup.schema.json`. What the keys",
+        "mean is told in [mechanism files](../../mechanism_files.md) and",
+        "[measurements as they come](../../measuring.md).",
+        "",
+    ]
+    for name, spec in SCHEMAS.items():
+        schema = spec.model_json_schema()
+        file = {"mechanism": "mechanism.yaml", "setup": "The file of --setup"}[name]
+        lines += [f"## {file}", "", "### Its keys", "", *_section(spec.__name__, schema)]
+        lines += ["### What stands in them", ""]
+        for own, one in schema.get("$defs", {}).items():
+            lines += _section(own, one)
+    return "\n".join(lines)
+
+
+def old_names() -> str:
+    """Return the page of what left the top of the package, and what to write instead."""
+    lines = [
+        "# Old names",
+        "",
+        "These left the top of `pincal`. Each still works in this release, with a",
+        "`DeprecationWarning` that says the same as this table, and goes with the next version.",
+        "",
+        "| before | now |",
+        "|---|---|",
+    ]
+    lines += [
+        _row((f"`pincal.{name}`", f"`pincal.{now}`")) for name, (_, now) in sorted(OLD.items())
+    ]
+    return "\n".join([*lines, ""])
+
+
+def names() -> str:
+    """Return the page of all public names, and of what functions return."""
+    lines = ["API", "===", "", "All names of ``pincal``, by what they are for. "]
+    lines += ["Lengths are in m, angles in rad; poses have shape (N, dof).", ""]
+    missing = set(pincal.__all__) ^ {name for own in GROUPS.values() for name in own.split()}
+    if missing:
+        raise ValueError(f"docs/build_steps/names.py lacks, or has too many: {sorted(missing)}")
+    for title, own in GROUPS.items():
+        lines += [title, "-" * len(title), "", ".. autosummary::", "   :toctree: ../api", ""]
+        lines += [*(f"   pincal.{name}" for name in own.split()), ""]
+    title = "What functions return"
+    lines += [title, "-" * len(title), "", "These come out of calls; nobody imports them.", ""]
+    lines += [".. autosummary::", "   :toctree: ../api", ""]
+    return "\n".join([*lines, *(f"   {name}" for name in RETURNED.split()), ""])

@@ -1,0 +1,45 @@
+"""All public names in the order of the API's page: the build fails where one is missing."""
+
+from __future__ import annotations
+
+GROUPS = {
+    "Mechanisms": "load_mechanism new_mechanism Mechanism Leg Joint Placement Parameter Platform "
+    "PlatformKind generate",
+    "Sensors and terms": "Sensor Term Harmonic Power Knot Share Load",
+    "Kinematics": "inverse forward margins identification_jacobian",
+    "Workspace": "sample_workspace sample_configurations compute_workspace Workspace Grid "
+    "Orientations Margins free_of_collision largest_inscribed Inscribed",
+    "Symmetry": "symmetry_group articular_symmetry Element cyclic dihedral",
+    "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
+    "Measurements": "Measurements Noise Setup Target Distance Tracker Systematic Instrument "
+    "Condition",
+    "Calibration": "calibrate Options Loss CalibrationResult load_result validate explain "
+    "Explanation corrections Corrections",
+    "Simulation": "disturb simulate accuracy",
+    "Pictures": "picture view",
+    "Errors": "PincalError MechanismError MeasurementError ObservabilityError SymmetryError "
+    "WorkspaceError FileError",
+}
+#: What functions return, by the module that holds it.
+RETURNED = """
+pincal.calibration.result.IdentifiedParameter
+pincal.calibration.checks.runs.RunComparison
+pincal.calibration.checks.validation.Validation
+pincal.design.forecast.Forecast
+pincal.design.platform_error.PlatformError
+pincal.design.select_configurations.ConfigurationChoice
+pincal.design.simulate.Accuracy
+pincal.design.simulate.Simulation
+pincal.estimation.observability.indices.Identifiability
+pincal.estimation.observability.indices.Indices
+pincal.finding.Finding
+pincal.kinematics.forward.ForwardSolution
+pincal.kinematics.inverse.InverseSolution
+pincal.show.pictures.picture.Picture
+pincal.show.view.view.View
+pincal.symmetry.detect.SymmetryGroup
+pincal.words.table.Table
+pincal.workspace.articular.ArticularSymmetry
+pincal.workspace.axes.Axis
+pincal.workspace.positions.Samples
+"""
