@@ -6,7 +6,7 @@ colour-blindness.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,13 +26,18 @@ from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.results import noisy_series, parameters
-from pincal.show.style import EVERY, PAGE, look
+from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look
 from pincal.show.workspace_errors import error_maps
 from pincal.words.numbers import SMALL, STORED, amount, per_si
 
 Array = NDArray[np.float64]
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
+
+
+def before_after(index: int) -> Look:
+    """Return the look of what nominal parameters give (0), and identified ones (1)."""
+    return (Look(NOMINAL, "o", "//"), Look(IDENTIFIED, "s", ""))[index]
 
 
 @dataclass(frozen=True)
@@ -142,7 +147,7 @@ def draw_map(
     if (np.diff(levels) > 1e-6 * levels[-1]).all():
         masked = np.ma.masked_invalid(values)
         lines = axes.contour(x, y, masked, levels, colors="black", linewidths=0.7)
-        axes.clabel(lines, fmt="%.2g", fontsize=6.5)
+        axes.clabel(lines, fmt="%.2g", fontsize=7)
     return image
 
 
@@ -209,16 +214,26 @@ def height_said(height: float | None) -> str:
     return "" if height is None else f"z = {amount(height, 'm', 3, STORED)}"
 
 
-def draw_bars(axes: Axes, values: Mapping[str, Mapping[str, float]]) -> Axes:
-    """Draw bars of several series side by side, by series, then by name."""
+def draw_bars(
+    axes: Axes,
+    values: Mapping[str, Mapping[str, float]],
+    looks: Callable[[int], Look] = look,
+) -> Axes:
+    """Draw bars of several series side by side, by series, then by name.
+
+    Args:
+        axes: Where to draw.
+        values: By series, then by name.
+        looks: Look of a series by its number; those of legs if not given.
+    """
     names = list(dict.fromkeys(name for series in values.values() for name in series))
     width = 0.8 / len(values)
     for index, (series, own) in enumerate(values.items()):
         places = np.array([names.index(name) for name in own])
         shift = (index - (len(values) - 1) / 2) * width
-        colour, _, hatch = look(index)
-        looks: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white"}
-        axes.bar(places + shift, list(own.values()), width, label=label(series), **looks)
+        colour, _, hatch = looks(index)
+        own_look: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white"}
+        axes.bar(places + shift, list(own.values()), width, label=label(series), **own_look)
     name_places(axes, names)
     axes.legend(fontsize=8)
     return axes
@@ -228,7 +243,7 @@ def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> 
     """Write names below places 0, 1, … of an axis, upright where they are many."""
     axes.set_xticks(range(len(names)), _named(names, units))
     if _upright(names):
-        axes.tick_params(axis="x", labelrotation=90, labelsize=6)
+        axes.tick_params(axis="x", labelrotation=90, labelsize=7)
 
 
 def height_of_names(names: Sequence[str], units: Sequence[str] = ()) -> float:

@@ -49,19 +49,17 @@ def draw_dimensions(
         V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
         busy: Points that names should not hide, shape (n, 3), base frame, [m].
     """
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    paper = 72.0 * np.array((PICTURE.width, PICTURE.heights[1]))
-    point = float(np.max(np.array((right - left, high - low)) / paper))  # [m] on paper
+    point = point_of(axes)
     height = PICTURE.name * point
     hidden = busy[np.isfinite(busy).all(axis=1)] @ V[:2].T
     lines = [_drawn(axes, one, V, height, hidden.mean(axis=0)) for _, one in found]
     seen = np.concatenate([hidden, *map(_sampled, lines)])
-    boxes = [_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
+    boxes = [text_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
     for (leg, one), line in zip(found, lines, strict=True):
         text = ", ".join(symbol(name, leg) for name in one.names)
         if one.kind == "reading":
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
-        half = 0.5 * height * np.array((PICTURE.letter * _letters(text), 1.2))
+        half = 0.5 * height * np.array((PICTURE.letter * (_letters(text) + 0.8), 1.4))
         where = _free(line, half, seen, boxes)
         room = half + 0.3 * height  # names that touch read as one
         boxes.append(np.stack((where - room, where + room)))
@@ -79,13 +77,20 @@ def draw_dimensions(
         )
 
 
+def point_of(axes: Axes) -> float:
+    """Return what a point of the paper is in a picture, [m]; legend and values take some room."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    paper = 72.0 * np.array((PICTURE.width, PICTURE.heights[1]))
+    return PICTURE.room * float(np.max(np.array((right - left, high - low)) / paper))
+
+
 def _letters(text: str) -> int:
     """Return how many letters a text with symbols shows."""
     return len(re.sub(r"[${}_]", "", re.sub(r"\\mathit|\\[a-z]+", "x", text).replace("x{", "")))
 
 
-def _box(name: Annotation, point: float) -> Array:
-    """Return the least and largest of where a leg's name is, shape (2, 2), [m]."""
+def text_box(name: Annotation, point: float) -> Array:
+    """Return the least and largest of where a name beside a point is, shape (2, 2), [m]."""
     height = float(name.get_fontsize()) * point
     half = 0.5 * height * np.array((PICTURE.letter * len(name.get_text()), 1.2))
     shift = {"left": 1.0, "right": -1.0, "bottom": 1.0, "top": -1.0, "center": 0.0}
@@ -166,7 +171,7 @@ def _free(line: Array, half: Array, seen: Array, boxes: Sequence[Array]) -> Arra
         over = sum(
             bool((where - half < box[1]).all() and (box[0] < where + half).all()) for box in boxes
         )
-        cost = float(hidden) + 30.0 * over + 0.4 * rank
+        cost = float(hidden) + 300.0 * over + 0.4 * rank
         if cost < least:
             best, least = where, cost
     return best

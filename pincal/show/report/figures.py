@@ -18,6 +18,7 @@ from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
 from pincal.show.plots import (
     along,
+    before_after,
     draw_bars,
     draw_map,
     draw_mechanism,
@@ -29,7 +30,7 @@ from pincal.show.plots import (
 )
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, parameters, whose
-from pincal.show.style import COLOURS, PAGE, look
+from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
 
 Array = NDArray[np.float64]
@@ -157,12 +158,14 @@ def platform_figure(found: Findings) -> Drawn:
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
     for axes, (title, bars) in zip(panels, parts.items(), strict=True):
         when = enumerate(("before", "after"))
-        draw_bars(axes, {k: {name: own[i] for name, own in bars.items()} for i, k in when})
+        draw_bars(
+            axes, {k: {name: own[i] for name, own in bars.items()} for i, k in when}, before_after
+        )
         axes.set_title(title)
         axes.get_legend().remove()
         many = len(bars) > 4
         for bar in axes.containers:
-            axes.bar_label(bar, fmt="%.2g", fontsize=6.5, rotation=90 * many, padding=2)
+            axes.bar_label(bar, fmt="%.2g", fontsize=7, rotation=90 * many, padding=2)
         if many:
             axes.tick_params(axis="x", labelrotation=45)
         axes.margins(y=0.18)
@@ -248,10 +251,10 @@ def _mark_outliers(axes: Axes, found: Findings, series: Series, factor: float) -
         row = one.row + 1
         if one.row in place:
             where, system = (row, factor * float(series.after[place[one.row]])), axes.transData
-            axes.plot(*where, "o", ms=8, mfc="none", mec=COLOURS[1], mew=1.2)
+            axes.plot(*where, "o", ms=8, mfc="none", mec=OUTLIER, mew=1.2)
         else:
             where, system = (row, 0.93), axes.get_xaxis_transform()
-            axes.plot(*where, "X", ms=6, color=COLOURS[1], transform=system, clip_on=False)
+            axes.plot(*where, "X", ms=6, color=OUTLIER, transform=system, clip_on=False)
         if rank < 6:
             beside: dict[str, Any] = {"xytext": (6, 2), "textcoords": "offset points", "size": 7}
             axes.annotate(str(row), where, xycoords=system, **beside)
@@ -272,7 +275,7 @@ def histogram_figure(found: Findings) -> Drawn:
     shown = min(max(4.0, float(np.ceil(np.abs(white).max()))), 8.0)
     bins = np.linspace(-shown, shown, int(4 * shown) + 1).tolist()
     looks: dict[str, Any] = {
-        "color": COLOURS[5],
+        "color": IDENTIFIED,
         "edgecolor": "white",
         "label": f"{len(white)} residuals",
     }

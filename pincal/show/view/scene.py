@@ -17,7 +17,7 @@ from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import AXES, EVERY, look
+from pincal.show.style import DIMENSION, EVERY, look
 from pincal.show.view.bodies import Body, Shape, body
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.domain import in_domain
@@ -198,16 +198,16 @@ def set_colour(scene: Scene, name: str) -> str:
 
 
 def frame_axes(scene: Scene) -> tuple[Shape, ...]:
-    """Return the axes of a frame, x red, y green, z blue, of a length that suits the scene."""
+    """Return the axes x, y and z of a frame, of a length that suits the scene."""
     platform = scene.body.parts[scene.body.part("platform/body")]
     length = 5 * platform.shapes[0].size[0]
     axes = []
-    for place, colour in enumerate(AXES):
+    for place in range(3):
         T = np.zeros((4, 4))
         T[:3, :3] = np.roll(np.eye(3), 2 - place, axis=1)  # z of the cylinder along the axis
         T[3, 3] = 1.0
         T[place, 3] = length / 2
-        axes.append(Shape("cylinder", (0.03 * length, length), T, colour))
+        axes.append(Shape("cylinder", (0.02 * length, length), T, DIMENSION))
     return tuple(axes)
 
 
