@@ -54,7 +54,7 @@ DARK = {
 #: Grounds of pages and drawings, and text on them.
 PAPER, INK = ("#ffffff", "#16191d"), ("#222222", "#e8e8e8")
 #: Where a mechanism in space is seen from: slightly from above.
-TOWARDS_VIEWER = (0.45, -0.85, 0.28)
+TOWARDS_VIEWER = (0.45, -0.85, 0.42)
 #: Widths of figures in one column and across two, [mm].
 COLUMN, PAGE_WIDTH = 80.0, 170.0
 
@@ -99,7 +99,7 @@ class PictureStyle:
     """Brightness of an outline, of its shape's."""
     piece: float = 10.0
     """Length of a rod's piece, of its radius."""
-    pieces: int = 40
+    pieces: int = 16
     """Of a rod, at most."""
     name: float = 8.5
     """Height of a parameter's name, [point]."""

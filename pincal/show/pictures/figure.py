@@ -24,8 +24,8 @@ from pincal.show.pictures.dimensions import Dimension, dimensions_of
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.painting import paint, placed
 from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
-from pincal.show.view.bodies import Shape
 from pincal.show.view.scene import Scene, frame_axes, grid_step, ground
+from pincal.show.view.solids import Shape
 from pincal.words.numbers import amount, counted
 from pincal.words.pages import clean
 

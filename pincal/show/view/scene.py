@@ -18,7 +18,8 @@ from pincal.model.checks import numbers_of
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.style import DIMENSION, EVERY, look
-from pincal.show.view.bodies import Body, Shape, body
+from pincal.show.view.bodies import Body, body
+from pincal.show.view.solids import Shape
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.domain import in_domain
 
@@ -220,15 +221,20 @@ def grid_step(scene: Scene) -> float:
 
 
 def ground(scene: Scene) -> Array:
-    """Return lines on the ground under all that is drawn, shape (n, 2, 3), [m]."""
+    """Return lines on the ground under all that is drawn, shape (n, 2, 3), [m].
+
+    In a plane the ground is that; in space it is as low as the lowest part.
+    """
     step = grid_step(scene)
     low, high = scene.bounds()[:, :2]
     begin, end = np.floor(low / step) * step, np.ceil(high / step) * step
     lines = []
+    level = 0.0 if scene.planar else float(scene.bounds()[0, 2])
     for axis in (0, 1):
         at = np.arange(begin[axis], end[axis] + step / 2, step)
         ends = np.zeros((len(at), 2, 3))
         ends[:, :, axis] = at[:, None]
         ends[:, :, 1 - axis] = begin[1 - axis], end[1 - axis]
+        ends[:, :, 2] = level
         lines.append(ends)
     return np.concatenate(lines)
