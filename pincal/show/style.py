@@ -99,7 +99,7 @@ class PictureStyle:
     """Brightness of an outline, of its shape's."""
     piece: float = 10.0
     """Length of a rod's piece, of its radius."""
-    pieces: int = 16
+    pieces: int = 12
     """Of a rod, at most."""
     name: float = 8.5
     """Height of a parameter's name, [point]."""

@@ -13,6 +13,7 @@
   const poses = data.set.length;
   let pose = -1;
   let timer = null;
+  let frame = 0;
 
   // meshcat's scene is in a world whose y points up
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
@@ -37,15 +38,20 @@
     body.nodes = body.paths.map(node);
   }
 
+  function move(part, m, k) { // m: columns of 3, from k on; sheared parts have no quaternion
+    const { object } = part;
+    object.matrixAutoUpdate = false;
+    object.matrix.set(m[k], m[k + 3], m[k + 6], m[k + 9], m[k + 1], m[k + 4], m[k + 7], m[k + 10], m[k + 2], m[k + 5], m[k + 8], m[k + 11], 0, 0, 0, 1);
+    object.matrixWorldNeedsUpdate = true;
+  }
+
   function place(body) {
     // matrices hold the columns of 3 of poses x parts; NaN where a part is not to be drawn
     body.nodes.forEach((part, index) => {
-      const m = body.matrices.subarray(12 * (pose * body.nodes.length + index));
-      const there = !Number.isNaN(m[0]);
+      const k = 12 * (pose * body.nodes.length + index);
+      const there = !Number.isNaN(body.matrices[k]);
       part.object.visible = there;
-      if (there) {
-        part.set_transform([m[0], m[1], m[2], 0, m[3], m[4], m[5], 0, m[6], m[7], m[8], 0, m[9], m[10], m[11], 1]);
-      }
+      if (there) move(part, body.matrices, k);
     });
   }
 
@@ -72,6 +78,7 @@
   function show(index) {
     pose = Math.min(Math.max(index, 0), poses - 1);
     data.bodies.forEach(place);
+    jog.at(pose);
     viewer.set_dirty();
     find("slider").value = pose + 1;
     find("count").textContent = `${pose + 1} of ${poses}`;
@@ -90,10 +97,45 @@
     });
   }
 
+  // From pose to pose in the order of the plan, as the mechanism moves
+
+  const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const [PAUSE, MOTION] = calm ? [500, 0] : [120, 480]; // milliseconds
+
   function play(on) {
-    clearInterval(timer);
-    timer = on ? setInterval(() => show((pose + 1) % poses), 500) : null;
+    clearTimeout(timer);
+    cancelAnimationFrame(frame);
+    const moving = timer !== null;
+    timer = on ? setTimeout(step, PAUSE) : null;
+    if (!on && moving) show(pose);
     find("play").textContent = on ? "pause" : "play";
+  }
+
+  function step() {
+    const next = (pose + 1) % poses;
+    const begin = performance.now();
+    const tick = (now) => {
+      const part = Math.min(Math.max((now - begin) / (MOTION || 1), 0), 1);
+      if (part < 1 && next > 0 && jog.between(pose, next, part * part * (3 - 2 * part))) {
+        blend(data.bodies[1], pose, next, part);
+        frame = requestAnimationFrame(tick);
+        return;
+      }
+      show(next);
+      timer = setTimeout(step, PAUSE);
+    };
+    frame = requestAnimationFrame(tick);
+  }
+
+  function blend(body, from, to, part) { // the identified machine, whose loops are not closed here
+    if (!body) return;
+    const mixed = new Float64Array(12);
+    body.nodes.forEach((node, index) => {
+      const [a, b] = [from, to].map((one) => 12 * (one * body.nodes.length + index));
+      mixed.forEach((_, i) => (mixed[i] = (1 - part) * body.matrices[a + i] + part * body.matrices[b + i]));
+      node.object.visible = !mixed.some(Number.isNaN);
+      if (node.object.visible) move(node, mixed, 0);
+    });
   }
 
   function checkbox(parent, name, shown, change, colour) {
@@ -130,6 +172,40 @@
     return { tag, foot: turned(leg.foot) };
   });
   checkbox(find("layers"), "names of legs", true, (on) => tags.forEach(({ tag }) => (tag.hidden = !on)));
+
+  // Letters of the axes, of the base and of the platform; a scale
+
+  const letters = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].flatMap((axis, place) => [false, true].map((moves) => {
+    const tag = element("div", "xyz"[place], pane);
+    tag.className = "letter";
+    tag.setAttribute("aria-hidden", "true");
+    return { tag, moves, end: axis.map((one) => 1.25 * data.axis * one) };
+  }));
+  const world = new THREE.Vector3();
+
+  function placeLetters() {
+    const shown = { false: node("meshcat/base axes").object.visible, true: true };
+    for (const { tag, moves, end } of letters) {
+      const { object } = node(moves ? "meshcat/mechanism/platform/body" : "meshcat/base axes");
+      world.set(...end).applyMatrix4(object.matrixWorld);
+      const middle = world.clone().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
+      world.project(viewer.camera);
+      const flat = Math.hypot((world.x - middle.x) * pane.clientWidth, (world.y - middle.y) * pane.clientHeight) < 12;
+      tag.hidden = flat || !shown[moves] || !object.visible;
+      const x = ((world.x + 1) / 2) * pane.clientWidth - 4;
+      const y = ((1 - world.y) / 2) * pane.clientHeight - 9;
+      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+    }
+    const { target } = viewer.controls;
+    const right = new THREE.Vector3().setFromMatrixColumn(viewer.camera.matrixWorld, 0);
+    const [one, two] = [target.clone(), target.clone().add(right)].map((at) => at.project(viewer.camera).x);
+    const pixels = (Math.abs(two - one) / 2) * pane.clientWidth; // of a metre, where the view turns about
+    const decade = 10 ** Math.floor(Math.log10(140 / pixels));
+    const length = decade * ([5, 2].find((factor) => factor * decade * pixels < 140) || 1);
+    find("scale").querySelector("i").style.width = `${(length * pixels).toFixed(1)}px`;
+    const said = length >= 1 ? `${+length.toPrecision(3)} m` : `${+(1e3 * length).toPrecision(3)} mm`;
+    find("scale").querySelector("span").textContent = said;
+  }
 
   function placeTags() {
     const { clientWidth: width, clientHeight: height } = pane;
@@ -193,6 +269,7 @@
   viewer.render = () => {
     render();
     placeTags();
+    placeLetters();
   };
   window.addEventListener("resize", () => {
     if (data.planar) widen();
@@ -223,7 +300,8 @@
   find("forth").addEventListener("click", () => show(pose + 1));
   find("play").addEventListener("click", () => play(timer === null));
   find("fit").addEventListener("click", fit);
+  const jog = Jog({ data, viewer, pane, node, move, element, bytes, halt: () => play(false) });
   fit();
   show(0);
-  window.pincal = { viewer, show, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
+  window.pincal = { viewer, show, jog, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.show.style import DOMAIN, IDENTIFIED, TOWARDS_VIEWER
+from pincal.show.style import DARK, DOMAIN, IDENTIFIED, TOWARDS_VIEWER
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
-from pincal.show.view.scene import Scene, grid_step, set_colour
+from pincal.show.view.motion import motion
+from pincal.show.view.scene import Scene, frame_axes, grid_step, set_colour
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.pages import rendered
 
@@ -67,6 +68,9 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
             for leg in scene.mechanism.legs
         ],
         "layers": _layers(scene),
+        "motion": motion(scene),
+        "axis": frame_axes(scene)[0].size[1],
+        "dark": DARK,
     }
 
 
