@@ -162,15 +162,15 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
   // Shadow and drop line, on the ground of mechanisms in space
 
   const under = node("meshcat/shadow").object;
-  const level = data.bounds[0][2];
-  const height = 2e-3 * motion.size;
+  const { level } = data;
+  const height = 5e-4 * motion.size;
   const drop = new THREE.Line(new THREE.BufferGeometry().setFromPoints([new THREE.Vector3(), new THREE.Vector3()]), new THREE.LineDashedMaterial({ color: 0x777777 }));
   const shadows = [];
   if (!data.planar) {
     const dark = new THREE.MeshBasicMaterial({ color: 0xd9dce0, side: THREE.DoubleSide });
     const flat = new THREE.Group();
     flat.matrixAutoUpdate = false;
-    flat.matrix.set(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1e-4, level - height, 0, 0, 0, 1);
+    flat.matrix.set(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1e-4, level + height, 0, 0, 0, 1);
     body.nodes.forEach((part, index) => {
       if (body.paths[index].endsWith("/frame")) return;
       const group = new THREE.Group();

@@ -211,11 +211,17 @@
     const { clientWidth: width, clientHeight: height } = pane;
     const feet = tags.map(({ foot }) => foot.clone().project(viewer.camera));
     const middle = feet.reduce((sum, at) => sum + at.x, 0) / feet.length;
+    const taken = [];
     for (const [index, { tag }] of tags.entries()) {
       const at = feet[index];
       const beside = at.x < middle - 1e-6 ? -12 - tag.offsetWidth : 12; // away from the mechanism
       const x = Math.min(Math.max(((at.x + 1) / 2) * width + beside, 2), width - tag.offsetWidth - 2);
-      const y = Math.min(Math.max(((1 - at.y) / 2) * height + 8, 2), height - tag.offsetHeight - 2);
+      const low = Math.min(Math.max(((1 - at.y) / 2) * height + 8, 2), height - tag.offsetHeight - 2);
+      const [w, h] = [tag.offsetWidth, tag.offsetHeight];
+      const over = (there) => taken.some((one) => Math.abs(one.y - there) < h && x < one.x + one.w && one.x < x + w);
+      const shifts = [0, 1, -1, 2, -2, 3, -3].map((n) => low + n * h).filter((there) => there > 0 && there + h < height);
+      const y = shifts.find((there) => !over(there)) ?? low;
+      if (!tag.hidden) taken.push({ x, y, w });
       tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
     }
   }

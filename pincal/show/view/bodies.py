@@ -109,7 +109,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
             add(f"leg {number}/parallel {pair + 1}", two_rods(leg, radius), frame)
         for place, column in _strokes(leg):
             axis, strokes = leg.joints[place].axis, joints[:, column]
-            thin = 0.12 * radius if pulls(leg) else 0.4 * radius
+            thin = 0.16 * radius if pulls(leg) else 0.4 * radius
             piston = Shape("cylinder", (thin, 1.0), _UPWARD, PISTON)
             shortest = float(np.nanmin(np.abs(strokes), initial=np.inf))
             longest = float(np.nanmax(np.abs(strokes), initial=0.0))

@@ -69,6 +69,7 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         ],
         "layers": _layers(scene),
         "motion": motion(scene),
+        "level": scene.level,
         "axis": frame_axes(scene)[0].size[1],
         "dark": DARK,
     }

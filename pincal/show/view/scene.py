@@ -94,6 +94,15 @@ class Scene:
         clouds = [self.cloud.positions] if self.cloud else []
         return np.concatenate((feet, *parts, *clouds))
 
+    @property
+    def level(self) -> float:
+        """Height of the ground, [m]: in space, what the lowest part stands on."""
+        if self.planar:
+            return 0.0
+        frame = self.body.parts[self.body.part("base/frame")].shapes
+        under = [float(one.points[:, 2].min()) for one in frame if one.points is not None]
+        return min([float(self.bounds()[0, 2]), *under])
+
     def bounds(self) -> Array:
         """Return least and largest coordinates of all that is drawn, shape (2, 3), [m]."""
         every = self.points()
@@ -229,12 +238,11 @@ def ground(scene: Scene) -> Array:
     low, high = scene.bounds()[:, :2]
     begin, end = np.floor(low / step) * step, np.ceil(high / step) * step
     lines = []
-    level = 0.0 if scene.planar else float(scene.bounds()[0, 2])
     for axis in (0, 1):
         at = np.arange(begin[axis], end[axis] + step / 2, step)
         ends = np.zeros((len(at), 2, 3))
         ends[:, :, axis] = at[:, None]
         ends[:, :, 1 - axis] = begin[1 - axis], end[1 - axis]
-        ends[:, :, 2] = level
+        ends[:, :, 2] = scene.level
         lines.append(ends)
     return np.concatenate(lines)
