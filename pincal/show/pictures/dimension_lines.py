@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -39,7 +39,11 @@ def symbol(name: str, leg: str = "") -> str:
 
 
 def draw_dimensions(
-    axes: Axes, found: Sequence[tuple[str, Dimension]], V: Array, busy: Array
+    axes: Axes,
+    found: Sequence[tuple[str, Dimension]],
+    V: Array,
+    busy: Array,
+    colours: Mapping[str, str] | None = None,
 ) -> None:
     """Draw dimensions over what axes show; their limits must be set.
 
@@ -48,11 +52,17 @@ def draw_dimensions(
         found: Dimensions, each with the name of its leg where that is to be an index.
         V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
         busy: Points that names should not hide, shape (n, 3), base frame, [m].
+        colours: Of lines, by the names of parameters; all alike if not given.
     """
+    own = [_colour(one, colours or {}) for _, one in found]
     point = point_of(axes)
     height = PICTURE.name * point
     hidden = busy[np.isfinite(busy).all(axis=1)] @ V[:2].T
-    lines = [_drawn(axes, one, V, height, hidden.mean(axis=0)) for _, one in found]
+    middle = hidden.mean(axis=0)
+    lines = [
+        _drawn(axes, one, V, (height, colour), middle)
+        for (_, one), colour in zip(found, own, strict=True)
+    ]
     seen = np.concatenate([hidden, *map(_sampled, lines)])
     boxes = [text_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
     for (leg, one), line in zip(found, lines, strict=True):
@@ -100,16 +110,22 @@ def text_box(name: Annotation, point: float) -> Array:
     return np.stack((middle - half, middle + half))
 
 
-def _drawn(axes: Axes, one: Dimension, V: Array, height: float, middle: Array) -> Array:
+def _colour(one: Dimension, colours: Mapping[str, str]) -> str:
+    """Return the colour of a dimension, that of its first parameter that has one."""
+    return next((colours[name] for name in one.names if name in colours), DIMENSION)
+
+
+def _drawn(axes: Axes, one: Dimension, V: Array, look: tuple[float, str], middle: Array) -> Array:
     """Draw a dimension without its name; return its line as drawn, shape (n, 2).
 
     Args:
         axes: Where to draw.
         one: The dimension.
         V: What points right, up and towards the viewer, shape (3, 3).
-        height: Of names, [m].
+        look: Height of names, [m], and the line's colour.
         middle: Of the mechanism, from which lines beside links are away, shape (2,), [m].
     """
+    height, colour = look
     line = one.line @ V[:2].T
     thin: list[tuple[Array, str]] = []
     if one.beside:
@@ -122,23 +138,24 @@ def _drawn(axes: Axes, one: Dimension, V: Array, height: float, middle: Array) -
         sides = (line[0], line[-1])
         thin += [(np.stack((corner, corner + 1.15 * (end - corner))), "--") for end in sides]
     for part, dashes in thin:
-        axes.plot(*part.T, dashes, lw=0.5, color=DIMENSION, zorder=8)
-    axes.plot(*line.T, lw=0.8, color=DIMENSION, zorder=8)
+        axes.plot(*part.T, dashes, lw=0.5, color=colour, zorder=8)
+    axes.plot(*line.T, lw=0.8 if colour == DIMENSION else 1.4, color=colour, zorder=8)
     if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > 0.3 * height:
-        _arrow(axes, line[-1], line[-2], height)
+        _arrow(axes, line[-1], line[-2], look)
         if one.corner is None:
-            _arrow(axes, line[0], line[1], height)
+            _arrow(axes, line[0], line[1], look)
     return line
 
 
-def _arrow(axes: Axes, end: Array, before: Array, height: float) -> None:
-    """Draw the head of an arrow at a line's end."""
+def _arrow(axes: Axes, end: Array, before: Array, look: tuple[float, str]) -> None:
+    """Draw the head of an arrow at a line's end, in the look of ``_drawn``."""
+    height, colour = look
     back = before - end
     tail = end + back * min(1.0, height / max(float(np.linalg.norm(back)), 1e-300))
     head = FancyArrowPatch(
         tuple(tail), tuple(end), arrowstyle="-|>", mutation_scale=6.0, lw=0.6, shrinkA=0, shrinkB=0
     )
-    head.set(color=DIMENSION, zorder=8)
+    head.set(color=colour, zorder=8)
     axes.add_patch(head)
 
 

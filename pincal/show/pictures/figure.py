@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -107,6 +107,39 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     )
     if found:
         _dimension(axes, scene, row, dimensions, found, V)
+    return axes
+
+
+def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> Axes:
+    """Draw one leg of a mechanism with its dimensions, the rest faint behind it.
+
+    Args:
+        axes: Where to draw.
+        scene: The mechanism at a pose, its first.
+        leg: Name of the leg.
+        colours: Of dimensions, by the names of parameters.
+    """
+    V, found = _axes_of_view(scene.planar), _dimensions(scene, 0, [leg])
+    low, high = _extent(scene, 0, found)
+    edge = PICTURE.edge * float(np.linalg.norm(high - low))
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set_axis_off()
+    number = scene.mechanism.leg_names.index(leg) + 1
+    places = scene.body.placements[0]
+    parts = zip(scene.body.parts, places, strict=True)
+    shapes: dict[bool, list[tuple[Shape, Array]]] = {False: [], True: []}
+    for part, place in parts:
+        if np.isfinite(place).all():
+            own = part.path.startswith(f"leg {number}/")
+            shapes[own] += [(shape, place) for shape in part.shapes]
+    paint(axes, shapes[False], V, edge, GROUND)
+    paint(axes, [*((shape, np.eye(4)) for shape in frame_axes(scene)), *shapes[True]], V, edge)
+    _name_axes(axes, frame_axes(scene), V)
+    links = scene.body.skeletons()[0]
+    along = np.linspace(0.0, 1.0, 60)[:, None, None]
+    busy = ((1.0 - along) * links[:, 0] + along * links[:, 1]).reshape(-1, 3)
+    if found:
+        draw_dimensions(axes, found, V, busy, colours)
     return axes
 
 
