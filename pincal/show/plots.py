@@ -25,12 +25,15 @@ from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show.pictures import charts
 from pincal.show.results import noisy_series, parameters
 from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look
 from pincal.show.workspace_errors import error_maps
 from pincal.words.numbers import SMALL, STORED, amount, per_si
 
 Array = NDArray[np.float64]
+#: Names along an axis of a figure across a page.
+_MANY = 30
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 
@@ -60,7 +63,7 @@ class Plots:
             axes.plot(rows, values, own.marker, color=own.colour, ms=3, label=label(one.name))
         _levels(axes, 1.96)
         axes.set(xlabel="data row", ylabel="residual [σ]")
-        axes.legend(fontsize=8)
+        outside(axes)
         return axes
 
     def parameters(self, ax: Axes | None = None) -> Axes:
@@ -110,16 +113,95 @@ class Plots:
         image = axes.imshow(rho, vmin=-1.0, vmax=1.0, cmap="RdBu_r")
         axes.figure.colorbar(image, ax=axes, label="correlation")
         ids = [p.id for _, p in parameters(self.result)]
-        size = float(np.clip(300 / max(len(free), 1), 2, 8))
-        places, names = range(len(free)), [ids[i] for i in free]
-        axes.set_xticks(places, names, rotation=90, fontsize=size)
-        axes.set_yticks(places, names, fontsize=size)
+        places, names = list(range(len(free))), [ids[i] for i in free]
+        if len(free) > _MANY:  # legs alone: letters stay as large as they are read
+            begin = [i for i in places if i == 0 or _owner(names[i]) != _owner(names[i - 1])]
+            places, names = begin, [_owner(names[i]) for i in begin]
+        axes.set_xticks(places, names, rotation=90, fontsize=7)
+        axes.set_yticks(places, names, fontsize=7)
         return axes
+
+    def workspace(self, ax: Axes | None = None) -> Axes:
+        """Draw each row's largest residual where it was measured; outliers are ringed."""
+        return charts.over_workspace(_axes_of(ax, 5.0, 4.2), self.result)
+
+    def time(self, ax: Axes | None = None) -> Axes:
+        """Draw means of residuals over the run, by tenths of the rows: what drifts leaves ±2."""
+        return charts.over_time(_axes_of(ax, 6.4, 3.6), self.result)
+
+    def singular(self, ax: Axes | None = None) -> Axes:
+        """Draw singular values of the identification Jacobian, and name the weakest direction."""
+        return charts.singular_values(_axes_of(ax, 6.4, 3.6), self.result)
+
+    def poses(self, ax: Axes | None = None) -> Axes:
+        """Draw the expected error after the first n rows, and the bound of any n of them.
+
+        Raises:
+            MeasurementError: noise differs between rows, or parameters are undetermined.
+            WorkspaceError: no workspace was found.
+        """
+        return charts.by_poses(_axes_of(ax, 6.4, 3.6), self.result)
+
+    def platform(self, ax: Axes | None = None) -> Axes:
+        """Draw by how much each parameter's change moves the platform over the workspace.
+
+        Raises:
+            WorkspaceError: no workspace was found.
+        """
+        return charts.at_platform(_axes_of(ax, 6.4, 4.6), self.result)
+
+    def runs(self, ax: Axes | None = None) -> Axes:
+        """Draw the parameters of each run less their mean, in standard errors.
+
+        Raises:
+            MeasurementError: runs were not compared.
+        """
+        return charts.runs_compared(_axes_of(ax, 6.4, 4.0), self.result)
+
+    def bed(self, ax: Axes | None = None) -> Axes:
+        """Draw by how much the nominal model misses z over the bed of a printer.
+
+        Raises:
+            WorkspaceError: a machine without x, y and z, or no workspace at home's height.
+        """
+        x, y, heights = charts.bed_heights(self.result)
+        axes, off = _axes_of(ax, 5.0, 4.2), per_si("m") * heights
+        most = float(np.nanmax(np.abs(off)))
+        image = draw_map(axes, (x, y), off, (-most, most))
+        image.set_cmap("RdBu_r")
+        axes.figure.colorbar(image, ax=axes, label=f"z, true less commanded [{SMALL['m']}]")
+        axes.set(xlabel=along("x"), ylabel=along("y"))
+        return axes
+
+    def drawing(self, ax: Axes | None = None, leg: str = "") -> Axes:
+        """Draw a leg with its dimensions, lines in the colours of changes over their ±.
+
+        Without axes a page of A4 (``axes.figure``), with the values of all legs like it beneath.
+
+        Args:
+            ax: Where to draw.
+            leg: Name of the leg, the first if not given.
+
+        Raises:
+            MechanismError: no such leg.
+        """
+        from pincal.show.pictures.sheet import draw_dimensioned, sheet
+
+        if ax is None:
+            drawn: Axes = sheet(self.result, leg).axes[0]
+            return drawn
+        name = self.result.nominal.leg(leg or self.result.nominal.leg_names[0]).name
+        return draw_dimensioned(ax, self.result, name)
 
 
 def _axes_of(ax: Axes | None, width: float, height: float) -> Axes:
     """Return axes to draw into, of a new figure if none are given, [inch]."""
     return ax or Figure(figsize=(width, height), layout="constrained").subplots()
+
+
+def _owner(identity: str) -> str:
+    """Return whose a parameter is, of its id."""
+    return identity.rpartition(".")[0]
 
 
 def _levels(axes: Axes, size: float) -> None:
@@ -235,8 +317,13 @@ def draw_bars(
         own_look: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white"}
         axes.bar(places + shift, list(own.values()), width, label=label(series), **own_look)
     name_places(axes, names)
-    axes.legend(fontsize=8)
+    outside(axes)
     return axes
+
+
+def outside(axes: Axes) -> None:
+    """Put the legend beside the axes, where it hides nothing."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
 
 
 def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> None:

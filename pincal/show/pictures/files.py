@@ -73,8 +73,16 @@ def picture_path(path: str | Path) -> Path:
     return path
 
 
-def save_figure(drawn: Figure, path: str | Path, *, force: bool = False) -> Path:
-    """Write a figure, closely cut, in the format of its name, and return its path.
+def save_figure(
+    drawn: Figure, path: str | Path, *, force: bool = False, whole: bool = False
+) -> Path:
+    """Write a figure in the format of its name, and return its path.
+
+    Args:
+        drawn: The figure.
+        path: Where to.
+        force: Whether to replace what is there.
+        whole: Whether it keeps its size; else it is closely cut.
 
     Raises:
         FileError: the name ends otherwise, the file exists and ``force`` is not set, or it
@@ -82,14 +90,14 @@ def save_figure(drawn: Figure, path: str | Path, *, force: bool = False) -> Path
     """
     path = picture_path(path)
     with writing(path, force=force) as scratch:
-        scratch.write_bytes(figure_bytes(drawn, path.suffix[1:].lower()))
+        scratch.write_bytes(figure_bytes(drawn, path.suffix[1:].lower(), whole=whole))
     return path
 
 
-def figure_bytes(drawn: Figure, kind: str) -> bytes:
+def figure_bytes(drawn: Figure, kind: str, *, whole: bool = False) -> bytes:
     """Return a figure as svg, png or pdf; names and dates of its making are left out."""
     buffer = io.BytesIO()
-    closely: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.05}
+    closely: dict[str, Any] = {} if whole else {"bbox_inches": "tight", "pad_inches": 0.05}
     with drawing(svg_hashsalt="pincal"):
         drawn.savefig(buffer, format=kind, dpi=150, metadata=dict.fromkeys(_SAID[kind]), **closely)
     if kind != "svg":
