@@ -17,6 +17,7 @@ import pytest
 import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.readers import skeleton
+from pincal.show.style import DARK, LEGS
 from pincal.show.view.bodies import body
 from pincal.show.view.view import View
 
@@ -441,3 +442,58 @@ def test_a_telephone_shows_all_of_the_mechanism(name: str, opened: Any) -> None:
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 390
     assert not page.get_by_text("Open Controls").is_visible()
+
+
+AXE = Path(__file__).parents[1] / "node_modules" / "axe-core" / "axe.min.js"
+_AXE = """async () => {
+  const { violations } = await axe.run();
+  return violations.map((one) => `${one.id}: ${one.nodes.map((node) => node.html).join(" ")}`);
+}"""
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_pages_can_be_used_by_everyone(theme: str, browser: Any, tmp_path: Path) -> None:
+    """No violation of axe's rules in view and report, contrast of text among them.
+
+    Needs ``npm install --no-save axe-core``.
+    """
+    if not AXE.is_file():
+        pytest.skip("no axe-core (npm install --no-save axe-core)")
+    mechanism, poses = plan("3RRR")
+    true = pincal.disturb(mechanism, 1e-3, seed=1)
+    noise = pincal.Noise(1e-4, 1e-4)
+    many = pincal.sample_configurations(mechanism, 30, 0)
+    data = pincal.simulate(mechanism, true, many, noise, 3).measurements
+    result = pincal.calibrate(mechanism, data, noise=noise)
+    pages = pincal.view(mechanism, poses, identified=true), result.report(date="today")
+    for page in pages:
+        path = page.save(tmp_path / "page.html", force=True)
+        context = browser.new_context(color_scheme=theme, bypass_csp=True)
+        shown = context.new_page()
+        shown.goto(path.as_uri())
+        shown.wait_for_timeout(500)
+        shown.evaluate(AXE.read_text("utf-8"))
+        assert shown.evaluate(_AXE) == []
+        context.close()
+
+
+def test_dark_ground_has_its_own_colours(opened: Any) -> None:
+    """Where dark is asked for, links, dots, grid and swatches take the palette's dark colours."""
+    window = opened(pincal.view(*plan("3RRR")))
+    page = window.page
+    colours = """() => [...document.querySelectorAll(".tag")].map(
+      (tag) => getComputedStyle(tag).borderLeftColor)"""
+    light = page.evaluate(colours)
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_timeout(300)
+    dark = page.evaluate(colours)
+    said = [f"rgb({', '.join(str(int(c[i : i + 2], 16)) for i in (1, 3, 5))})" for c in LEGS[:3]]
+    night = [
+        f"rgb({', '.join(str(int(DARK[c][i : i + 2], 16)) for i in (1, 3, 5))})" for c in LEGS[:3]
+    ]
+    assert light == said
+    assert dark == night
+    page.emulate_media(color_scheme="light")
+    page.wait_for_timeout(300)
+    assert page.evaluate(colours) == light
+    assert window.clean(), window.said

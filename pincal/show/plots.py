@@ -271,12 +271,13 @@ def draw_poses(
     names = dict.fromkeys((*mechanism.leg_names, EVERY_LEG, *plan.serving))
     for index, name in enumerate(names):
         colour, marker, _ = look(index)
+        colour = EVERY if name in (EVERY_LEG, VERIFY) else colour
         if not (own := plan.poses[sets == name]).size:
             continue
         said = {EVERY_LEG: "every leg", VERIFY: "verify (not fitted)"}.get(name, f"set {name}")
         many, at = len(own) > PAGE.many, scale * own[:, seen]
         unfilled: dict[str, Any] = (
-            {"mfc": "none", "color": EVERY} if name == VERIFY else {"color": colour}
+            {"mfc": "none", "color": colour} if name == VERIFY else {"color": colour}
         )
         axes.plot(*at.T, marker, **unfilled, ms=4, label=said, zorder=2, rasterized=many)
         if turns:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from pincal.calibration.result_files import load_result
 from pincal.cli.app import Force, command, output_option, working, wrote
 from pincal.files.output import refuse_existing
-
-if TYPE_CHECKING:  # matplotlib is imported where it is needed
-    from matplotlib.axes import Axes
 
 
 class Kind(StrEnum):
@@ -55,17 +52,19 @@ def plot(
     ] = "",
     force: Force = False,
 ) -> None:
-    """Draw a figure of a calibration: one column or a page wide, letters of 7 to 9 points.
+    """Draw a figure of a calibration.
 
-    residuals: by row; workspace: where they were measured; time: their means over the run;
-    parameters: changes in units of their ±; platform: what changes move the platform by;
-    correlation; singular: how well each direction is determined; poses: accuracy by number of
-    poses, with the bound; error_map: expected error over x and y; bed: z over a printer's bed;
-    runs: runs side by side; drawing: a leg with dimensions, and a table of all values, on A4.
+    One column or a page wide, letters of 7 to 9 points. residuals: by row; workspace: where they
+    were measured; time: their means over the run; parameters: changes in units of their ±;
+    platform: what changes move the platform by; correlation; singular: how well each direction is
+    determined; poses: accuracy by number of poses, with the bound; error_map: expected error over
+    x and y; bed: z over a printer's bed; runs: runs side by side; drawing: a leg with dimensions,
+    and a table of all values, on A4.
     """
     from matplotlib.figure import Figure
 
     from pincal.show.pictures.files import drawing, picture_path, save_figure
+    from pincal.show.pictures.sheet import sheet
 
     refuse_existing(picture_path(output), force=force)
     found = load_result(result)
@@ -73,8 +72,7 @@ def plot(
         raise typer.BadParameter("--leg is for the kind 'drawing'")
     with working("drawing"):
         if kind is Kind.drawing:
-            axes: Axes = found.plot.drawing(leg=leg)
-            figure = axes.figure
+            figure = sheet(found, leg)
         else:
             inches = float(width) / 25.4
             height = max(0.62 * inches, 2.4)

@@ -55,6 +55,54 @@
     });
   }
 
+  // Colours on dark ground; materials keep their own where the palette has none
+
+  const night = window.matchMedia("(prefers-color-scheme: dark)");
+  const lights = new Map();
+
+  function paint() {
+    const ground = night.matches ? data.paper[1] : data.paper[0];
+    const rgb = [1, 3, 5].map((i) => parseInt(ground.slice(i, i + 2), 16) / 255);
+    for (const key of ["top_color", "bottom_color"]) viewer.set_property(["Background"], key, rgb);
+    viewer.scene.traverse(({ material, geometry }) => {
+      if (!material || !material.color) return;
+      if (material.vertexColors) {
+        dots(geometry.attributes.color);
+        return;
+      }
+      if (!lights.has(material)) lights.set(material, `#${material.color.getHexString()}`);
+      const own = lights.get(material);
+      material.color.set(night.matches ? data.dark[own] || own : own);
+    });
+    document.querySelectorAll("[data-colour]").forEach((one) => {
+      const own = one.dataset.colour;
+      one.style.setProperty("--own", night.matches ? data.dark[own] || own : own);
+    });
+    viewer.set_dirty();
+  }
+
+  const shades = new Map();
+
+  function dots(colours) { // of points, each with its own
+    if (!shades.has(colours)) shades.set(colours, colours.array.slice());
+    const own = shades.get(colours);
+    const changed = new Map();
+    for (let i = 0; i < own.length; i += 3) {
+      const hex = `#${[0, 1, 2].map((k) => Math.round(255 * own[i + k]).toString(16).padStart(2, "0")).join("")}`;
+      if (!changed.has(hex)) {
+        const dark = data.dark[hex];
+        changed.set(hex, night.matches && dark ? [1, 3, 5].map((k) => parseInt(dark.slice(k, k + 2), 16) / 255) : [own[i], own[i + 1], own[i + 2]]);
+      }
+      colours.array.set(changed.get(hex), i);
+    }
+    colours.needsUpdate = true;
+  }
+
+  function coloured(one, colour) { // an element, which follows the theme
+    one.dataset.colour = colour;
+    one.style.setProperty("--own", night.matches ? data.dark[colour] || colour : colour);
+  }
+
   // The panel
 
   const cells = data.rows.map((row, index) => {
@@ -84,7 +132,7 @@
     find("count").textContent = `${pose + 1} of ${poses}`;
     const set = data.sets[data.set[pose]];
     find("set").hidden = !set.name;
-    find("set").querySelector("i").style.background = set.colour;
+    coloured(find("set").querySelector("i"), set.colour);
     find("set").querySelector("span").textContent = set.name === "all" ? "for every leg" : `set ${set.name}`;
     const names = data.bodies.length > 1 ? ["", "identified: "] : [""];
     const problems = data.bodies.map((body, i) => body.problems[pose] && names[i] + body.problems[pose]).filter(Boolean);
@@ -147,7 +195,7 @@
     if (colour) {
       const swatch = element("i", "", label);
       swatch.className = "swatch";
-      swatch.style.background = colour;
+      coloured(swatch, colour);
     }
     element("span", name, label);
     change(shown);
@@ -168,7 +216,7 @@
   const tags = data.legs.map((leg) => {
     const tag = element("div", leg.name, pane);
     tag.className = "tag";
-    tag.style.borderColor = leg.colour;
+    coloured(tag, leg.colour);
     return { tag, foot: turned(leg.foot) };
   });
   checkbox(find("layers"), "names of legs", true, (on) => tags.forEach(({ tag }) => (tag.hidden = !on)));
@@ -309,5 +357,7 @@
   const jog = Jog({ data, viewer, pane, node, move, element, bytes, halt: () => play(false) });
   fit();
   show(0);
+  paint();
+  night.addEventListener("change", paint);
   window.pincal = { viewer, show, jog, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();

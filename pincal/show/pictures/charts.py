@@ -41,9 +41,8 @@ def over_workspace(axes: Axes, result: CalibrationResult) -> Axes:
     """Draw the largest residual of each row where it was measured, x and y; outliers ringed."""
     worst, at = worst_of_rows(result), per_si("m", STORED) * result.poses[:, :2]
     known = np.isfinite(worst) & np.isfinite(at).all(axis=1)
-    drawn = axes.scatter(
-        *at[known].T, c=worst[known], s=26, cmap="cividis_r", vmin=0.0, vmax=4.0, lw=0
-    )
+    x, y = at[known].T
+    drawn = axes.scatter(x, y, c=worst[known], s=26, cmap="cividis_r", vmin=0.0, vmax=4.0, lw=0)
     bar = axes.figure.colorbar(drawn, ax=axes, extend="max")
     bar.set_label("largest residual of the row [σ]")
     own = [one.row for one in result.outliers if one.row < len(at)]

@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 
 from pincal.errors import FileError
 from pincal.files.output import writing
+from pincal.show.style import DARK, INK, PAPER
 from pincal.words.pages import clean, rendered
 
 #: What each format would say about its making.
@@ -44,6 +45,16 @@ _STYLE: dict[Any, Any] = {
     "figure.dpi": 150,
     "hatch.linewidth": 0.6,
 }
+
+
+#: Colours of drawings that are other on dark ground: those of the palette, black and white.
+_DARK = {**DARK, "#000000": INK[1], "#ffffff": PAPER[1], "#cccccc": "#40464e"}
+_COLOUR = re.compile(r"#[0-9a-fA-F]{6}\b")
+
+
+def dark_variables() -> str:
+    """Return the colours of figures on dark ground, as variables of CSS."""
+    return " ".join(f"--c{light[1:]}: {dark};" for light, dark in _DARK.items())
 
 
 @contextmanager
@@ -166,6 +177,12 @@ def _place_no_empty_labels(drawn: Figure) -> None:
                 axis.set_label_coords(0.0, 0.0)
 
 
+def _themed(colour: re.Match[str]) -> str:
+    """Return a colour as a variable of the page, which has another one on dark ground."""
+    own = colour[0].lower()
+    return f"var(--c{own[1:]}, {own})" if own in _DARK else own
+
+
 def _inline(svg: bytes) -> Any:
     """Return an SVG as elements of HTML: no namespaces, no ids but those that are used."""
     safe: dict[str, Any] = {"resolve_entities": False, "no_network": True, "remove_comments": True}
@@ -180,6 +197,8 @@ def _inline(svg: bytes) -> Any:
             name = etree.QName(key).localname
             if (name == "href" or not key.startswith("{")) and (name != "id" or value in used):
                 element.set(name, "".join(value.split()) if value[:5] == "data:" else value)
+        if "style" in element.attrib:
+            element.set("style", _COLOUR.sub(_themed, element.get("style", "")))
     etree.cleanup_namespaces(root)
     for key in ("width", "height", "version"):
         del root.attrib[key]

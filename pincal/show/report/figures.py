@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter
@@ -16,6 +17,7 @@ from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
+from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.plots import (
     along,
     before_after,
@@ -131,6 +133,24 @@ def changes_figure(found: Findings) -> Drawn:
         "Change of each parameter from nominal, with its 95 % interval. Where the interval "
         "holds zero, the measurements do not distinguish the nominal value from the identified "
         "one."
+    )
+
+
+@on_page("figure-drawing")
+def drawing_figure(found: Findings) -> Drawn:
+    """Return the first leg with its dimensions, in the colours of their changes."""
+    result = found.result
+    leg = result.legs[0].name
+    drawn = _figure(4.6, left=0.1, bottom=0.3, top=0.05)
+    axes = draw_dimensioned(drawn.subplots(), result, leg)
+    if not axes.lines:  # nothing is drawn that can be seen: out of reach at home
+        return None
+    keys = [Line2D([], [], color=colour, lw=3, label=said) for _, colour, said in LEVELS]
+    drawn.legend(handles=keys, loc="lower center", ncols=3, frameon=False)
+    alike = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
+    return drawn, (
+        f"Where the parameters of {leg} are{alike}: lines in the colours of their changes. Values "
+        "stand in the table above; parameters that are zero have no line."
     )
 
 

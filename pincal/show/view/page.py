@@ -13,15 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.show.style import DARK, DOMAIN, IDENTIFIED, TOWARDS_VIEWER
+from pincal.show.style import DARK, DOMAIN, IDENTIFIED, PAPER, TOWARDS_VIEWER
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
 from pincal.show.view.motion import motion
 from pincal.show.view.scene import Scene, frame_axes, grid_step, set_colour
+from pincal.show.view.solids import GREY
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.pages import rendered
 
 Array = NDArray[np.float64]
+#: Links and shadows on dark ground.
+SOLIDS_DARK = {GREY: "#8b929b", "#d9dce0": "#0b0d10"}
 
 
 def page(scene: Scene, source: str = "") -> str:
@@ -71,7 +74,8 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         "motion": motion(scene),
         "level": scene.level,
         "axis": frame_axes(scene)[0].size[1],
-        "dark": DARK,
+        "dark": DARK | SOLIDS_DARK,
+        "paper": PAPER,
     }
 
 
