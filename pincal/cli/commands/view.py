@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from pincal.calibration.result_files import read_result
+from pincal.calibration.result_files import load_result, read_result
 from pincal.cli.app import (
     Force,
     Mech,
@@ -113,6 +113,10 @@ def view(
         Path | None,
         typer.Option(metavar="FILE", help="Write one file that opens anywhere, offline."),
     ] = None,
+    report: Annotated[
+        bool,
+        typer.Option("--report", help="RESULT's report beside it, linked; needs --html."),
+    ] = False,
     no_open: Annotated[
         bool, typer.Option("--no-open", help="Print the address, open no browser.")
     ] = False,
@@ -129,6 +133,9 @@ def view(
         if html.suffix.lower() not in (".html", ".htm"):
             raise FileError(f"{html} would be a page; give it the ending .html")
         refuse_existing(html, force=force)
+    if report:
+        _linked(how, html, force=force)
+        return
     what = how.of(mech)
     with working("placing the legs"):
         shown = viewed(
@@ -146,6 +153,25 @@ def view(
         wrote(html)
     else:
         _serve(shown, no_open)
+
+
+def _linked(how: SeenOptions, html: Path | None, *, force: bool) -> None:
+    """Write a result's report and view as one page.
+
+    Raises:
+        BadParameter: no RESULT alone, or no file to write.
+    """
+    from pincal.show.report.linked import LinkedPage
+    from pincal.show.report.report import report
+
+    given = how.files or []
+    if html is None or len(given) != 1 or not is_folder(given[0]):
+        raise typer.BadParameter("--report needs RESULT alone, and --html FILE to write")
+    with working("drawing"):
+        page = LinkedPage(report(load_result(given[0])), how.magnify or MAGNIFY)
+        page.html()
+    page.save(html, force=force)
+    wrote(html)
 
 
 def _serve(shown: View, no_open: bool) -> None:

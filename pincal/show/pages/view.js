@@ -14,6 +14,7 @@
   let pose = -1;
   let timer = null;
   let frame = 0;
+  let share = 1; // of the identified machine's errors that is drawn
 
   // meshcat's scene is in a world whose y points up
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
@@ -51,7 +52,9 @@
       const k = 12 * (pose * body.nodes.length + index);
       const there = !Number.isNaN(body.matrices[k]);
       part.object.visible = there;
-      if (there) move(part, body.matrices, k);
+      if (!there) return;
+      if (body === data.bodies[0] || share === 1 || data.bodies[0].paths.length !== body.paths.length) move(part, body.matrices, k);
+      else move(part, body.matrices.subarray(k, k + 12).map((one, i) => one * share + (1 - share) * data.bodies[0].matrices[k + i]), 0);
     });
   }
 
@@ -101,6 +104,21 @@
   function coloured(one, colour) { // an element, which follows the theme
     one.dataset.colour = colour;
     one.style.setProperty("--own", night.matches ? data.dark[colour] || colour : colour);
+  }
+
+  // A leg that is pointed at elsewhere
+
+  function light(name) {
+    data.legs.forEach((leg, index) => {
+      const on = leg.name === name;
+      data.bodies[0].paths.forEach((path, i) => {
+        if (!path.includes(`/leg ${index + 1}/`)) return;
+        data.bodies[0].nodes[i].object.traverse(({ material }) => {
+          if (material && material.emissive) material.emissive.set(on ? leg.colour : "#000000");
+        });
+      });
+    });
+    viewer.set_dirty();
   }
 
   // The panel
@@ -212,6 +230,20 @@
     checkbox(find("sets"), `${name}${count} ${count === 1 ? "pose" : "poses"}`, true, change, set.colour);
   });
   data.layers.forEach((layer) => checkbox(find("layers"), layer.name, layer.shown, (on) => setVisible(layer.path, on), layer.colour));
+
+  if (data.bodies[1]) { // from nominal to identified
+    const label = element("label", "", find("layers"));
+    element("span", "nominal", label);
+    const input = element("input", "", label);
+    Object.assign(input, { type: "range", id: "share", min: 0, max: 1, step: 0.02, value: 1 });
+    input.setAttribute("aria-label", "from nominal to identified");
+    element("span", "identified", label);
+    input.addEventListener("input", () => {
+      share = input.valueAsNumber;
+      place(data.bodies[1]);
+      viewer.set_dirty();
+    });
+  }
 
   const tags = data.legs.map((leg) => {
     const tag = element("div", leg.name, pane);
@@ -359,5 +391,5 @@
   show(0);
   paint();
   night.addEventListener("change", paint);
-  window.pincal = { viewer, show, jog, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
+  window.pincal = { viewer, show, jog, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();

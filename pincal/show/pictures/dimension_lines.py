@@ -16,6 +16,8 @@ from pincal.show.style import DIMENSION, PICTURE
 from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
+#: Before a parameter's name in the id of its line.
+MARK = "dimension-"
 _GREEK = re.compile(
     "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|pi|rho|sigma|tau|phi|chi"
     "|psi|omega"
@@ -139,7 +141,9 @@ def _drawn(axes: Axes, one: Dimension, V: Array, look: tuple[float, str], middle
         thin += [(np.stack((corner, corner + 1.15 * (end - corner))), "--") for end in sides]
     for part, dashes in thin:
         axes.plot(*part.T, dashes, lw=0.5, color=colour, zorder=8)
-    axes.plot(*line.T, lw=0.8 if colour == DIMENSION else 1.4, color=colour, zorder=8)
+    (drawn,) = axes.plot(*line.T, lw=0.8 if colour == DIMENSION else 1.4, color=colour, zorder=8)
+    if colour != DIMENSION and one.names:
+        drawn.set_gid(MARK + one.names[0])  # found by linked pages
     if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > 0.3 * height:
         _arrow(axes, line[-1], line[-2], look)
         if one.corner is None:

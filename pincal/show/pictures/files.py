@@ -195,7 +195,9 @@ def _inline(svg: bytes) -> Any:
         for key, value in element.items():
             del element.attrib[key]
             name = etree.QName(key).localname
-            if (name == "href" or not key.startswith("{")) and (name != "id" or value in used):
+            if (name == "href" or not key.startswith("{")) and (
+                name != "id" or value in used or value.startswith("dimension-")
+            ):
                 element.set(name, "".join(value.split()) if value[:5] == "data:" else value)
         if "style" in element.attrib:
             element.set("style", _COLOUR.sub(_themed, element.get("style", "")))
