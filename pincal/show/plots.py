@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
@@ -210,7 +210,12 @@ def _levels(axes: Axes, size: float) -> None:
 
 
 def draw_map(
-    axes: Axes, over: tuple[Array, Array], values: Array, limits: tuple[float, float] | None = None
+    axes: Axes,
+    over: tuple[Array, Array],
+    values: Array,
+    limits: tuple[float, float] | None = None,
+    *,
+    decades: bool = False,
 ) -> AxesImage:
     """Draw values over x and y, shape (n_y, n_x), with lines of equal value; return the image.
 
@@ -219,12 +224,14 @@ def draw_map(
         over: Coordinates x and y, shapes (n_x,) and (n_y,), [m].
         values: NaN where there is none.
         limits: Of the colours; those of the values if not given.
+        decades: Whether colours follow the logarithm, so that small and large are both seen.
     """
     (x, y), known = (per_si("m", STORED) * one for one in over), values[np.isfinite(values)]
     half = [(own[1] - own[0]) / 2 for own in (x, y)]
     extent = (x[0] - half[0], x[-1] + half[0], y[0] - half[1], y[-1] + half[1])
     low, high = limits or (known.min(), known.max())
-    image = axes.imshow(values, origin="lower", extent=extent, vmin=low, vmax=high, cmap=_LIGHT)
+    norm = (LogNorm if decades and low > 0.0 else Normalize)(low, high)
+    image = axes.imshow(values, origin="lower", extent=extent, norm=norm, cmap=_LIGHT)
     levels = np.quantile(known, (0.25, 0.5, 0.75)) if known.size else np.zeros(3)
     if (np.diff(levels) > 1e-6 * levels[-1]).all():
         masked = np.ma.masked_invalid(values)

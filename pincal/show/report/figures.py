@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter
@@ -337,12 +338,15 @@ def maps_figure(found: Findings) -> Drawn:
     panels = iter(drawn.subplots(down, across, sharex=True, sharey=True).ravel())
     for title, unit, values in rows:
         own = [next(panels) for _ in maps.heights]
-        limits = float(np.nanmin(values)), float(np.nanmax(values))
+        alike = np.concatenate([own.ravel() for _, other, own in rows if other == unit])
+        limits = float(np.nanmin(alike)), float(np.nanmax(alike))
         for axes, error, height in zip(own, values, maps.heights, strict=True):
-            draw_map(axes, (maps.x, maps.y), error, limits)
+            draw_map(axes, (maps.x, maps.y), error, limits, decades=True)
             axes.set_title(height_said(height))
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
-        drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
+        bar = drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        bar.ax.yaxis.set_minor_formatter(NullFormatter())
     for axes in panels:
         axes.set_axis_off()
     drawn.supxlabel(along("x"), size=8)
@@ -350,6 +354,6 @@ def maps_figure(found: Findings) -> Drawn:
     where = "the workspace at home orientation" if found.turns else "the workspace"
     return drawn, (
         f"Error of the platform over {where}: how far the nominal model is off, and what is "
-        "to be expected of the calibrated one (standard error). Scales differ; white: not in "
-        "the workspace."
+        "to be expected of the calibrated one (standard error). One scale of decades for both; "
+        "white: not in the workspace."
     )
