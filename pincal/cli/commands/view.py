@@ -33,6 +33,7 @@ from pincal.files.tables.table_reading import read_table
 from pincal.kinematics.forward import forward
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show.results import warnings
 from pincal.show.view.scene import MAGNIFY, Scene
 from pincal.show.view.view import View
 from pincal.show.view.view import view as viewed
@@ -89,6 +90,7 @@ class SeenOptions:
             identified,
             MAGNIFY if magnify is None else magnify,
             ", ".join(path.name for path in (*tables, *folders)),
+            _warnings(folders[0]) if folders else (),
         )
 
 
@@ -103,6 +105,8 @@ class Seen:
     magnify: float
     source: str
     """Names of the files."""
+    notices: tuple[str, ...] = ()
+    """Warnings of the RESULT."""
 
 
 @command()
@@ -112,6 +116,10 @@ def view(
     html: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write one file that opens anywhere, offline."),
+    ] = None,
+    meshes: Annotated[
+        Path | None,
+        typer.Option(metavar="URDF", help="Your URDF: an arm's links as its meshes show them."),
     ] = None,
     report: Annotated[
         bool,
@@ -144,7 +152,9 @@ def view(
             workspace=what.workspace,
             identified=what.identified,
             magnify=what.magnify,
+            meshes=meshes,
             source=what.source,
+            notices=what.notices,
         )
         shown.html()
     _say_unreached(shown.scene)
@@ -317,6 +327,14 @@ def _identified(folder: Path) -> Mechanism:
             f"{folder}: the fit did not converge, so there is no calibrated mechanism to show"
         )
     return load_mechanism(folder)
+
+
+def _warnings(folder: Path) -> tuple[str, ...]:
+    """Return the warnings of a result; one of version 0.1 keeps them as sentences."""
+    kept = read_result(folder)
+    if "data" in kept:
+        return tuple(warnings(load_result(folder)))
+    return tuple(str(text) for text in kept.get("warnings") or ())
 
 
 def _positions(path: Path, mechanism: Mechanism) -> Array:

@@ -108,6 +108,7 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
   said.setAttribute("role", "status");
   said.hidden = true;
   fields.hidden = !motion.jog;
+  fields.classList.toggle("long", motion.sliders.some(({ name }) => name.length > 4));
 
   function write() {
     sliders.forEach(({ input, value, slider }, i) => {

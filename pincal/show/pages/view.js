@@ -223,6 +223,8 @@
   find("description").textContent = data.description;
   find("source").textContent = data.source;
   find("grid").textContent = data.grid;
+  data.notices.forEach((text) => element("li", text, find("notices")));
+  find("notices").hidden = !data.notices.length;
   data.sets.forEach((set, index) => {
     const count = data.set.filter((own) => own === index).length;
     const name = set.name === "all" ? "for every leg, " : set.name && `${set.name}, `;

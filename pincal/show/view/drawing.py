@@ -92,6 +92,8 @@ def _body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None
 
 
 def _geometry(shape: Shape) -> Any:
+    if shape.points is not None and shape.faces is not None:
+        return _facets(shape.points[shape.faces])
     if shape.points is not None:
         return _hull(shape.points)
     if shape.kind == "box":
@@ -109,6 +111,11 @@ def _hull(points: Array) -> Any:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
     corners[inward] = corners[inward][:, ::-1]
+    return _facets(corners)
+
+
+def _facets(corners: Array) -> Any:
+    """Return triangles (n, 3, 3) with corners of their own."""
     flat = corners.reshape(-1, 3)
     return g.TriangularMeshGeometry(flat, np.arange(len(flat)).reshape(-1, 3))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,14 +28,16 @@ Array = NDArray[np.float64]
 SOLIDS_DARK = {GREY: "#8b929b", "#d9dce0": "#0b0d10"}
 
 
-def page(scene: Scene, source: str = "") -> str:
+def page(scene: Scene, source: str = "", notices: Sequence[str] = ()) -> str:
     """Return the page of a scene.
 
     Args:
         scene: What to show.
         source: Where it comes from.
+        notices: What to know first.
     """
-    text = json.dumps(_data(scene, source), ensure_ascii=False, separators=(",", ":"))
+    data = _data(scene, source) | {"notices": list(notices)}
+    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
     return rendered(
         "view.html",
         title=scene.mechanism.name,

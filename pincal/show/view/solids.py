@@ -21,17 +21,19 @@ _FLAT = 1e-6  # of what is a plane's size
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A box, cylinder (along z) or sphere on a link, or the hull of points."""
+    """A box, cylinder (along z) or sphere on a link, the hull of points, or a mesh."""
 
     kind: str
     size: tuple[float, ...]
-    """Edges of a box; radius and length of a cylinder; radius of a sphere; none of a hull; [m]."""
+    """Edges of a box; radius and length of a cylinder; radius of a sphere; else none; [m]."""
     T_link_shape: Array
     """Shape (4, 4)."""
     colour: str
     """``"#rrggbb"``."""
     points: Array | None = None
-    """Of a hull, shape (n, 3), [m]."""
+    """Of a hull, or corners of a mesh, shape (n, 3), [m]."""
+    faces: NDArray[np.int64] | None = None
+    """Corners of a mesh's triangles, shape (m, 3)."""
 
 
 def rod(begin: Array, end: Array, radius: float, colour: str) -> Shape:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from weakref import finalize
 
 import numpy as np
@@ -25,15 +28,16 @@ class View(Page):
 
     sandbox, height = "allow-scripts allow-downloads", "600px"
 
-    def __init__(self, scene: Scene, source: str = "") -> None:
+    def __init__(self, scene: Scene, source: str = "", notices: Sequence[str] = ()) -> None:
         self.scene = scene
         self._source = source
+        self._notices = tuple(notices)
 
     @cached_property
     def _page(self) -> str:
         from pincal.show.view.page import page  # imports meshcat: slow
 
-        return page(self.scene, self._source)
+        return page(self.scene, self._source, self._notices)
 
     @cached_property
     def url(self) -> str:
@@ -57,7 +61,9 @@ def view(
     workspace: ArrayLike | None = None,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
+    meshes: str | Path | None = None,
     source: str = "",
+    notices: Sequence[str] = (),
 ) -> View:
     """Return a view of a mechanism at poses: ``url``, ``save(path)``, or shown by a notebook.
 
@@ -70,9 +76,12 @@ def view(
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
         magnify: Factor on what differs between its parameters and the nominal ones.
+        meshes: The URDF that an arm was read from, whose meshes are to be its links.
         source: Where it comes from, for the page.
+        notices: What to know first, such as a result's ``warnings``.
 
     Raises:
+        FileError: a URDF or mesh that cannot be read, or of other joints.
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism.
         MeasurementError: no poses, too many or not whole; a workspace of a wrong
@@ -80,7 +89,12 @@ def view(
     """
     mechanism = as_mechanism(mechanism)
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
-    return View(scene(mechanism, plan, workspace, identified, magnify), source)
+    shown = scene(mechanism, plan, workspace, identified, magnify)
+    if meshes is not None:
+        from pincal.show.view.meshes import with_meshes
+
+        shown = replace(shown, body=with_meshes(shown.body, mechanism, meshes))
+    return View(shown, source, notices)
 
 
 def _some_poses(mechanism: Mechanism) -> Plan:
