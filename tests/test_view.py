@@ -125,7 +125,7 @@ def test_parallelograms_have_two_rods_that_end_at_the_platform(name: str) -> Non
 
 
 def test_cables_are_thin() -> None:
-    """A line that pulls is less than half as thick as a piston beside such joints, and has no cylinder."""
+    """A line that pulls is half as thick as a piston or less, and has no cylinder."""
     cable, strut = (
         body(m, np.array([m.platform.home])) for m in map(pincal.load_mechanism, ("4cable", "6UPS"))
     )
