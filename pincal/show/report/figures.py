@@ -18,8 +18,7 @@ from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
-from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
-from pincal.show.plots import (
+from pincal.show.pictures.parts import (
     along,
     before_after,
     draw_bars,
@@ -31,6 +30,7 @@ from pincal.show.plots import (
     label,
     name_places,
 )
+from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, parameters, whose
 from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look
