@@ -46,7 +46,7 @@ def made(tmp_path: Path) -> Path:
 def test_a_mesh_moves_with_the_link_behind_its_joint(made: Path) -> None:
     """Its corners are the file's, scaled, shifted by the visual's origin, on the joint's link."""
     mechanism = pincal.Mechanism.from_urdf(made, "l2")
-    view = pincal.view(mechanism, meshes=made)
+    view = pincal.view(mechanism).with_meshes(made)
     body = view.scene.body
     (shape,) = body.parts[body.chains[0][0]].shapes
     assert shape.points is not None
@@ -99,7 +99,7 @@ def test_what_is_not_there_is_said(change: tuple[str, str], said: str, made: Pat
 @pytest.mark.parametrize("name", ["ur5", "panda"])
 def test_arms_of_others_are_small_pages(name: str) -> None:
     """Under 5 MB, every link that has a mesh drawn by it."""
-    view = pincal.view(loaded(name), meshes=urdf(ARMS[name][0]))
+    view = pincal.view(loaded(name)).with_meshes(urdf(ARMS[name][0]))
     body = view.scene.body
     kinds = [{shape.kind for shape in body.parts[place].shapes} for place in body.chains[0]]
     assert sum(own == {"mesh"} for own in kinds) >= 6

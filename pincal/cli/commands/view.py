@@ -109,25 +109,32 @@ class Seen:
     """Warnings of the RESULT."""
 
 
+@dataclass(frozen=True)
+class PageOptions:
+    """What the page holds, and where it goes."""
+
+    html: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write one file that opens anywhere, offline."),
+    ] = None
+    meshes: Annotated[
+        Path | None,
+        typer.Option(metavar="URDF", help="Your URDF: an arm's links as its meshes show them."),
+    ] = None
+    report: Annotated[
+        bool,
+        typer.Option("--report", help="RESULT's report beside it, linked; needs --html."),
+    ] = False
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Print the address, open no browser.")
+    ] = False
+
+
 @command()
 def view(
     mech: Mech,
     how: SeenOptions,
-    html: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write one file that opens anywhere, offline."),
-    ] = None,
-    meshes: Annotated[
-        Path | None,
-        typer.Option(metavar="URDF", help="Your URDF: an arm's links as its meshes show them."),
-    ] = None,
-    report: Annotated[
-        bool,
-        typer.Option("--report", help="RESULT's report beside it, linked; needs --html."),
-    ] = False,
-    no_open: Annotated[
-        bool, typer.Option("--no-open", help="Print the address, open no browser.")
-    ] = False,
+    page: PageOptions,
     force: Force = False,
 ) -> None:
     """Look at a mechanism in the browser.
@@ -137,11 +144,12 @@ def view(
     calibrated machine is shown too, where it goes when the nominal model drives it, its errors
     magnified. The page is served to this machine alone, until Ctrl-C.
     """
+    html = page.html
     if html is not None:
         if html.suffix.lower() not in (".html", ".htm"):
             raise FileError(f"{html} would be a page; give it the ending .html")
         refuse_existing(html, force=force)
-    if report:
+    if page.report:
         _linked(how, html, force=force)
         return
     what = how.of(mech)
@@ -152,17 +160,18 @@ def view(
             workspace=what.workspace,
             identified=what.identified,
             magnify=what.magnify,
-            meshes=meshes,
             source=what.source,
-            notices=what.notices,
         )
+        shown = shown.with_notices(what.notices)
+        if page.meshes is not None:
+            shown = shown.with_meshes(page.meshes)
         shown.html()
     _say_unreached(shown.scene)
     if html is not None:
         shown.save(html, force=force)
         wrote(html)
     else:
-        _serve(shown, no_open)
+        _serve(shown, page.no_open)
 
 
 def _linked(how: SeenOptions, html: Path | None, *, force: bool) -> None:

@@ -33,6 +33,22 @@ class View(Page):
         self._source = source
         self._notices = tuple(notices)
 
+    def with_meshes(self, urdf: str | Path) -> View:
+        """Return the view with an arm's links as the meshes of the URDF that it was read from.
+
+        Raises:
+            FileError: a URDF or mesh that cannot be read, or of other joints.
+            MechanismError: not a well-formed URDF.
+        """
+        from pincal.show.view.meshes import with_meshes
+
+        body = with_meshes(self.scene.body, self.scene.mechanism, urdf)
+        return View(replace(self.scene, body=body), self._source, self._notices)
+
+    def with_notices(self, notices: Sequence[str]) -> View:
+        """Return the view with what is to be known first, such as a result's ``warnings``."""
+        return View(self.scene, self._source, notices)
+
     @cached_property
     def _page(self) -> str:
         from pincal.show.view.page import page  # imports meshcat: slow
@@ -61,9 +77,7 @@ def view(
     workspace: ArrayLike | None = None,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
-    meshes: str | Path | None = None,
     source: str = "",
-    notices: Sequence[str] = (),
 ) -> View:
     """Return a view of a mechanism at poses: ``url``, ``save(path)``, or shown by a notebook.
 
@@ -76,12 +90,9 @@ def view(
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
         magnify: Factor on what differs between its parameters and the nominal ones.
-        meshes: The URDF that an arm was read from, whose meshes are to be its links.
         source: Where it comes from, for the page.
-        notices: What to know first, such as a result's ``warnings``.
 
     Raises:
-        FileError: a URDF or mesh that cannot be read, or of other joints.
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism.
         MeasurementError: no poses, too many or not whole; a workspace of a wrong
@@ -89,12 +100,7 @@ def view(
     """
     mechanism = as_mechanism(mechanism)
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
-    shown = scene(mechanism, plan, workspace, identified, magnify)
-    if meshes is not None:
-        from pincal.show.view.meshes import with_meshes
-
-        shown = replace(shown, body=with_meshes(shown.body, mechanism, meshes))
-    return View(shown, source, notices)
+    return View(scene(mechanism, plan, workspace, identified, magnify), source)
 
 
 def _some_poses(mechanism: Mechanism) -> Plan:
