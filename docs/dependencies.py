@@ -27,6 +27,8 @@ WHY = {
     "hold",
     "yourdfpy": "second reader of the URDFs that pincal writes (`pincal check`, tests); shapes for "
     "`pincal view`",
+    "trimesh": "meshes of people's URDFs (STL, DAE, OBJ) in `pincal view --meshes`; yourdfpy needs "
+    "it, and its reader of DAE, too",
     "PyYAML": "mechanism files, scanned by the libyaml in its wheels",
     "pydantic": "checks mechanism files, with errors that name the place",
     "typer": "command line",

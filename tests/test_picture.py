@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,8 @@ from pincal.files.mechanism_folders import bundled
 from pincal.show.pictures.painting import paint
 from pincal.show.pictures.picture import Picture
 from pincal.show.style import ACTIVE, PASSIVE
-from pincal.show.view.bodies import Shape, body
+from pincal.show.view.bodies import body
+from pincal.show.view.solids import Shape
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 RED, BLUE = "#ff0000", "#0000ff"
@@ -268,3 +270,17 @@ def test_matplotlib_is_imported_where_it_is_needed() -> None:
     code = "import sys, pincal; print(sorted({'matplotlib', 'meshcat'} & set(sys.modules)))"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", sorted(bundled()))
+def test_no_two_names_overlap(name: str) -> None:
+    """Names of legs, of axes and of parameters each have their place, as drawn."""
+    mechanism = pincal.load_mechanism(name)
+    figure = pincal.picture(mechanism, dimensions=mechanism.leg_names[:1]).figure()
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    texts = [text for text in figure.axes[0].texts if text.get_text()]
+    assert {"x", *mechanism.leg_names} <= {text.get_text() for text in texts}
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in texts]
+    for (a, first), (b, second) in combinations(zip(texts, boxes, strict=True), 2):
+        assert not first.overlaps(second), (a.get_text(), b.get_text())

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from arms import robot
+from command_line import done, run
+from lxml import etree
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import pincal
+from pincal.show.pictures.sheet import LEVELS, colour_of
 from pincal.show.plots import Plots
+from pincal.show.style import NOMINAL
+from pincal.words.numbers import measured
 
 NOISE = pincal.Noise(1e-4, 1e-4)
 
@@ -146,3 +152,133 @@ def test_every_kind_of_result_plots(case: str, tmp_path: Path) -> None:
     assert lines[0] == "leg,row,quantity,unit,residual,sigma"
     residuals = np.array([float(line.split(",")[4]) for line in lines[1:]])
     assert (np.abs(residuals) > 1e-9).mean() > 0.95
+
+
+def test_changes_move_the_platform_by_what_perturbed_machines_do(
+    result: pincal.CalibrationResult,
+) -> None:
+    """Each bar is what the platform is off by if that parameter alone is wrong by its change."""
+    axes = result.plot.platform()
+    bars = axes.containers[0]
+    names = [text.get_text() for text in axes.get_yticklabels()]
+    longest, p = bars[-1].get_width(), result[names[-1]]
+    leg, _, own = p.id.rpartition(".")
+    other = result.identified.leg(leg)
+    moved = [v + p.change * (n == own) for n, v in other.nominal_by_name.items()]
+    wrong = result.identified.with_parameters({leg: np.array(moved)})
+    poses = pincal.sample_configurations(result.nominal, 300)
+    off = pincal.accuracy(result.identified, wrong, poses).position
+    assert longest == pytest.approx(1e3 * off, rel=0.03)  # to first order
+    assert len(bars) == sum(p.high > p.low for leg in result.legs for p in leg.parameters)
+
+
+def test_accuracy_by_poses_ends_at_the_promise_and_above_the_bound(
+    result: pincal.CalibrationResult,
+) -> None:
+    """All rows give the result's own expected error; no number of rows is below the bound."""
+    curve, bound = result.plot.poses().lines
+    x, y = curve.get_data()
+    over = pincal.sample_configurations(result.nominal, 300)
+    assert x[-1] == len(result.measurements)
+    assert y[-1] == pytest.approx(1e3 * result.expected_error(over).position, rel=0.05)
+    least = dict(zip(*bound.get_data(), strict=True))
+    assert all(own >= 0.999 * least[n] for n, own in zip(x, y, strict=True))
+    assert y[-1] < y[0]
+
+
+def test_singular_values_are_those_of_scaled_columns(result: pincal.CalibrationResult) -> None:
+    """Reciprocal roots of the correlations' eigenvalues, the largest first."""
+    (line,) = result.plot.singular().lines
+    std = np.sqrt(np.diagonal(result.covariance))
+    free = std > 0.0
+    rho = result.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
+    expected = 1 / np.sqrt(np.linalg.eigvalsh(rho))
+    expected = expected[expected < 1e6]
+    np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-6)
+    assert (np.diff(line.get_ydata()) <= 0.0).all()
+
+
+def test_residuals_over_workspace_and_time(result: pincal.CalibrationResult) -> None:
+    """Each row once, where it was measured, by its largest residual; means of tenths of them."""
+    axes = result.plot.workspace()
+    points = axes.collections[0]
+    np.testing.assert_allclose(points.get_offsets(), result.poses)
+    white = np.stack([np.abs(leg.residuals / leg.sigma) for leg in result.legs])
+    np.testing.assert_allclose(points.get_array(), white.max(axis=0))
+    (line, *_) = result.plot.time().lines
+    leg = result.legs[0]
+    first = (leg.residuals / leg.sigma)[:3]
+    assert len(line.get_ydata()) == 10
+    assert line.get_ydata()[0] == pytest.approx(first.sum() / np.sqrt(3))
+
+
+def test_a_bed_needs_x_y_and_z(result: pincal.CalibrationResult) -> None:
+    """A five-bar has no bed, and no runs were compared: both are refused with what is needed."""
+    with pytest.raises(pincal.WorkspaceError, match="x, y and z"):
+        result.plot.bed()
+    with pytest.raises(pincal.MeasurementError, match="no runs"):
+        result.plot.runs()
+
+
+def test_a_bed_shows_how_far_the_nozzle_is_off() -> None:
+    """A delta's pixels are z where the identified machine goes, less what was commanded."""
+    mechanism = pincal.load_mechanism("linear_delta")
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    plan = pincal.sample_configurations(mechanism, 40, 0)
+    noise = pincal.Noise(1e-5)
+    data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
+    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+    image = result.plot.bed().images[0]
+    values, (left, right, low, high) = image.get_array(), image.get_extent()
+    row, column = np.argwhere(np.isfinite(values.filled(np.nan)))[100]
+    x = left + (right - left) * (column + 0.5) / values.shape[1]
+    y = low + (high - low) * (row + 0.5) / values.shape[0]
+    pose = np.array([[x, y, mechanism.platform.home[2]]])
+    readings = pincal.inverse(mechanism, pose).readings
+    there = pincal.forward(result.identified, readings, pose).poses[0]
+    assert values[row, column] == pytest.approx(1e3 * (there[2] - pose[0, 2]), abs=1e-3)
+
+
+def test_drawing_holds_every_value(result: pincal.CalibrationResult) -> None:
+    """A page of A4 with each identified value and ±, each nominal one, lines coloured by change."""
+    axes = result.plot.drawing()
+    width, height = axes.figure.get_size_inches()
+    assert width <= 210 / 25.4
+    assert height <= 297 / 25.4
+    texts = [text.get_text() for one in axes.figure.axes for text in one.texts]
+    for leg in result.legs:
+        for p in leg.parameters:
+            assert p.text in texts
+            assert any(measured(p.nominal, 0.0, p.unit) in text for text in texts)
+    drawn = {line.get_color() for line in axes.lines}
+    assert {colour_of(p) for p in result.legs[0].parameters if p.nominal} <= drawn | {NOMINAL}
+    assert drawn & {colour for _, colour, _ in LEVELS}
+
+
+def test_changes_have_the_colours_of_their_sizes(result: pincal.CalibrationResult) -> None:
+    """Below ±, up to five times it, beyond; a parameter that was fixed has none of them."""
+    p = next(p for p in result.legs[0].parameters if p.high > p.low)
+    at = [replace(p, identified=p.nominal + k * p.half) for k in (0.5, 2.0, 7.0)]
+    moved = [replace(q, low=q.identified - p.half, high=q.identified + p.half) for q in at]
+    assert [colour_of(q) for q in moved] == [colour for _, colour, _ in LEVELS]
+    assert colour_of(result["leg_1.k"]) not in [colour for _, colour, _ in LEVELS]
+
+
+@pytest.mark.parametrize("width", [80, 170])
+def test_command_draws_in_the_width_asked_for(
+    width: int, result: pincal.CalibrationResult, tmp_path: Path
+) -> None:
+    """A vector figure of one column or a page, letters of 7 to 9 points; wrong kinds say which."""
+    result.save(tmp_path / "result")
+    done("plot", tmp_path / "result", "residuals", "-o", tmp_path / "r.svg", "--width", str(width))
+    root = etree.parse(tmp_path / "r.svg").getroot()
+    assert float(root.get("width").removesuffix("pt")) == pytest.approx(width / 25.4 * 72, abs=0.5)
+    styles = [text.get("style") for text in root.iter("{*}text")]
+    sizes = {float(size) for one in styles for size in re.findall(r"([\d.]+)px", one)}
+    assert sizes
+    assert min(sizes) >= 7.0
+    assert max(sizes) <= 9.0
+    wrong = run("plot", tmp_path / "result", "nothing", "-o", tmp_path / "n.svg")
+    assert wrong.code == 2
+    assert "residuals" in wrong.err
+    assert not (tmp_path / "n.svg").exists()

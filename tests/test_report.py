@@ -27,7 +27,7 @@ from rich.console import Console
 import pincal
 from pincal.calibration.result_files import as_json
 from pincal.estimation.residuals.robust import Outlier
-from pincal.show.plots import draw_poses
+from pincal.show.pictures.parts import draw_poses
 from pincal.show.report.answers import Answers
 from pincal.show.report.findings import Findings, findings
 from pincal.show.report.report import Origin, Report

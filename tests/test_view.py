@@ -85,17 +85,56 @@ def test_what_is_not_reached_is_not_drawn_and_said() -> None:
     assert np.isfinite(drawn.placements[1, drawn.part("platform/body")]).all()
 
 
-def test_rods_reach_from_the_universal_joint_to_the_slider() -> None:
-    """The rod of a prismatic joint is as long as its stroke, at every pose."""
+def test_cylinder_and_piston_reach_from_the_universal_joint_to_the_slider() -> None:
+    """Both together are as long as the stroke, at every pose; the cylinder keeps its length."""
     mechanism = pincal.load_mechanism("6UPS")
     poses = some_poses(mechanism)
     drawn = body(mechanism, poses)
     strokes = pincal.inverse(mechanism, poses).joints["leg_1"][:, 2]
-    rod = drawn.placements[:, drawn.part("leg 1/rod 3")]
     foot = drawn.placements[:, drawn.part("leg 1/link 1"), :3, 3]
-    ends = np.einsum("nij,jk->nik", rod, np.array([[0, 0, 0, 1.0], [0, 0, 1.0, 1.0]]).T)[:, :3]
-    assert np.allclose(ends[:, :, 1], foot, atol=1e-12)
-    assert np.allclose(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=1), strokes)
+    slider = drawn.placements[:, drawn.part("leg 1/link 3"), :3, 3]
+    z = np.array([[0, 0, 0, 1.0], [0, 0, 1.0, 1.0]]).T
+    rod, cylinder = (
+        np.einsum("nij,jk->nki", drawn.placements[:, drawn.part(f"leg 1/{name} 3")], z)[..., :3]
+        for name in ("rod", "cylinder")
+    )
+    assert np.allclose(rod[:, 0], slider, atol=1e-12)
+    assert np.allclose(rod[:, 1], cylinder[:, 0], atol=1e-12)
+    assert np.allclose(cylinder[:, 1], foot, atol=1e-12)
+    lengths = [np.linalg.norm(one[:, 1] - one[:, 0], axis=1) for one in (rod, cylinder)]
+    assert np.allclose(sum(lengths), strokes)
+    assert np.ptp(lengths[1]) < 1e-12
+    assert 0.5 * strokes.min() < lengths[1][0] < strokes.min()
+
+
+@pytest.mark.parametrize("name", ["delta", "linear_delta"])
+def test_parallelograms_have_two_rods_that_end_at_the_platform(name: str) -> None:
+    """Both rods are as long as the leg's, parallel to it, their hinges level at every pose."""
+    mechanism = pincal.load_mechanism(name)
+    drawn = body(mechanism, some_poses(mechanism))
+    part = next(p for p in drawn.parts if p.path.startswith("leg 1/parallel"))
+    T = drawn.placements[:, drawn.part(part.path)]
+    tip = drawn.placements[:, drawn.chains[0][-1], :3, 3]
+    length = float(np.linalg.norm(mechanism.legs[0].joints[-1].placement.xyz))
+    assert np.allclose(T[:, :3, 3] + length * T[:, :3, 0], tip, atol=1e-12)
+    assert [round(shape.size[1], 9) for shape in part.shapes[:2]] == [round(length, 9)] * 2
+    assert np.abs(T[:, 2, 1]).max() < 1e-12
+    assert not any(
+        "parallel" in p.path for p in body(pincal.load_mechanism("3PUU"), T[:, :3, 3]).parts
+    )
+
+
+def test_cables_are_thin() -> None:
+    """A line that pulls is half as thick as a piston or less, and has no cylinder."""
+    cable, strut = (
+        body(m, np.array([m.platform.home])) for m in map(pincal.load_mechanism, ("4cable", "6UPS"))
+    )
+    assert not any("cylinder" in part.path for part in cable.parts)
+    thick = [
+        one.parts[one.part("leg 1/rod 3")].shapes[0].size[0] / one.parts[0].shapes[0].size[2]
+        for one in (cable, strut)
+    ]
+    assert thick[0] < thick[1] / 2
 
 
 def test_errors_are_magnified_to_first_order() -> None:
@@ -312,6 +351,25 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
     )
     assert refused.code == 2
     assert "has 4 rows" in refused.err
+
+
+def test_a_bad_calibration_is_not_shown_without_its_warnings(tmp_path: Path) -> None:
+    """What the result warns of stands in the page's data, as text."""
+    mechanism = pincal.load_mechanism("5R")
+    shift = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    noise = pincal.Noise(1e-4)
+    data = pincal.simulate(mechanism, pincal.disturb(mechanism, 1e-3), plan, noise, 3).measurements
+    result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-6))  # a hundredth of the truth
+    assert result.warnings
+    result.save(tmp_path / "result")
+    done("view", "5R", tmp_path / "result", "--html", tmp_path / "view.html")
+    page = (tmp_path / "view.html").read_text("utf-8")
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page)
+    assert found
+    notices = json.loads(found[1])["notices"]
+    assert notices
+    assert any("χ²" in text for text in notices)
 
 
 def test_readings_are_told_apart(work: Path, tmp_path: Path) -> None:

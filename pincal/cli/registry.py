@@ -28,6 +28,7 @@ MODULES = {
     "doctor": "doctor",
     "explain": "explain",
     "importing": "import",
+    "plot": "plot",
     "exporting": "export",
     "demo": "demo",
     "study": "study",

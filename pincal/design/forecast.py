@@ -119,6 +119,12 @@ class Forecast(Estimable):
             index=pd.Index(parameter_ids(self.mechanism), name="parameter"),
         )
 
+    def _repr_html_(self) -> str:
+        """Return the standard errors to expect for notebooks."""
+        from pincal.show.notebook import forecast_html
+
+        return forecast_html(self)
+
     def __repr__(self) -> str:
         rank = f"rank {self.rank.rank} of {self.rank.n_params}"
         name = self.mechanism.name

@@ -119,6 +119,12 @@ class Selection:
         ]
         return pd.DataFrame(rows, index=pd.Index([leg.leg for leg in self.legs], name="leg"))
 
+    def _repr_html_(self) -> str:
+        """Return what each leg gets, and the first poses, for notebooks."""
+        from pincal.show.notebook import selection_html
+
+        return selection_html(self)
+
     def __repr__(self) -> str:
         what = f"{self.protocol}, {len(self.plan.poses)} poses of {self.candidates}"
         return f"Selection({what}, efficiency {self.efficiency:.3f})"

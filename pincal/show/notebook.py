@@ -1,9 +1,19 @@
-"""Results and mechanisms in notebooks and in print: their ``_repr_html_`` and ``__str__``."""
+"""What people hold, in notebooks and in print: their ``_repr_html_`` and ``__str__``."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from pincal.calibration.checks.runs import RunComparison
+from pincal.calibration.checks.validation import Validation
 from pincal.calibration.result import CalibrationResult
+from pincal.design.forecast import Forecast
+from pincal.design.select import Selection
+from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.words.table import Table, columns
+
+_ROWS = 12  # of a plan, in a notebook
 
 
 def mechanism_html(mechanism: Mechanism) -> str:
@@ -30,6 +40,63 @@ def result_html(result: CalibrationResult) -> str:
     return rendered(
         "result.html", result=result, warnings=warnings, tables=result_tables, summary=summary
     )
+
+
+def selection_html(selection: Selection) -> str:
+    """Return what a selection gives each leg, and its first poses."""
+    from pincal.show.tables import selection_table
+
+    return f"{selection_table(selection).__html__()}{plan_html(selection.plan)}"
+
+
+def forecast_html(found: Forecast) -> str:
+    """Return the standard errors to expect, and what the plan determines."""
+    from pincal.show.summary import weak_lines
+    from pincal.show.tables import standard_errors
+    from pincal.words.pages import rendered
+
+    words = [] if found.rank.complete else [f"Not determined apart: {found.rank.describe()}."]
+    lines = [*words, *weak_lines(found.weak, found.mechanism)]
+    return rendered("held.html", tables=[standard_errors(found)], lines=lines)
+
+
+def plan_html(plan: Plan) -> str:
+    """Return the first rows of a plan or of measurements, in SI; empty where not measured."""
+    parts = [("coordinate", plan.poses)]
+    parts += [("reading", plan.readings)] if plan.readings is not None else []
+    names = [f"{what} {i + 1}:.6g" for what, own in parts for i in range(own.shape[1])]
+    values = np.concatenate([own for _, own in parts], axis=1)[:_ROWS]
+    sets = plan.sets or ("",) * len(plan)
+    rows = [
+        (i + 1, *([name] if plan.sets else []), *(v if np.isfinite(v) else None for v in own))
+        for i, (name, own) in enumerate(zip(sets, values.tolist(), strict=False))
+    ]
+    heads = columns("row", *(["set"] if plan.sets else []), *names)
+    more = len(plan) - len(rows)
+    return Table(repr(plan), heads, rows, f"and {more} more rows" if more > 0 else "").__html__()
+
+
+def validation_html(one: Validation) -> str:
+    """Return how rows that a fit has not seen compare with its own."""
+    from pincal.show.summary import held_out_line, missed_lines
+    from pincal.words.pages import rendered
+    from pincal.words.sentences import sentences
+
+    table = Table(
+        f"{one.rows} rows held out in {one.folds} folds",
+        columns("rows", "miss by [σ]:.3g"),
+        [("of the fit", one.fit), ("held out", one.held_out), ("expected", one.expected)],
+    )
+    lines = [held_out_line(one), *missed_lines(one), *sentences(one.findings)]
+    return rendered("held.html", tables=[table], lines=lines)
+
+
+def runs_html(runs: RunComparison) -> str:
+    """Return how well runs agree, parameter by parameter."""
+    from pincal.show.result_tables import runs_table
+    from pincal.words.pages import rendered
+
+    return rendered("held.html", tables=[runs_table(runs)], lines=str(runs).splitlines())
 
 
 def result_text(result: CalibrationResult) -> str:

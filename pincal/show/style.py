@@ -6,30 +6,65 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-#: Okabe and Ito's colours, distinct in every common colour-blindness.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+#: Of legs, and of sets of poses that serve them; all colours here are held apart for people who
+#: lack a kind of cone by tests/test_style.py.
+LEGS = (
+    "#07a75a",
+    "#0e11a3",
+    "#ac5f71",
+    "#7e7dfe",
+    "#610f0a",
+    "#1a5c4c",
+    "#703e68",
+    "#9f1042",
+)
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 #: Joints in the exported URDFs.
 ACTIVE, PASSIVE = "#d95e03", "#1f78b5"
-IDENTIFIED = "#7A33AD"
+#: Before and after: what nominal parameters say, and what identified ones do.
+NOMINAL, IDENTIFIED = "#909090", "#4402fc"
+#: Rows that do not fit.
+OUTLIER = "#c8091c"
 #: Positions of a fundamental domain, and those that follow from it.
-DOMAIN, CARRIED = COLOURS[0], "#A9CBE8"
-GROUND = "#D4D4D4"
-#: Lengths, angles and their names in drawings.
-DIMENSION = "#222222"
+DOMAIN, CARRIED = "#520856", "#d8c3da"
+GROUND = "#d4d4d4"
+#: Lengths, angles, axes and their names in drawings; poses for every leg.
+DIMENSION = EVERY = "#222222"
+#: Each colour as it is on a dark ground.
+DARK = {
+    "#07a75a": "#fdfd0c",
+    "#0e11a3": "#b1b7fd",
+    "#ac5f71": "#a35448",
+    "#7e7dfe": "#04fff4",
+    "#610f0a": "#efda81",
+    "#1a5c4c": "#c0f3c6",
+    "#703e68": "#b6b81e",
+    "#9f1042": "#85a862",
+    ACTIVE: ACTIVE,
+    PASSIVE: PASSIVE,
+    NOMINAL: "#707070",
+    IDENTIFIED: "#9983f9",
+    OUTLIER: "#fa7399",
+    DOMAIN: "#3fc3b0",
+    CARRIED: "#2f5b55",
+    GROUND: "#3c4148",
+    DIMENSION: "#e8e8e8",
+}
+#: Grounds of pages and drawings, and text on them.
+PAPER, INK = ("#ffffff", "#16191d"), ("#222222", "#e8e8e8")
 #: Where a mechanism in space is seen from: slightly from above.
-TOWARDS_VIEWER = (0.45, -0.85, 0.28)
-#: Axes x, y and z of a frame, and poses for every leg.
-AXES, EVERY = ("#CC2626", "#1A8C1A", "#2640D9"), "#333333"
+TOWARDS_VIEWER = (0.45, -0.85, 0.42)
+#: Widths of figures in one column and across two, [mm].
+COLUMN, PAGE_WIDTH = 80.0, 170.0
 
 
 @dataclass(frozen=True)
 class PageStyle:
     """Sizes of figures on pages."""
 
-    width: float = 7.4
-    """That of A4 between its margins, [inch]."""
+    width: float = PAGE_WIDTH / 25.4
+    """Across a page, [inch]."""
     height: float = 9.5
     """At most, [inch]."""
     margins: Mapping[str, float] = field(
@@ -64,18 +99,24 @@ class PictureStyle:
     """Brightness of an outline, of its shape's."""
     piece: float = 10.0
     """Length of a rod's piece, of its radius."""
-    pieces: int = 40
+    pieces: int = 12
     """Of a rod, at most."""
     name: float = 8.5
     """Height of a parameter's name, [point]."""
     letter: float = 0.58
     """Width of a letter of such a name, of its height."""
-    along: tuple[float, ...] = (0.5, 0.35, 0.65, 0.2, 0.8)
+    room: float = 1.25
+    """Of a figure, over what is left for the mechanism."""
+    along: tuple[float, ...] = (0.5, 0.35, 0.65, 0.2, 0.8, 0.05, 0.95)
     """Where along a dimension its name is tried, by its length."""
-    away: tuple[float, ...] = (1.0, -1.0, 1.8, -1.8)
+    away: tuple[float, ...] = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)
     """How far from it, in heights of the name."""
     arc: float = 0.055
     """Radius of the smallest angle drawn, of the scene's diagonal."""
+    beside: tuple[tuple[float, float], ...] = tuple(
+        (far, turn) for far in (13.0, 20.0, 28.0) for turn in (0.0, 30.0, -30.0, 65.0, -65.0)
+    )
+    """Where a leg's name is tried: how far from its foot, [point], and turned by what, [deg]."""
     values: int = 6
     """Of parameters, in a line, at most."""
     title: int = 100
@@ -95,4 +136,4 @@ class Look(NamedTuple):
 
 def look(index: int) -> Look:
     """Return the look of a leg or set by its number."""
-    return Look(*(own[index % len(own)] for own in (COLOURS, MARKERS, HATCHES)))
+    return Look(*(own[index % len(own)] for own in (LEGS, MARKERS, HATCHES)))

@@ -123,6 +123,16 @@ def forecast_table(
         drifts: What a drift over the run would do; then the same of each leg alone.
         scale: What a wrong scale of the instrument would do.
     """
+    lines = (
+        *forecast_lines(found, error, planned, alone),
+        *drift_lines(drifts),
+        *scale_line(scale),
+    )
+    return standard_errors(found, "\n".join(lines))
+
+
+def standard_errors(found: Forecast, said: str = "") -> Table:
+    """Return the standard errors of a forecast by parameter and leg, with what is said beneath."""
     mechanism = found.mechanism
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
     errors = dict(zip(names, found.std.tolist(), strict=True))
@@ -141,13 +151,7 @@ def forecast_table(
             (name, UnitOf(unit), *(cell(leg, name, unit) for leg in mechanism.leg_names))
             for name, unit in units.items()
         ],
-        "\n".join(
-            (
-                *forecast_lines(found, error, planned, alone),
-                *drift_lines(drifts),
-                *scale_line(scale),
-            )
-        ),
+        said,
     )
 
 

@@ -9,16 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import CARRIED, COLOURS, DOMAIN, PAGE, look
+from pincal.show.style import CARRIED, DOMAIN, EVERY, PAGE, look
 from pincal.workspace.articular import equal_sums
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]
+#: What is dark is seen on dark ground too.
+_HALO = [withStroke(linewidth=4, foreground="white")]
 _SEEN = 0.2  # of a picture: less of it than this shows nothing
 
 
@@ -53,7 +56,7 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
         handles[0].set_label("computed: fundamental domain")
         handles.append(Patch(color=CARRIED, label="follows by symmetry"))
     if inscribed:
-        handles.append(Patch(fill=False, edgecolor=COLOURS[1], label="largest inscribed"))
+        handles.append(Patch(fill=False, edgecolor=EVERY, label="largest inscribed"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     size = workspace.size
     if not workspace.count:
@@ -103,8 +106,8 @@ def _draw_workspace(
         height = 0.0 if level is None else z - level
         if abs(height) < inscribed.radius:
             radius = float(np.sqrt(inscribed.radius**2 - height**2))
-            axes.add_patch(Circle((x, y), radius, fill=False, ec=COLOURS[1], lw=2))
-            axes.plot(x, y, "+", color=COLOURS[1])
+            axes.add_patch(Circle((x, y), radius, fill=False, ec=EVERY, lw=2, path_effects=_HALO))
+            axes.plot(x, y, "+", color=EVERY, path_effects=_HALO)
     axes.set_title("" if level is None else f"z = {level:.4g} m", fontsize=9)
     axes.margins(0.12)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")

@@ -46,6 +46,12 @@ class RunComparison:
     p_value: float
     """Probability of such a spread, or a larger one, by noise alone."""
 
+    def _repr_html_(self) -> str:
+        """Return the spread of parameters over runs for notebooks."""
+        from pincal.show.notebook import runs_html
+
+        return runs_html(self)
+
     def __repr__(self) -> str:
         return (
             f"RunComparison({len(self.runs)} runs, ratio {self.ratio:.2f}, {chance(self.p_value)})"

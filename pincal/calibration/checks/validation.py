@@ -70,6 +70,12 @@ class Validation:
     """How far each measured target is missed at held-out rows: mean, root mean square, largest,
     and intervals by a bootstrap of poses."""
 
+    def _repr_html_(self) -> str:
+        """Return held-out rows beside those of the fit for notebooks."""
+        from pincal.show.notebook import validation_html
+
+        return validation_html(self)
+
     def __repr__(self) -> str:
         return (
             f"Validation({self.folds} folds of {self.rows} rows, fit {self.fit:.2f} σ, held-out "

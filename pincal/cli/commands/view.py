@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from pincal.calibration.result_files import read_result
+from pincal.calibration.result_files import load_result, read_result
 from pincal.cli.app import (
     Force,
     Mech,
@@ -33,6 +33,7 @@ from pincal.files.tables.table_reading import read_table
 from pincal.kinematics.forward import forward
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show.results import warnings
 from pincal.show.view.scene import MAGNIFY, Scene
 from pincal.show.view.view import View
 from pincal.show.view.view import view as viewed
@@ -89,6 +90,7 @@ class SeenOptions:
             identified,
             MAGNIFY if magnify is None else magnify,
             ", ".join(path.name for path in (*tables, *folders)),
+            _warnings(folders[0]) if folders else (),
         )
 
 
@@ -103,19 +105,36 @@ class Seen:
     magnify: float
     source: str
     """Names of the files."""
+    notices: tuple[str, ...] = ()
+    """Warnings of the RESULT."""
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """What the page holds, and where it goes."""
+
+    html: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write one file that opens anywhere, offline."),
+    ] = None
+    meshes: Annotated[
+        Path | None,
+        typer.Option(metavar="URDF", help="Your URDF: an arm's links as its meshes show them."),
+    ] = None
+    report: Annotated[
+        bool,
+        typer.Option("--report", help="RESULT's report beside it, linked; needs --html."),
+    ] = False
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Print the address, open no browser.")
+    ] = False
 
 
 @command()
 def view(
     mech: Mech,
     how: SeenOptions,
-    html: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write one file that opens anywhere, offline."),
-    ] = None,
-    no_open: Annotated[
-        bool, typer.Option("--no-open", help="Print the address, open no browser.")
-    ] = False,
+    page: PageOptions,
     force: Force = False,
 ) -> None:
     """Look at a mechanism in the browser.
@@ -125,10 +144,14 @@ def view(
     calibrated machine is shown too, where it goes when the nominal model drives it, its errors
     magnified. The page is served to this machine alone, until Ctrl-C.
     """
+    html = page.html
     if html is not None:
         if html.suffix.lower() not in (".html", ".htm"):
             raise FileError(f"{html} would be a page; give it the ending .html")
         refuse_existing(html, force=force)
+    if page.report:
+        _linked(how, html, force=force)
+        return
     what = how.of(mech)
     with working("placing the legs"):
         shown = viewed(
@@ -139,13 +162,35 @@ def view(
             magnify=what.magnify,
             source=what.source,
         )
+        shown = shown.with_notices(what.notices)
+        if page.meshes is not None:
+            shown = shown.with_meshes(page.meshes)
         shown.html()
     _say_unreached(shown.scene)
     if html is not None:
         shown.save(html, force=force)
         wrote(html)
     else:
-        _serve(shown, no_open)
+        _serve(shown, page.no_open)
+
+
+def _linked(how: SeenOptions, html: Path | None, *, force: bool) -> None:
+    """Write a result's report and view as one page.
+
+    Raises:
+        BadParameter: no RESULT alone, or no file to write.
+    """
+    from pincal.show.report.linked import LinkedPage
+    from pincal.show.report.report import report
+
+    given = how.files or []
+    if html is None or len(given) != 1 or not is_folder(given[0]):
+        raise typer.BadParameter("--report needs RESULT alone, and --html FILE to write")
+    with working("drawing"):
+        page = LinkedPage(report(load_result(given[0])), how.magnify or MAGNIFY)
+        page.html()
+    page.save(html, force=force)
+    wrote(html)
 
 
 def _serve(shown: View, no_open: bool) -> None:
@@ -291,6 +336,14 @@ def _identified(folder: Path) -> Mechanism:
             f"{folder}: the fit did not converge, so there is no calibrated mechanism to show"
         )
     return load_mechanism(folder)
+
+
+def _warnings(folder: Path) -> tuple[str, ...]:
+    """Return the warnings of a result; one of version 0.1 keeps them as sentences."""
+    kept = read_result(folder)
+    if "data" in kept:
+        return tuple(warnings(load_result(folder)))
+    return tuple(str(text) for text in kept.get("warnings") or ())
 
 
 def _positions(path: Path, mechanism: Mechanism) -> Array:

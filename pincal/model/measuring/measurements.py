@@ -181,6 +181,12 @@ class Plan:
 
         return dataframe(columns_of(mechanism, self, orientation, setup))
 
+    def _repr_html_(self) -> str:
+        """Return the first rows for notebooks."""
+        from pincal.show.notebook import plan_html
+
+        return plan_html(self)
+
     def __repr__(self) -> str:
         more = [name for name, value in vars(self).items() if value is not None]
         has = [name for name in more if name not in _COLUMNS]

@@ -13,6 +13,8 @@
   const poses = data.set.length;
   let pose = -1;
   let timer = null;
+  let frame = 0;
+  let share = 1; // of the identified machine's errors that is drawn
 
   // meshcat's scene is in a world whose y points up
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
@@ -37,16 +39,86 @@
     body.nodes = body.paths.map(node);
   }
 
+  function move(part, m, k) { // m: columns of 3, from k on; sheared parts have no quaternion
+    const { object } = part;
+    object.matrixAutoUpdate = false;
+    object.matrix.set(m[k], m[k + 3], m[k + 6], m[k + 9], m[k + 1], m[k + 4], m[k + 7], m[k + 10], m[k + 2], m[k + 5], m[k + 8], m[k + 11], 0, 0, 0, 1);
+    object.matrixWorldNeedsUpdate = true;
+  }
+
   function place(body) {
     // matrices hold the columns of 3 of poses x parts; NaN where a part is not to be drawn
     body.nodes.forEach((part, index) => {
-      const m = body.matrices.subarray(12 * (pose * body.nodes.length + index));
-      const there = !Number.isNaN(m[0]);
+      const k = 12 * (pose * body.nodes.length + index);
+      const there = !Number.isNaN(body.matrices[k]);
       part.object.visible = there;
-      if (there) {
-        part.set_transform([m[0], m[1], m[2], 0, m[3], m[4], m[5], 0, m[6], m[7], m[8], 0, m[9], m[10], m[11], 1]);
-      }
+      if (!there) return;
+      if (body === data.bodies[0] || share === 1 || data.bodies[0].paths.length !== body.paths.length) move(part, body.matrices, k);
+      else move(part, body.matrices.subarray(k, k + 12).map((one, i) => one * share + (1 - share) * data.bodies[0].matrices[k + i]), 0);
     });
+  }
+
+  // Colours on dark ground; materials keep their own where the palette has none
+
+  const night = window.matchMedia("(prefers-color-scheme: dark)");
+  const lights = new Map();
+
+  function paint() {
+    const ground = night.matches ? data.paper[1] : data.paper[0];
+    const rgb = [1, 3, 5].map((i) => parseInt(ground.slice(i, i + 2), 16) / 255);
+    for (const key of ["top_color", "bottom_color"]) viewer.set_property(["Background"], key, rgb);
+    viewer.scene.traverse(({ material, geometry }) => {
+      if (!material || !material.color) return;
+      if (material.vertexColors) {
+        dots(geometry.attributes.color);
+        return;
+      }
+      if (!lights.has(material)) lights.set(material, `#${material.color.getHexString()}`);
+      const own = lights.get(material);
+      material.color.set(night.matches ? data.dark[own] || own : own);
+    });
+    document.querySelectorAll("[data-colour]").forEach((one) => {
+      const own = one.dataset.colour;
+      one.style.setProperty("--own", night.matches ? data.dark[own] || own : own);
+    });
+    viewer.set_dirty();
+  }
+
+  const shades = new Map();
+
+  function dots(colours) { // of points, each with its own
+    if (!shades.has(colours)) shades.set(colours, colours.array.slice());
+    const own = shades.get(colours);
+    const changed = new Map();
+    for (let i = 0; i < own.length; i += 3) {
+      const hex = `#${[0, 1, 2].map((k) => Math.round(255 * own[i + k]).toString(16).padStart(2, "0")).join("")}`;
+      if (!changed.has(hex)) {
+        const dark = data.dark[hex];
+        changed.set(hex, night.matches && dark ? [1, 3, 5].map((k) => parseInt(dark.slice(k, k + 2), 16) / 255) : [own[i], own[i + 1], own[i + 2]]);
+      }
+      colours.array.set(changed.get(hex), i);
+    }
+    colours.needsUpdate = true;
+  }
+
+  function coloured(one, colour) { // an element, which follows the theme
+    one.dataset.colour = colour;
+    one.style.setProperty("--own", night.matches ? data.dark[colour] || colour : colour);
+  }
+
+  // A leg that is pointed at elsewhere
+
+  function light(name) {
+    data.legs.forEach((leg, index) => {
+      const on = leg.name === name;
+      data.bodies[0].paths.forEach((path, i) => {
+        if (!path.includes(`/leg ${index + 1}/`)) return;
+        data.bodies[0].nodes[i].object.traverse(({ material }) => {
+          if (material && material.emissive) material.emissive.set(on ? leg.colour : "#000000");
+        });
+      });
+    });
+    viewer.set_dirty();
   }
 
   // The panel
@@ -72,12 +144,13 @@
   function show(index) {
     pose = Math.min(Math.max(index, 0), poses - 1);
     data.bodies.forEach(place);
+    jog.at(pose);
     viewer.set_dirty();
     find("slider").value = pose + 1;
     find("count").textContent = `${pose + 1} of ${poses}`;
     const set = data.sets[data.set[pose]];
     find("set").hidden = !set.name;
-    find("set").querySelector("i").style.background = set.colour;
+    coloured(find("set").querySelector("i"), set.colour);
     find("set").querySelector("span").textContent = set.name === "all" ? "for every leg" : `set ${set.name}`;
     const names = data.bodies.length > 1 ? ["", "identified: "] : [""];
     const problems = data.bodies.map((body, i) => body.problems[pose] && names[i] + body.problems[pose]).filter(Boolean);
@@ -90,10 +163,45 @@
     });
   }
 
+  // From pose to pose in the order of the plan, as the mechanism moves
+
+  const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const [PAUSE, MOTION] = calm ? [500, 0] : [120, 480]; // milliseconds
+
   function play(on) {
-    clearInterval(timer);
-    timer = on ? setInterval(() => show((pose + 1) % poses), 500) : null;
+    clearTimeout(timer);
+    cancelAnimationFrame(frame);
+    const moving = timer !== null;
+    timer = on ? setTimeout(step, PAUSE) : null;
+    if (!on && moving) show(pose);
     find("play").textContent = on ? "pause" : "play";
+  }
+
+  function step() {
+    const next = (pose + 1) % poses;
+    const begin = performance.now();
+    const tick = (now) => {
+      const part = Math.min(Math.max((now - begin) / (MOTION || 1), 0), 1);
+      if (part < 1 && next > 0 && jog.between(pose, next, part * part * (3 - 2 * part))) {
+        blend(data.bodies[1], pose, next, part);
+        frame = requestAnimationFrame(tick);
+        return;
+      }
+      show(next);
+      timer = setTimeout(step, PAUSE);
+    };
+    frame = requestAnimationFrame(tick);
+  }
+
+  function blend(body, from, to, part) { // the identified machine, whose loops are not closed here
+    if (!body) return;
+    const mixed = new Float64Array(12);
+    body.nodes.forEach((node, index) => {
+      const [a, b] = [from, to].map((one) => 12 * (one * body.nodes.length + index));
+      mixed.forEach((_, i) => (mixed[i] = (1 - part) * body.matrices[a + i] + part * body.matrices[b + i]));
+      node.object.visible = !mixed.some(Number.isNaN);
+      if (node.object.visible) move(node, mixed, 0);
+    });
   }
 
   function checkbox(parent, name, shown, change, colour) {
@@ -105,7 +213,7 @@
     if (colour) {
       const swatch = element("i", "", label);
       swatch.className = "swatch";
-      swatch.style.background = colour;
+      coloured(swatch, colour);
     }
     element("span", name, label);
     change(shown);
@@ -115,6 +223,8 @@
   find("description").textContent = data.description;
   find("source").textContent = data.source;
   find("grid").textContent = data.grid;
+  data.notices.forEach((text) => element("li", text, find("notices")));
+  find("notices").hidden = !data.notices.length;
   data.sets.forEach((set, index) => {
     const count = data.set.filter((own) => own === index).length;
     const name = set.name === "all" ? "for every leg, " : set.name && `${set.name}, `;
@@ -123,23 +233,77 @@
   });
   data.layers.forEach((layer) => checkbox(find("layers"), layer.name, layer.shown, (on) => setVisible(layer.path, on), layer.colour));
 
+  if (data.bodies[1]) { // from nominal to identified
+    const label = element("label", "", find("layers"));
+    element("span", "nominal", label);
+    const input = element("input", "", label);
+    Object.assign(input, { type: "range", id: "share", min: 0, max: 1, step: 0.02, value: 1 });
+    input.setAttribute("aria-label", "from nominal to identified");
+    element("span", "identified", label);
+    input.addEventListener("input", () => {
+      share = input.valueAsNumber;
+      place(data.bodies[1]);
+      viewer.set_dirty();
+    });
+  }
+
   const tags = data.legs.map((leg) => {
     const tag = element("div", leg.name, pane);
     tag.className = "tag";
-    tag.style.borderColor = leg.colour;
+    coloured(tag, leg.colour);
     return { tag, foot: turned(leg.foot) };
   });
   checkbox(find("layers"), "names of legs", true, (on) => tags.forEach(({ tag }) => (tag.hidden = !on)));
+
+  // Letters of the axes, of the base and of the platform; a scale
+
+  const letters = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].flatMap((axis, place) => [false, true].map((moves) => {
+    const tag = element("div", "xyz"[place], pane);
+    tag.className = "letter";
+    tag.setAttribute("aria-hidden", "true");
+    return { tag, moves, end: axis.map((one) => 1.25 * data.axis * one) };
+  }));
+  const world = new THREE.Vector3();
+
+  function placeLetters() {
+    const shown = { false: node("meshcat/base axes").object.visible, true: true };
+    for (const { tag, moves, end } of letters) {
+      const { object } = node(moves ? "meshcat/mechanism/platform/body" : "meshcat/base axes");
+      world.set(...end).applyMatrix4(object.matrixWorld);
+      const middle = world.clone().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
+      world.project(viewer.camera);
+      const flat = Math.hypot((world.x - middle.x) * pane.clientWidth, (world.y - middle.y) * pane.clientHeight) < 12;
+      tag.hidden = flat || !shown[moves] || !object.visible;
+      const x = ((world.x + 1) / 2) * pane.clientWidth - 4;
+      const y = ((1 - world.y) / 2) * pane.clientHeight - 9;
+      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+    }
+    const { target } = viewer.controls;
+    const right = new THREE.Vector3().setFromMatrixColumn(viewer.camera.matrixWorld, 0);
+    const [one, two] = [target.clone(), target.clone().add(right)].map((at) => at.project(viewer.camera).x);
+    const pixels = (Math.abs(two - one) / 2) * pane.clientWidth; // of a metre, where the view turns about
+    const decade = 10 ** Math.floor(Math.log10(140 / pixels));
+    const length = decade * ([5, 2].find((factor) => factor * decade * pixels < 140) || 1);
+    find("scale").querySelector("i").style.width = `${(length * pixels).toFixed(1)}px`;
+    const said = length >= 1 ? `${+length.toPrecision(3)} m` : `${+(1e3 * length).toPrecision(3)} mm`;
+    find("scale").querySelector("span").textContent = said;
+  }
 
   function placeTags() {
     const { clientWidth: width, clientHeight: height } = pane;
     const feet = tags.map(({ foot }) => foot.clone().project(viewer.camera));
     const middle = feet.reduce((sum, at) => sum + at.x, 0) / feet.length;
+    const taken = [];
     for (const [index, { tag }] of tags.entries()) {
       const at = feet[index];
       const beside = at.x < middle - 1e-6 ? -12 - tag.offsetWidth : 12; // away from the mechanism
       const x = Math.min(Math.max(((at.x + 1) / 2) * width + beside, 2), width - tag.offsetWidth - 2);
-      const y = Math.min(Math.max(((1 - at.y) / 2) * height + 8, 2), height - tag.offsetHeight - 2);
+      const low = Math.min(Math.max(((1 - at.y) / 2) * height + 8, 2), height - tag.offsetHeight - 2);
+      const [w, h] = [tag.offsetWidth, tag.offsetHeight];
+      const over = (there) => taken.some((one) => Math.abs(one.y - there) < h && x < one.x + one.w && one.x < x + w);
+      const shifts = [0, 1, -1, 2, -2, 3, -3].map((n) => low + n * h).filter((there) => there > 0 && there + h < height);
+      const y = shifts.find((there) => !over(there)) ?? low;
+      if (!tag.hidden) taken.push({ x, y, w });
       tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
     }
   }
@@ -193,6 +357,7 @@
   viewer.render = () => {
     render();
     placeTags();
+    placeLetters();
   };
   window.addEventListener("resize", () => {
     if (data.planar) widen();
@@ -223,7 +388,10 @@
   find("forth").addEventListener("click", () => show(pose + 1));
   find("play").addEventListener("click", () => play(timer === null));
   find("fit").addEventListener("click", fit);
+  const jog = Jog({ data, viewer, pane, node, move, element, bytes, halt: () => play(false) });
   fit();
   show(0);
-  window.pincal = { viewer, show, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
+  paint();
+  night.addEventListener("change", paint);
+  window.pincal = { viewer, show, jog, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();

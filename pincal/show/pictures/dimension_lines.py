@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,6 +16,8 @@ from pincal.show.style import DIMENSION, PICTURE
 from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
+#: Before a parameter's name in the id of its line.
+MARK = "dimension-"
 _GREEK = re.compile(
     "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|pi|rho|sigma|tau|phi|chi"
     "|psi|omega"
@@ -39,7 +41,11 @@ def symbol(name: str, leg: str = "") -> str:
 
 
 def draw_dimensions(
-    axes: Axes, found: Sequence[tuple[str, Dimension]], V: Array, busy: Array
+    axes: Axes,
+    found: Sequence[tuple[str, Dimension]],
+    V: Array,
+    busy: Array,
+    colours: Mapping[str, str] | None = None,
 ) -> None:
     """Draw dimensions over what axes show; their limits must be set.
 
@@ -48,20 +54,24 @@ def draw_dimensions(
         found: Dimensions, each with the name of its leg where that is to be an index.
         V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
         busy: Points that names should not hide, shape (n, 3), base frame, [m].
+        colours: Of lines, by the names of parameters; all alike if not given.
     """
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    paper = 72.0 * np.array((PICTURE.width, PICTURE.heights[1]))
-    point = float(np.max(np.array((right - left, high - low)) / paper))  # [m] on paper
+    own = [_colour(one, colours or {}) for _, one in found]
+    point = point_of(axes)
     height = PICTURE.name * point
     hidden = busy[np.isfinite(busy).all(axis=1)] @ V[:2].T
-    lines = [_drawn(axes, one, V, height, hidden.mean(axis=0)) for _, one in found]
+    middle = hidden.mean(axis=0)
+    lines = [
+        _drawn(axes, one, V, (height, colour), middle)
+        for (_, one), colour in zip(found, own, strict=True)
+    ]
     seen = np.concatenate([hidden, *map(_sampled, lines)])
-    boxes = [_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
+    boxes = [text_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
     for (leg, one), line in zip(found, lines, strict=True):
         text = ", ".join(symbol(name, leg) for name in one.names)
         if one.kind == "reading":
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
-        half = 0.5 * height * np.array((PICTURE.letter * _letters(text), 1.2))
+        half = 0.5 * height * np.array((PICTURE.letter * (_letters(text) + 0.8), 1.4))
         where = _free(line, half, seen, boxes)
         room = half + 0.3 * height  # names that touch read as one
         boxes.append(np.stack((where - room, where + room)))
@@ -79,13 +89,20 @@ def draw_dimensions(
         )
 
 
+def point_of(axes: Axes) -> float:
+    """Return what a point of the paper is in a picture, [m]; legend and values take some room."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    paper = 72.0 * np.array((PICTURE.width, PICTURE.heights[1]))
+    return PICTURE.room * float(np.max(np.array((right - left, high - low)) / paper))
+
+
 def _letters(text: str) -> int:
     """Return how many letters a text with symbols shows."""
     return len(re.sub(r"[${}_]", "", re.sub(r"\\mathit|\\[a-z]+", "x", text).replace("x{", "")))
 
 
-def _box(name: Annotation, point: float) -> Array:
-    """Return the least and largest of where a leg's name is, shape (2, 2), [m]."""
+def text_box(name: Annotation, point: float) -> Array:
+    """Return the least and largest of where a name beside a point is, shape (2, 2), [m]."""
     height = float(name.get_fontsize()) * point
     half = 0.5 * height * np.array((PICTURE.letter * len(name.get_text()), 1.2))
     shift = {"left": 1.0, "right": -1.0, "bottom": 1.0, "top": -1.0, "center": 0.0}
@@ -95,16 +112,22 @@ def _box(name: Annotation, point: float) -> Array:
     return np.stack((middle - half, middle + half))
 
 
-def _drawn(axes: Axes, one: Dimension, V: Array, height: float, middle: Array) -> Array:
+def _colour(one: Dimension, colours: Mapping[str, str]) -> str:
+    """Return the colour of a dimension, that of its first parameter that has one."""
+    return next((colours[name] for name in one.names if name in colours), DIMENSION)
+
+
+def _drawn(axes: Axes, one: Dimension, V: Array, look: tuple[float, str], middle: Array) -> Array:
     """Draw a dimension without its name; return its line as drawn, shape (n, 2).
 
     Args:
         axes: Where to draw.
         one: The dimension.
         V: What points right, up and towards the viewer, shape (3, 3).
-        height: Of names, [m].
+        look: Height of names, [m], and the line's colour.
         middle: Of the mechanism, from which lines beside links are away, shape (2,), [m].
     """
+    height, colour = look
     line = one.line @ V[:2].T
     thin: list[tuple[Array, str]] = []
     if one.beside:
@@ -117,23 +140,26 @@ def _drawn(axes: Axes, one: Dimension, V: Array, height: float, middle: Array) -
         sides = (line[0], line[-1])
         thin += [(np.stack((corner, corner + 1.15 * (end - corner))), "--") for end in sides]
     for part, dashes in thin:
-        axes.plot(*part.T, dashes, lw=0.5, color=DIMENSION, zorder=8)
-    axes.plot(*line.T, lw=0.8, color=DIMENSION, zorder=8)
+        axes.plot(*part.T, dashes, lw=0.5, color=colour, zorder=8)
+    (drawn,) = axes.plot(*line.T, lw=0.8 if colour == DIMENSION else 1.4, color=colour, zorder=8)
+    if colour != DIMENSION and one.names:
+        drawn.set_gid(MARK + one.names[0])  # found by linked pages
     if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > 0.3 * height:
-        _arrow(axes, line[-1], line[-2], height)
+        _arrow(axes, line[-1], line[-2], look)
         if one.corner is None:
-            _arrow(axes, line[0], line[1], height)
+            _arrow(axes, line[0], line[1], look)
     return line
 
 
-def _arrow(axes: Axes, end: Array, before: Array, height: float) -> None:
-    """Draw the head of an arrow at a line's end."""
+def _arrow(axes: Axes, end: Array, before: Array, look: tuple[float, str]) -> None:
+    """Draw the head of an arrow at a line's end, in the look of ``_drawn``."""
+    height, colour = look
     back = before - end
     tail = end + back * min(1.0, height / max(float(np.linalg.norm(back)), 1e-300))
     head = FancyArrowPatch(
         tuple(tail), tuple(end), arrowstyle="-|>", mutation_scale=6.0, lw=0.6, shrinkA=0, shrinkB=0
     )
-    head.set(color=DIMENSION, zorder=8)
+    head.set(color=colour, zorder=8)
     axes.add_patch(head)
 
 
@@ -166,7 +192,7 @@ def _free(line: Array, half: Array, seen: Array, boxes: Sequence[Array]) -> Arra
         over = sum(
             bool((where - half < box[1]).all() and (box[0] < where + half).all()) for box in boxes
         )
-        cost = float(hidden) + 30.0 * over + 0.4 * rank
+        cost = float(hidden) + 300.0 * over + 0.4 * rank
         if cost < least:
             best, least = where, cost
     return best

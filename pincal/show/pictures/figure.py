@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
 from numpy.typing import NDArray
 
 from pincal.kinematics.closure import nominal_legs
@@ -17,12 +19,13 @@ from pincal.kinematics.configurations import joints_at
 from pincal.model.checks import EXACT
 from pincal.model.measuring.measurements import EVERY_LEG
 from pincal.show import style
-from pincal.show.pictures.dimension_lines import draw_dimensions, symbol
+from pincal.show.pictures.dimension_lines import draw_dimensions, point_of, symbol, text_box
 from pincal.show.pictures.dimensions import Dimension, dimensions_of
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.painting import paint, placed
 from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
 from pincal.show.view.scene import Scene, frame_axes, grid_step, ground
+from pincal.show.view.solids import Shape
 from pincal.words.numbers import amount, counted
 from pincal.words.pages import clean
 
@@ -89,8 +92,9 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     legend.append(_dot(ACTIVE, "active joint"))
     if any(leg.passive for leg in scene.mechanism.legs):
         legend.append(_dot(PASSIVE, "passive joint"))
-    _name_legs(axes, scene, V, (low + high) / 2)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    _name_axes(axes, frame, V)
+    _name_legs(axes, scene, V, (low + high) / 2, point_of(axes))
     axes.set_axis_off()
     axes.legend(
         handles=legend,
@@ -103,6 +107,39 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     )
     if found:
         _dimension(axes, scene, row, dimensions, found, V)
+    return axes
+
+
+def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> Axes:
+    """Draw one leg of a mechanism with its dimensions, the rest faint behind it.
+
+    Args:
+        axes: Where to draw.
+        scene: The mechanism at a pose, its first.
+        leg: Name of the leg.
+        colours: Of dimensions, by the names of parameters.
+    """
+    V, found = _axes_of_view(scene.planar), _dimensions(scene, 0, [leg])
+    low, high = _extent(scene, 0, found)
+    edge = PICTURE.edge * float(np.linalg.norm(high - low))
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set_axis_off()
+    number = scene.mechanism.leg_names.index(leg) + 1
+    places = scene.body.placements[0]
+    parts = zip(scene.body.parts, places, strict=True)
+    shapes: dict[bool, list[tuple[Shape, Array]]] = {False: [], True: []}
+    for part, place in parts:
+        if np.isfinite(place).all():
+            own = part.path.startswith(f"leg {number}/")
+            shapes[own] += [(shape, place) for shape in part.shapes]
+    paint(axes, shapes[False], V, edge, GROUND)
+    paint(axes, [*((shape, np.eye(4)) for shape in frame_axes(scene)), *shapes[True]], V, edge)
+    _name_axes(axes, frame_axes(scene), V)
+    links = scene.body.skeletons()[0]
+    along = np.linspace(0.0, 1.0, 60)[:, None, None]
+    busy = ((1.0 - along) * links[:, 0] + along * links[:, 1]).reshape(-1, 3)
+    if found:
+        draw_dimensions(axes, found, V, busy, colours)
     return axes
 
 
@@ -182,18 +219,49 @@ def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
     return legend
 
 
-def _name_legs(axes: Axes, scene: Scene, V: Array, middle: Array) -> None:
-    """Write the legs' names at their feet, away from the mechanism."""
+def _name_axes(axes: Axes, frame: Sequence[Shape], V: Array) -> None:
+    """Write the letters of the base frame's axes beyond their ends; none of one that is end on."""
+    for letter, shape in zip("xyz", frame, strict=True):
+        length = float(shape.size[1])
+        end = 2 * V[:2] @ shape.T_link_shape[:3, 3]
+        if np.linalg.norm(end) > 0.3 * length:
+            away = 4.5 * end / np.linalg.norm(end)
+            own: dict[str, Any] = {"ha": "center", "va": "center", "size": 7, "zorder": 9}
+            axes.annotate(
+                letter, tuple(end.tolist()), tuple(away), textcoords="offset points", **own
+            )
+
+
+def _name_legs(axes: Axes, scene: Scene, V: Array, middle: Array, point: float) -> None:
+    """Write the legs' names at their feet, away from the mechanism and clear of each other.
+
+    Args:
+        axes: Where to write, after the letters of the axes.
+        scene: What is drawn.
+        V: What points right, up and towards the viewer, shape (3, 3).
+        middle: Of what is drawn, right and up, [m].
+        point: Of the paper, [m].
+    """
     feet = np.array([leg.joints[0].placement.xyz for leg in scene.mechanism.legs]) @ V[:2].T
     outward = feet - middle
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
-    for leg, foot, (right, up) in zip(scene.mechanism.legs, feet, outward.tolist(), strict=True):
-        axes.annotate(
-            _short(leg.name),
-            (float(foot[0]), float(foot[1])),
-            xytext=(13 * right, 13 * up),
-            textcoords="offset points",
-            ha="center" if abs(right) < 0.4 else "left" if right > 0 else "right",
-            va="center" if abs(up) < 0.4 else "bottom" if up > 0 else "top",
-            size=8,
-        )
+    taken = [text_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
+    for leg, foot, way in zip(scene.mechanism.legs, feet, outward, strict=True):
+        for far, turn in PICTURE.beside:
+            cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+            right, up = (np.array([[cos, -sin], [sin, cos]]) @ way).tolist()
+            name = axes.annotate(
+                _short(leg.name),
+                (float(foot[0]), float(foot[1])),
+                xytext=(far * right, far * up),
+                textcoords="offset points",
+                ha="center" if abs(right) < 0.4 else "left" if right > 0 else "right",
+                va="center" if abs(up) < 0.4 else "bottom" if up > 0 else "top",
+                size=8,
+            )
+            own = text_box(name, point)
+            if not any((own[0] < box[1]).all() and (box[0] < own[1]).all() for box in taken):
+                break
+            if (far, turn) != PICTURE.beside[-1]:
+                name.remove()
+        taken.append(own)

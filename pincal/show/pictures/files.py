@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 
 from pincal.errors import FileError
 from pincal.files.output import writing
+from pincal.show.style import DARK, INK, PAPER
 from pincal.words.pages import clean, rendered
 
 #: What each format would say about its making.
@@ -44,6 +45,16 @@ _STYLE: dict[Any, Any] = {
     "figure.dpi": 150,
     "hatch.linewidth": 0.6,
 }
+
+
+#: Colours of drawings that are other on dark ground: those of the palette, black and white.
+_DARK = {**DARK, "#000000": INK[1], "#ffffff": PAPER[1], "#cccccc": "#40464e"}
+_COLOUR = re.compile(r"#[0-9a-fA-F]{6}\b")
+
+
+def dark_variables() -> str:
+    """Return the colours of figures on dark ground, as variables of CSS."""
+    return " ".join(f"--c{light[1:]}: {dark};" for light, dark in _DARK.items())
 
 
 @contextmanager
@@ -73,8 +84,16 @@ def picture_path(path: str | Path) -> Path:
     return path
 
 
-def save_figure(drawn: Figure, path: str | Path, *, force: bool = False) -> Path:
-    """Write a figure, closely cut, in the format of its name, and return its path.
+def save_figure(
+    drawn: Figure, path: str | Path, *, force: bool = False, whole: bool = False
+) -> Path:
+    """Write a figure in the format of its name, and return its path.
+
+    Args:
+        drawn: The figure.
+        path: Where to.
+        force: Whether to replace what is there.
+        whole: Whether it keeps its size; else it is closely cut.
 
     Raises:
         FileError: the name ends otherwise, the file exists and ``force`` is not set, or it
@@ -82,14 +101,14 @@ def save_figure(drawn: Figure, path: str | Path, *, force: bool = False) -> Path
     """
     path = picture_path(path)
     with writing(path, force=force) as scratch:
-        scratch.write_bytes(figure_bytes(drawn, path.suffix[1:].lower()))
+        scratch.write_bytes(figure_bytes(drawn, path.suffix[1:].lower(), whole=whole))
     return path
 
 
-def figure_bytes(drawn: Figure, kind: str) -> bytes:
+def figure_bytes(drawn: Figure, kind: str, *, whole: bool = False) -> bytes:
     """Return a figure as svg, png or pdf; names and dates of its making are left out."""
     buffer = io.BytesIO()
-    closely: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.05}
+    closely: dict[str, Any] = {} if whole else {"bbox_inches": "tight", "pad_inches": 0.05}
     with drawing(svg_hashsalt="pincal"):
         drawn.savefig(buffer, format=kind, dpi=150, metadata=dict.fromkeys(_SAID[kind]), **closely)
     if kind != "svg":
@@ -158,6 +177,12 @@ def _place_no_empty_labels(drawn: Figure) -> None:
                 axis.set_label_coords(0.0, 0.0)
 
 
+def _themed(colour: re.Match[str]) -> str:
+    """Return a colour as a variable of the page, which has another one on dark ground."""
+    own = colour[0].lower()
+    return f"var(--c{own[1:]}, {own})" if own in _DARK else own
+
+
 def _inline(svg: bytes) -> Any:
     """Return an SVG as elements of HTML: no namespaces, no ids but those that are used."""
     safe: dict[str, Any] = {"resolve_entities": False, "no_network": True, "remove_comments": True}
@@ -170,8 +195,12 @@ def _inline(svg: bytes) -> Any:
         for key, value in element.items():
             del element.attrib[key]
             name = etree.QName(key).localname
-            if (name == "href" or not key.startswith("{")) and (name != "id" or value in used):
+            if (name == "href" or not key.startswith("{")) and (
+                name != "id" or value in used or value.startswith("dimension-")
+            ):
                 element.set(name, "".join(value.split()) if value[:5] == "data:" else value)
+        if "style" in element.attrib:
+            element.set("style", _COLOUR.sub(_themed, element.get("style", "")))
     etree.cleanup_namespaces(root)
     for key in ("width", "height", "version"):
         del root.attrib[key]

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from pincal.show.style import PICTURE
-from pincal.show.view.bodies import Body, Shape
+from pincal.show.view.bodies import Body
+from pincal.show.view.solids import Shape
 
 Array = NDArray[np.float64]
 _TURNS = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
@@ -25,8 +26,9 @@ _CIRCLE = np.stack((np.cos(_TURNS), np.sin(_TURNS)), axis=1)
 _LIGHT = np.array([0.3, 0.8, 0.5])  # where it comes from: right, up, towards the viewer
 _CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
 
-#: Points whose hulls are a piece, whole and smaller by the edge, [m]; how bright it is.
-_Piece: TypeAlias = tuple[Array, Array, float]
+#: Points whose hulls are a piece, whole and smaller by the edge, [m]; how bright it is; where
+#: between its farthest and its nearest point others are behind it.
+_Piece: TypeAlias = tuple[Array, Array, float, float]
 
 
 def placed(body: Body, row: int) -> list[tuple[Shape, Array]]:
@@ -56,26 +58,38 @@ def paint(
     """
     most = 1 if colour else PICTURE.pieces  # where pieces of one colour overlap they would show
     pieces = [
-        (whole @ V.T, inner @ V.T, np.minimum(bright * np.array(to_rgb(colour or shape.colour)), 1))
+        (
+            whole @ V.T,
+            inner @ V.T,
+            np.minimum(bright * np.array(to_rgb(colour or shape.colour)), 1),
+            behind,
+        )
         for shape, place in shapes
-        for whole, inner, bright in _pieces(shape, place @ shape.T_link_shape, V, edge, most)
+        for whole, inner, bright, behind in _pieces(
+            shape, place @ shape.T_link_shape, V, edge, most
+        )
     ]
-    pieces.sort(key=lambda piece: round(float(piece[0][:, 2].max()), 9))
-    polygons = [_hull(points[:, :2]) for whole, inner, _ in pieces for points in (whole, inner)]
-    colours = [c for *_, own in pieces for c in (PICTURE.dark * own, own)]
+    pieces.sort(key=lambda piece: round(float(np.quantile(piece[0][:, 2], piece[3])), 9))
+    polygons = [_hull(points[:, :2]) for whole, inner, *_ in pieces for points in (whole, inner)]
+    colours = [c for *_, own, _ in pieces for c in (PICTURE.dark * own, own)]
     opacity = 0.45 if colour else None
     axes.add_collection(PolyCollection(polygons, facecolors=colours, lw=0, alpha=opacity))
 
 
 def _pieces(shape: Shape, T: Array, V: Array, edge: float, most: int) -> list[_Piece]:
     """Return the pieces of a shape, rods in so many at most."""
+    if shape.points is not None:
+        whole = shape.points @ T[:3, :3].T + T[:3, 3]
+        middle = whole.mean(axis=0)
+        least = 1.0 - 2.0 * edge / float(np.linalg.norm(whole - middle, axis=1).max())
+        return [(whole, middle + max(least, 0.5) * (whole - middle), 1.0, 0.25)]
     thin = min(edge, min(shape.size) / 5)
     if shape.kind == "box":
         return _faces(shape, T, V, thin)
     if shape.kind == "sphere":
         outline = np.concatenate((_CIRCLE @ V[:2], V[2:]))
         whole, inner = (T[:3, 3] + r * outline for r in (shape.size[0], shape.size[0] - thin))
-        return [(whole, inner, 1.0)]
+        return [(whole, inner, 1.0, 1.0)]
     radius, length = shape.size
     stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
     if length * stretch < 1e-3 * edge:  # too short to be seen
@@ -96,6 +110,7 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float, most: int) -> list[_P
             tube(radius, low, high),
             tube(radius - thin, max(low - over, -end), min(high + over, end)),
             1.0,
+            1.0,
         )
         for low, high in pairwise(cuts)
     ]
@@ -112,7 +127,7 @@ def _faces(shape: Shape, T: Array, V: Array, thin: float) -> list[_Piece]:
         corners = _CORNERS[_CORNERS[:, axis] == side / 2]
         less = np.where(np.arange(3) == axis, 0.0, 2 * thin)
         whole, inner = (corners * (size - cut) @ T[:3, :3].T + T[:3, 3] for cut in (0.0, less))
-        faces.append((whole, inner, 0.8 + 0.4 * float(side * T[:3, axis] @ V.T @ _LIGHT)))
+        faces.append((whole, inner, 0.8 + 0.4 * float(side * T[:3, axis] @ V.T @ _LIGHT), 1.0))
     return faces
 
 

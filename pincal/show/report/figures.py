@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter
@@ -16,8 +18,9 @@ from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
-from pincal.show.plots import (
+from pincal.show.pictures.parts import (
     along,
+    before_after,
     draw_bars,
     draw_map,
     draw_mechanism,
@@ -27,9 +30,10 @@ from pincal.show.plots import (
     label,
     name_places,
 )
+from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, parameters, whose
-from pincal.show.style import COLOURS, PAGE, look
+from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
 
 Array = NDArray[np.float64]
@@ -133,6 +137,24 @@ def changes_figure(found: Findings) -> Drawn:
     )
 
 
+@on_page("figure-drawing")
+def drawing_figure(found: Findings) -> Drawn:
+    """Return the first leg with its dimensions, in the colours of their changes."""
+    result = found.result
+    leg = result.legs[0].name
+    drawn = _figure(4.6, left=0.1, bottom=0.3, top=0.05)
+    axes = draw_dimensioned(drawn.subplots(), result, leg)
+    if not axes.lines:  # nothing is drawn that can be seen: out of reach at home
+        return None
+    keys = [Line2D([], [], color=colour, lw=3, label=said) for _, colour, said in LEVELS]
+    drawn.legend(handles=keys, loc="lower center", ncols=3, frameon=False)
+    alike = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
+    return drawn, (
+        f"Where the parameters of {leg} are{alike}: lines in the colours of their changes. Values "
+        "stand in the table above; parameters that are zero have no line."
+    )
+
+
 @on_page("figure-rms")
 def platform_figure(found: Findings) -> Drawn:
     """Return bars of the platform's errors and of the residuals, before and after (Fig. 10)."""
@@ -157,12 +179,14 @@ def platform_figure(found: Findings) -> Drawn:
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
     for axes, (title, bars) in zip(panels, parts.items(), strict=True):
         when = enumerate(("before", "after"))
-        draw_bars(axes, {k: {name: own[i] for name, own in bars.items()} for i, k in when})
+        draw_bars(
+            axes, {k: {name: own[i] for name, own in bars.items()} for i, k in when}, before_after
+        )
         axes.set_title(title)
         axes.get_legend().remove()
         many = len(bars) > 4
         for bar in axes.containers:
-            axes.bar_label(bar, fmt="%.2g", fontsize=6.5, rotation=90 * many, padding=2)
+            axes.bar_label(bar, fmt="%.2g", fontsize=7, rotation=90 * many, padding=2)
         if many:
             axes.tick_params(axis="x", labelrotation=45)
         axes.margins(y=0.18)
@@ -248,10 +272,10 @@ def _mark_outliers(axes: Axes, found: Findings, series: Series, factor: float) -
         row = one.row + 1
         if one.row in place:
             where, system = (row, factor * float(series.after[place[one.row]])), axes.transData
-            axes.plot(*where, "o", ms=8, mfc="none", mec=COLOURS[1], mew=1.2)
+            axes.plot(*where, "o", ms=8, mfc="none", mec=OUTLIER, mew=1.2)
         else:
             where, system = (row, 0.93), axes.get_xaxis_transform()
-            axes.plot(*where, "X", ms=6, color=COLOURS[1], transform=system, clip_on=False)
+            axes.plot(*where, "X", ms=6, color=OUTLIER, transform=system, clip_on=False)
         if rank < 6:
             beside: dict[str, Any] = {"xytext": (6, 2), "textcoords": "offset points", "size": 7}
             axes.annotate(str(row), where, xycoords=system, **beside)
@@ -272,7 +296,7 @@ def histogram_figure(found: Findings) -> Drawn:
     shown = min(max(4.0, float(np.ceil(np.abs(white).max()))), 8.0)
     bins = np.linspace(-shown, shown, int(4 * shown) + 1).tolist()
     looks: dict[str, Any] = {
-        "color": COLOURS[5],
+        "color": IDENTIFIED,
         "edgecolor": "white",
         "label": f"{len(white)} residuals",
     }
@@ -314,12 +338,15 @@ def maps_figure(found: Findings) -> Drawn:
     panels = iter(drawn.subplots(down, across, sharex=True, sharey=True).ravel())
     for title, unit, values in rows:
         own = [next(panels) for _ in maps.heights]
-        limits = float(np.nanmin(values)), float(np.nanmax(values))
+        alike = np.concatenate([own.ravel() for _, other, own in rows if other == unit])
+        limits = float(np.nanmin(alike)), float(np.nanmax(alike))
         for axes, error, height in zip(own, values, maps.heights, strict=True):
-            draw_map(axes, (maps.x, maps.y), error, limits)
+            draw_map(axes, (maps.x, maps.y), error, limits, decades=True)
             axes.set_title(height_said(height))
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
-        drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
+        bar = drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        bar.ax.yaxis.set_minor_formatter(NullFormatter())
     for axes in panels:
         axes.set_axis_off()
     drawn.supxlabel(along("x"), size=8)
@@ -327,6 +354,6 @@ def maps_figure(found: Findings) -> Drawn:
     where = "the workspace at home orientation" if found.turns else "the workspace"
     return drawn, (
         f"Error of the platform over {where}: how far the nominal model is off, and what is "
-        "to be expected of the calibrated one (standard error). Scales differ; white: not in "
-        "the workspace."
+        "to be expected of the calibrated one (standard error). One scale of decades for both; "
+        "white: not in the workspace."
     )

@@ -45,6 +45,7 @@ class Report(Page):
     @cached_property
     def _page(self) -> str:
         from pincal.show import result_tables, results, summary
+        from pincal.show.pictures.files import dark_variables
         from pincal.show.report import facts, figures  # imports matplotlib: slow
         from pincal.show.report.answers import Answers, warning_lines
         from pincal.words.pages import rendered
@@ -63,6 +64,7 @@ class Report(Page):
                 summary=summary,
                 tables=result_tables,
                 warnings=warning_lines(found.result),
+                dark=dark_variables(),
                 answers=Answers(found, origin.notes),
                 versions=[*versions, f"Python {platform.python_version()}"],
             )

@@ -1,7 +1,8 @@
 """A mechanism as parts that move: shapes of its links, and where each is at every pose.
 
-Parts are what the exported URDFs draw, and a rod for each prismatic joint, as long as the joint
-has moved; a URDF's rigid links cannot show that. Where a leg does not reach, its links are NaN.
+Parts are what the exported URDFs draw, and what rigid links cannot show: cylinder and piston or
+cable of a prismatic joint, as long as the joint has moved, parallelograms, plates (``solids``).
+Where a leg does not reach, its links are NaN.
 """
 
 from __future__ import annotations
@@ -19,21 +20,18 @@ from pincal.model.leg import Leg
 from pincal.model.links import link_placements
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show.view.solids import (
+    GREY,
+    Shape,
+    base,
+    parallel_frame,
+    parallelogram,
+    plate,
+    pulls,
+    two_rods,
+)
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """A box, cylinder (along z) or sphere on a link."""
-
-    kind: str
-    size: tuple[float, ...]
-    """Edges of a box; radius and length of a cylinder; radius of a sphere; [m]."""
-    T_link_shape: Array
-    """Shape (4, 4)."""
-    colour: str
-    """``"#rrggbb"``."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +39,9 @@ class Part:
     """What moves as one."""
 
     path: str
-    """Place in the scene: ``leg 1/base``, ``leg 1/link 2``, ``leg 1/rod 3``, ``platform/body``,
-    ``platform/point 1``; legs, joints and points counted from 1."""
+    """Place in the scene: ``leg 1/base``, ``leg 1/link 2``, ``leg 1/rod 3``, ``leg 1/cylinder 3``,
+    ``leg 1/parallel 4``, ``platform/body``, ``platform/point 1``, ``base/frame``; legs, joints and
+    points counted from 1."""
     shapes: tuple[Shape, ...]
 
 
@@ -96,29 +95,50 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
 
     for number, leg in enumerate(mechanism.legs, 1):
         joints = solution.joints[leg.name]
-        base, *shapes = urdf_shapes(leg_urdf(leg))
-        add(f"leg {number}/base", base, np.eye(4))
+        foot, *shapes = urdf_shapes(leg_urdf(leg))
+        radius = foot[0].size[2]
+        add(f"leg {number}/base", foot, np.eye(4))
         links = link_placements(leg, joints)
         chains.append(tuple(range(len(parts), len(parts) + len(shapes))))
+        pair = parallelogram(leg) if mechanism.platform.kind == "translational" else None
         for place, own in enumerate(shapes):
-            add(f"leg {number}/link {place + 1}", own, links[:, place])
+            rigid = own[:1] if place == pair else own
+            add(f"leg {number}/link {place + 1}", rigid, links[:, place])
+        if pair is not None:
+            frame = parallel_frame(leg, links, pair)
+            add(f"leg {number}/parallel {pair + 1}", two_rods(leg, radius), frame)
         for place, column in _strokes(leg):
-            slider = shapes[place][0]
-            rod = _rod(leg.joints[place].axis, joints[:, column])
-            shape = Shape("cylinder", (slider.size[0] / 4, 1.0), _UPWARD, _GREY)
-            add(f"leg {number}/rod {place + 1}", (shape,), links[:, place] @ rod)
+            axis, strokes = leg.joints[place].axis, joints[:, column]
+            thin = 0.16 * radius if pulls(leg) else 0.4 * radius
+            piston = Shape("cylinder", (thin, 1.0), _UPWARD, PISTON)
+            shortest = float(np.nanmin(np.abs(strokes), initial=np.inf))
+            longest = float(np.nanmax(np.abs(strokes), initial=0.0))
+            inside = 0.0 if pulls(leg) or longest > 3.0 * shortest else BARREL * shortest
+            rod, barrel = _rod(axis, strokes, inside)
+            add(f"leg {number}/rod {place + 1}", (piston,), links[:, place] @ rod)
+            if inside:
+                outer = Shape("cylinder", (0.8 * radius, 1.0), _UPWARD, GREY)
+                add(f"leg {number}/cylinder {place + 1}", (outer,), links[:, place] @ barrel)
     shapes = urdf_shapes(platform_urdf(mechanism.name, mechanism.legs))
-    add("platform/body", shapes[0], T_base_platform)
     points = {leg.point.name: leg.point for leg in mechanism.legs}
+    corners = np.array([point.placement.xyz for point in points.values()])
+    size = shapes[0][0].size[1]
+    solid = plate(corners, 0.7 * size)
+    add("platform/body", (*shapes[0][:1], *solid) if solid else shapes[0], T_base_platform)
     for number, (point, own) in enumerate(zip(points.values(), shapes[1:], strict=True), 1):
         add(f"platform/point {number}", own, T_base_platform @ point.placement.origin())
+    feet = np.array([leg.joints[0].placement.xyz for leg in mechanism.legs])
+    home = platform.home_pose.as_matrix()[0, :3, 3]
+    add("base/frame", base(feet, home, size), np.eye(4))
     problems = tuple(solution.reason(row) for row in range(len(poses)))
     T_base_part = np.stack(placements, axis=1)
     T_base_part[~np.isfinite(T_base_part).all(axis=(2, 3))] = np.nan
     return Body(tuple(parts), T_base_part, tuple(chains), problems)
 
 
-_GREY = "#595959"
+PISTON = "#b9bec5"
+#: Length of a cylinder, of the shortest stroke.
+BARREL = 0.62
 _UPWARD = np.eye(4)
 _UPWARD[2, 3] = 0.5  # a cylinder of length 1 that begins at the origin
 
@@ -133,14 +153,25 @@ def _strokes(leg: Leg) -> list[tuple[int, int]]:
     ]
 
 
-def _rod(axis: tuple[float, float, float], strokes: Array) -> Array:
-    """Return ``T_slider_rod`` of rods from z = 0 to 1, stretched to reach back, shape (N, 4, 4)."""
+def _rod(axis: tuple[float, float, float], strokes: Array, inside: float) -> tuple[Array, Array]:
+    """Return ``T_slider_rod`` and ``T_slider_cylinder``, from z = 0 to 1, shape (N, 4, 4) each.
+
+    Together they reach back from the slider to where it is at zero.
+
+    Args:
+        axis: Of the joint.
+        strokes: Shape (N,), [m].
+        inside: Length of the cylinder, [m].
+    """
     _, _, (_, across, other) = np.linalg.svd([axis])
-    rod = np.zeros((len(strokes), 4, 4))
-    rod[:] = np.eye(4)
-    rod[:, :3, 0], rod[:, :3, 1] = across, other
-    rod[:, :3, 2] = -np.where(np.abs(strokes) > 1e-9, strokes, np.nan)[:, None] * axis
-    return rod
+    frames = np.zeros((2, len(strokes), 4, 4))
+    frames[:] = np.eye(4)
+    frames[..., :3, 0], frames[..., :3, 1] = across, other
+    moved = np.where(np.abs(strokes) > 1e-9, strokes, np.nan)
+    parts = (moved - inside * np.sign(moved), inside * np.sign(moved))
+    frames[..., :3, 2] = -np.multiply.outer(np.array(parts), np.array(axis))
+    frames[1, :, :3, 3] = frames[0, :, :3, 2]
+    return frames[0], frames[1]
 
 
 def urdf_shapes(text: str) -> list[tuple[Shape, ...]]:

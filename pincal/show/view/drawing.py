@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from pincal.show.style import CARRIED, DOMAIN, GROUND, IDENTIFIED
-from pincal.show.view.bodies import Body, Shape
+from pincal.show.view.bodies import Body
 from pincal.show.view.scene import Scene, frame_axes, ground
+from pincal.show.view.solids import Shape
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of pyzmq, when meshcat asks for it
@@ -90,12 +92,32 @@ def _body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None
 
 
 def _geometry(shape: Shape) -> Any:
+    if shape.points is not None and shape.faces is not None:
+        return _facets(shape.points[shape.faces])
+    if shape.points is not None:
+        return _hull(shape.points)
     if shape.kind == "box":
         return g.Box(shape.size)
     if shape.kind == "cylinder":
         radius, length = shape.size
         return g.Cylinder(length, radius)
     return g.Sphere(*shape.size)
+
+
+def _hull(points: Array) -> Any:
+    """Return the hull of points, each triangle with corners of its own: edges are sharp."""
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+    corners[inward] = corners[inward][:, ::-1]
+    return _facets(corners)
+
+
+def _facets(corners: Array) -> Any:
+    """Return triangles (n, 3, 3) with corners of their own."""
+    flat = corners.reshape(-1, 3)
+    return g.TriangularMeshGeometry(flat, np.arange(len(flat)).reshape(-1, 3))
 
 
 def _axes(draw: Any, shapes: tuple[Shape, ...]) -> None:

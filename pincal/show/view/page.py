@@ -8,29 +8,36 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.show.style import DOMAIN, IDENTIFIED, TOWARDS_VIEWER
+from pincal.show.style import DARK, DOMAIN, IDENTIFIED, PAPER, TOWARDS_VIEWER
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
-from pincal.show.view.scene import Scene, grid_step, set_colour
+from pincal.show.view.motion import motion
+from pincal.show.view.scene import Scene, frame_axes, grid_step, set_colour
+from pincal.show.view.solids import GREY
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.pages import rendered
 
 Array = NDArray[np.float64]
+#: Links and shadows on dark ground.
+SOLIDS_DARK = {GREY: "#8b929b", "#d9dce0": "#0b0d10"}
 
 
-def page(scene: Scene, source: str = "") -> str:
+def page(scene: Scene, source: str = "", notices: Sequence[str] = ()) -> str:
     """Return the page of a scene.
 
     Args:
         scene: What to show.
         source: Where it comes from.
+        notices: What to know first.
     """
-    text = json.dumps(_data(scene, source), ensure_ascii=False, separators=(",", ":"))
+    data = _data(scene, source) | {"notices": list(notices)}
+    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
     return rendered(
         "view.html",
         title=scene.mechanism.name,
@@ -67,6 +74,11 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
             for leg in scene.mechanism.legs
         ],
         "layers": _layers(scene),
+        "motion": motion(scene),
+        "level": scene.level,
+        "axis": frame_axes(scene)[0].size[1],
+        "dark": DARK | SOLIDS_DARK,
+        "paper": PAPER,
     }
 
 

@@ -17,8 +17,9 @@ from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import AXES, EVERY, look
-from pincal.show.view.bodies import Body, Shape, body
+from pincal.show.style import DIMENSION, EVERY, look
+from pincal.show.view.bodies import Body, body
+from pincal.show.view.solids import Shape
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.domain import in_domain
 
@@ -92,6 +93,15 @@ class Scene:
         parts = [one.placements[:, :, :3, 3].reshape(-1, 3) for one in bodies]
         clouds = [self.cloud.positions] if self.cloud else []
         return np.concatenate((feet, *parts, *clouds))
+
+    @property
+    def level(self) -> float:
+        """Height of the ground, [m]: in space, what the lowest part stands on."""
+        if self.planar:
+            return 0.0
+        frame = self.body.parts[self.body.part("base/frame")].shapes
+        under = [float(one.points[:, 2].min()) for one in frame if one.points is not None]
+        return min([float(self.bounds()[0, 2]), *under])
 
     def bounds(self) -> Array:
         """Return least and largest coordinates of all that is drawn, shape (2, 3), [m]."""
@@ -198,16 +208,16 @@ def set_colour(scene: Scene, name: str) -> str:
 
 
 def frame_axes(scene: Scene) -> tuple[Shape, ...]:
-    """Return the axes of a frame, x red, y green, z blue, of a length that suits the scene."""
+    """Return the axes x, y and z of a frame, of a length that suits the scene."""
     platform = scene.body.parts[scene.body.part("platform/body")]
     length = 5 * platform.shapes[0].size[0]
     axes = []
-    for place, colour in enumerate(AXES):
+    for place in range(3):
         T = np.zeros((4, 4))
         T[:3, :3] = np.roll(np.eye(3), 2 - place, axis=1)  # z of the cylinder along the axis
         T[3, 3] = 1.0
         T[place, 3] = length / 2
-        axes.append(Shape("cylinder", (0.03 * length, length), T, colour))
+        axes.append(Shape("cylinder", (0.02 * length, length), T, DIMENSION))
     return tuple(axes)
 
 
@@ -220,7 +230,10 @@ def grid_step(scene: Scene) -> float:
 
 
 def ground(scene: Scene) -> Array:
-    """Return lines on the ground under all that is drawn, shape (n, 2, 3), [m]."""
+    """Return lines on the ground under all that is drawn, shape (n, 2, 3), [m].
+
+    In a plane the ground is that; in space it is as low as the lowest part.
+    """
     step = grid_step(scene)
     low, high = scene.bounds()[:, :2]
     begin, end = np.floor(low / step) * step, np.ceil(high / step) * step
@@ -230,5 +243,6 @@ def ground(scene: Scene) -> Array:
         ends = np.zeros((len(at), 2, 3))
         ends[:, :, axis] = at[:, None]
         ends[:, :, 1 - axis] = begin[1 - axis], end[1 - axis]
+        ends[:, :, 2] = scene.level
         lines.append(ends)
     return np.concatenate(lines)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from weakref import finalize
 
 import numpy as np
@@ -25,15 +28,32 @@ class View(Page):
 
     sandbox, height = "allow-scripts allow-downloads", "600px"
 
-    def __init__(self, scene: Scene, source: str = "") -> None:
+    def __init__(self, scene: Scene, source: str = "", notices: Sequence[str] = ()) -> None:
         self.scene = scene
         self._source = source
+        self._notices = tuple(notices)
+
+    def with_meshes(self, urdf: str | Path) -> View:
+        """Return the view with an arm's links as the meshes of the URDF that it was read from.
+
+        Raises:
+            FileError: a URDF or mesh that cannot be read, or of other joints.
+            MechanismError: not a well-formed URDF.
+        """
+        from pincal.show.view.meshes import with_meshes
+
+        body = with_meshes(self.scene.body, self.scene.mechanism, urdf)
+        return View(replace(self.scene, body=body), self._source, self._notices)
+
+    def with_notices(self, notices: Sequence[str]) -> View:
+        """Return the view with what is to be known first, such as a result's ``warnings``."""
+        return View(self.scene, self._source, notices)
 
     @cached_property
     def _page(self) -> str:
         from pincal.show.view.page import page  # imports meshcat: slow
 
-        return page(self.scene, self._source)
+        return page(self.scene, self._source, self._notices)
 
     @cached_property
     def url(self) -> str:

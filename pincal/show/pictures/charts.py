@@ -1,0 +1,251 @@
+"""What a metrologist asks of a calibration, each question drawn into axes."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import FuncFormatter, NullFormatter
+from numpy.typing import NDArray
+
+from pincal.calibration.result import CalibrationResult
+from pincal.design.information import information_rows
+from pincal.design.selection.accuracy_bound import accurate_design
+from pincal.design.simulate import platform_errors
+from pincal.errors import MeasurementError, WorkspaceError
+from pincal.kinematics.configurations import legs_at
+from pincal.model.measuring.measurements import Noise, Plan
+from pincal.show.results import noisy_series, parameters
+from pincal.show.style import EVERY, IDENTIFIED, MARKERS, NOMINAL, OUTLIER, look
+from pincal.words.numbers import SMALL, STORED, per_si
+from pincal.workspace.criteria import in_workspace
+from pincal.workspace.sampling import sample_configurations
+
+Array = NDArray[np.float64]
+_SAMPLES = 300  # of the workspace
+_STEPS = 12  # numbers of poses
+_NAMED = 3  # parameters of a direction
+_ACROSS = 31  # cells of a bed
+
+
+def worst_of_rows(result: CalibrationResult) -> Array:
+    """Return the largest residual of each row in standard deviations, NaN where none is noisy."""
+    worst = np.full(len(result.measurements), np.nan)
+    for one in noisy_series(result):
+        noisy = one.sigma > 0.0
+        np.fmax.at(worst, one.rows[noisy], np.abs(one.after[noisy] / one.sigma[noisy]))
+    return worst
+
+
+def over_workspace(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw the largest residual of each row where it was measured, x and y; outliers ringed."""
+    worst, at = worst_of_rows(result), per_si("m", STORED) * result.poses[:, :2]
+    known = np.isfinite(worst) & np.isfinite(at).all(axis=1)
+    x, y = at[known].T
+    drawn = axes.scatter(x, y, c=worst[known], s=26, cmap="cividis_r", vmin=0.0, vmax=4.0, lw=0)
+    bar = axes.figure.colorbar(drawn, ax=axes, extend="max")
+    bar.set_label("largest residual of the row [σ]")
+    own = [one.row for one in result.outliers if one.row < len(at)]
+    if own:
+        axes.plot(*at[own].T, "o", ms=9, mfc="none", mec=OUTLIER, mew=1.3, label="outlier")
+        axes.legend()
+    axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]", aspect="equal")
+    return axes
+
+
+def over_time(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw the means of residuals over the run, in their standard errors, by tenths of the rows.
+
+    Within ±2 nothing drifts. Over the column ``time`` if measurements have one.
+    """
+    rows = np.arange(len(result.measurements), dtype=np.float64)
+    column = dict(result.measurements.influences or {}).get("time")
+    when = rows + 1.0 if column is None else np.asarray(column, dtype=np.float64)
+    for index, one in enumerate(noisy_series(result)):
+        noisy = one.sigma > 0.0
+        order = np.argsort(when[one.rows[noisy]], kind="stable")
+        white = (one.after[noisy] / one.sigma[noisy])[order]
+        at = when[one.rows[noisy]][order]
+        parts = [part for part in np.array_split(np.arange(len(white)), 10) if len(part)]
+        own = look(index)
+        means = [white[part].sum() / np.sqrt(len(part)) for part in parts]
+        middle = [at[part].mean() for part in parts]
+        axes.plot(middle, means, own.marker + "-", color=own.colour, ms=4, lw=1, label=one.name)
+    axes.axhspan(-1.96, 1.96, color="0.92", zorder=0)
+    axes.axhline(0.0, color="0.5", lw=0.8)
+    axes.set(xlabel="data row" if column is None else "time", ylabel="mean residual / its σ")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+    return axes
+
+
+def directions(result: CalibrationResult) -> tuple[list[str], Array, Array]:
+    """Return ids, singular values and directions of what was identified, the weakest last.
+
+    Of the identification Jacobian with columns of unit length at that: 1 where parameters are
+    independent, near 0 where errors of several go together. Directions are columns, in the
+    parameters' own standard errors if the others were known.
+    """
+    ids = [p.id for _, p in parameters(result)]
+    std = np.sqrt(np.diagonal(result.covariance))
+    free = np.flatnonzero(np.isfinite(std) & (std > 0.0))
+    own = result.covariance[np.ix_(free, free)]
+    values, vectors = np.linalg.eigh(own / np.outer(std[free], std[free]))
+    return [ids[i] for i in free], 1.0 / np.sqrt(np.maximum(values, 1e-300)), vectors
+
+
+def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw singular values on a scale of decades, and name what the weakest direction moves."""
+    ids, values, vectors = directions(result)
+    lost = values < 1e6  # those beyond are gauge freedoms: the covariance has nothing along them
+    shown, vectors = values[lost], vectors[:, lost]
+    axes.semilogy(np.arange(1, len(shown) + 1), shown, MARKERS[0], color=IDENTIFIED, ms=4)
+    _plain(axes.yaxis)
+    weakest = vectors[:, -1]
+    most = np.argsort(-np.abs(weakest), kind="stable")[:_NAMED]
+    terms = [f"{weakest[i]:+.2f} {ids[i]}".replace("-", "−") for i in most]
+    axes.set_title("weakest: " + "  ".join(terms), fontsize=7)
+    axes.set(xlabel="direction", ylabel="singular value (columns scaled)")
+    return axes
+
+
+def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw the expected error of the platform's position after the first n rows, and the bound.
+
+    The bound: no choice of n of the measured poses, repeated at will, does better.
+
+    Raises:
+        MeasurementError: noise differs between rows, or parameters are undetermined.
+        WorkspaceError: no workspace was found.
+    """
+    rows, C = _information(result)
+    n, counts = rows.shape[2], np.arange(len(rows)) + 1
+    numbers, errors = [], []
+    for count in np.unique(np.geomspace(max(2, n // rows.shape[1]), len(rows), _STEPS).astype(int)):
+        own = rows[:count].reshape(-1, n)
+        if np.linalg.matrix_rank(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)) == n:
+            half = np.linalg.solve(own.T @ own, C)
+            numbers.append(count)
+            errors.append(float(np.sqrt((half * C).sum())))
+    if not numbers:
+        raise MeasurementError(
+            f"{result.nominal.name}: the rows do not determine all parameters, so the error has no "
+            "limit; hold some of them fixed"
+        )
+    scale = per_si("m")
+    least = np.sqrt(accurate_design(rows, C).least / counts)
+    first = numbers[0] - 1
+    axes.loglog(
+        numbers, scale * np.array(errors), "o-", color=IDENTIFIED, ms=4, label="first n rows"
+    )
+    axes.loglog(counts[first:], scale * least[first:], "--", color=EVERY, lw=1, label="bound")
+    _plain(axes.yaxis)
+    axes.set_xticks([one for one in numbers if one >= 1.25 * numbers[0] or one == numbers[0]][::3])
+    _plain(axes.xaxis)
+    axes.set(xlabel="poses n", ylabel=f"expected error of position [{SMALL['m']}]")
+    axes.legend()
+    return axes
+
+
+def _plain(axis: Axis) -> None:
+    """Write numbers of an axis of decades as they are read, and no others between."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _information(result: CalibrationResult) -> tuple[Array, Array]:
+    """Return white rows of each pose, (N, r, n), and C with L = C Cᵀ of the platform's position."""
+    machine, noise = result.identified, result.noise
+    if not isinstance(noise, Noise):
+        raise MeasurementError(
+            f"{machine.name}: noise differs between rows; expected one noise for all of them"
+        )
+    readings = result.measurements.readings if machine.by_readings else None
+    found = legs_at(machine, Plan(result.poses, readings=readings))
+    rows = information_rows(machine, found, noise, None, result.options.setup).rows
+    n = len(result.covariance)
+    std = np.sqrt(np.diagonal(result.covariance))
+    free = np.append(np.isfinite(std) & (std > 0.0), np.ones(rows.shape[2] - n, dtype=bool))
+    over = legs_at(machine, sample_configurations(result.nominal, _SAMPLES))
+    gain = over.gain[:, : machine.platform.lengths]
+    C = np.zeros((len(free), gain.shape[0] * gain.shape[1]))
+    C[:n] = gain.reshape(-1, n).T / np.sqrt(len(gain))
+    return rows[..., free], C[free]
+
+
+def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw what each parameter's change moves the platform by, over the workspace, and its ±.
+
+    Root mean square of the position; bars end where the change does, thin lines are its 95 %.
+
+    Raises:
+        WorkspaceError: no workspace was found.
+    """
+    found = legs_at(result.identified, sample_configurations(result.nominal, _SAMPLES))
+    gain = found.gain[:, : result.nominal.platform.lengths]
+    per = np.sqrt((gain**2).sum(axis=1).mean(axis=0))  # [m] per unit of each parameter
+    every = [p for _, p in parameters(result)]
+    own = [(p, one) for p, one in zip(every, per.tolist(), strict=True) if p.high > p.low]
+    own.sort(key=lambda one: abs(one[0].change) * one[1])
+    own = own[-25:]
+    places, scale = np.arange(len(own)), per_si("m")
+    changes = np.array([scale * one * abs(p.change) for p, one in own])
+    halves = np.array([scale * one * p.half for p, one in own])
+    clear = np.array([abs(p.change) > p.half for p, _ in own])
+    colours = np.where(clear, IDENTIFIED, NOMINAL).tolist()
+    axes.barh(places, changes, color=colours, height=0.7)
+    ends = np.minimum(halves, changes), halves
+    axes.errorbar(changes, places, xerr=ends, fmt="none", ecolor=EVERY, elinewidth=0.8, capsize=2)
+    axes.set_yticks(places, [p.id for p, _ in own], fontsize=7)
+    axes.set_xlabel(f"moves the platform by [{SMALL['m']}]; grey: change within its ±")
+    axes.set_xlim(left=0.0)
+    return axes
+
+
+def runs_compared(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw each run's parameters less their mean, in the standard errors of a run.
+
+    Raises:
+        MeasurementError: runs were not compared.
+    """
+    if (runs := result.runs) is None:
+        raise MeasurementError(
+            f"{result.nominal.name}: no runs were compared; measurements need "
+            "several runs, and result.compared() compares them"
+        )
+    known = runs.predicted > 0.0
+    off = (runs.values - runs.values.mean(axis=0))[:, known] / runs.predicted[known]
+    places = np.arange(off.shape[1])
+    for index, (name, own) in enumerate(zip(runs.runs, off, strict=True)):
+        mark = look(index)
+        axes.plot(places, own, mark.marker, color=mark.colour, ms=4, label=name)
+    axes.axhspan(-1.96, 1.96, color="0.92", zorder=0)
+    names = [name for name, one in zip(runs.names, known, strict=True) if one]
+    axes.set_xticks(places, names, rotation=90, fontsize=7)
+    axes.set_ylabel("run less mean [σ of a run]")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+    return axes
+
+
+def bed_heights(result: CalibrationResult) -> tuple[Array, Array, Array]:
+    """Return x, y and by how much the nominal model misses z over the bed, (n,), (n,), (n, n), [m].
+
+    NaN outside of the workspace. The height is home's, that at which printers probe.
+
+    Raises:
+        WorkspaceError: a machine without x, y and z, or no workspace at that height.
+    """
+    machine, platform = result.begun, result.nominal.platform
+    if platform.coordinates[:3] != ("x", "y", "z") or machine.by_readings:
+        raise WorkspaceError(f"{machine.name}: a bed needs a platform that moves in x, y and z")
+    samples = sample_configurations(result.nominal, 1000).poses
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    x, y = (np.linspace(low[i], high[i], _ACROSS) for i in (0, 1))
+    poses = np.tile(np.array(platform.home), (_ACROSS, _ACROSS, 1))
+    poses[..., 0], poses[..., 1] = x, y[:, None]
+    flat = poses.reshape(-1, platform.dof)
+    inside = in_workspace(result.nominal, flat)
+    if not inside.any():
+        raise WorkspaceError(f"{machine.name}: no workspace at the height of home")
+    heights = np.full(len(flat), np.nan)
+    heights[inside] = platform_errors(machine, result.identified, Plan(flat[inside]))[:, 2]
+    return x, y, heights.reshape(_ACROSS, _ACROSS)

@@ -1,0 +1,184 @@
+"""Parts of plots: maps, mechanisms, poses, bars and their names, drawn into axes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, LogNorm, Normalize
+from matplotlib.image import AxesImage
+from numpy.typing import NDArray
+
+from pincal.kinematics.inverse import inverse
+from pincal.kinematics.readers import skeleton
+from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look
+from pincal.words.numbers import STORED, amount, per_si
+
+Array = NDArray[np.float64]
+#: Light enough for black lines; brighter is more, in black and white too.
+_LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
+
+
+def before_after(index: int) -> Look:
+    """Return the look of what nominal parameters give (0), and identified ones (1)."""
+    return (Look(NOMINAL, "o", "//"), Look(IDENTIFIED, "s", ""))[index]
+
+
+def draw_map(
+    axes: Axes,
+    over: tuple[Array, Array],
+    values: Array,
+    limits: tuple[float, float] | None = None,
+    *,
+    decades: bool = False,
+) -> AxesImage:
+    """Draw values over x and y, shape (n_y, n_x), with lines of equal value; return the image.
+
+    Args:
+        axes: Where to draw.
+        over: Coordinates x and y, shapes (n_x,) and (n_y,), [m].
+        values: NaN where there is none.
+        limits: Of the colours; those of the values if not given.
+        decades: Whether colours follow the logarithm, so that small and large are both seen.
+    """
+    (x, y), known = (per_si("m", STORED) * one for one in over), values[np.isfinite(values)]
+    half = [(own[1] - own[0]) / 2 for own in (x, y)]
+    extent = (x[0] - half[0], x[-1] + half[0], y[0] - half[1], y[-1] + half[1])
+    low, high = limits or (known.min(), known.max())
+    norm = (LogNorm if decades and low > 0.0 else Normalize)(low, high)
+    image = axes.imshow(values, origin="lower", extent=extent, norm=norm, cmap=_LIGHT)
+    levels = np.quantile(known, (0.25, 0.5, 0.75)) if known.size else np.zeros(3)
+    if (np.diff(levels) > 1e-6 * levels[-1]).all():
+        masked = np.ma.masked_invalid(values)
+        lines = axes.contour(x, y, masked, levels, colors="black", linewidths=0.7)
+        axes.clabel(lines, fmt="%.2g", fontsize=7)
+    return image
+
+
+def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
+    """Draw a planar mechanism at home, seen from above."""
+    solution = inverse(mechanism, np.array([mechanism.platform.home]))
+    corners = []
+    for index, leg in enumerate(mechanism.legs):
+        if not solution.reached[0, index]:
+            continue
+        points = per_si("m", STORED) * skeleton(leg, solution.joints[leg.name][0])[:, :2]
+        colour, base = look(index).colour, points[0]
+        axes.plot(*points.T, "-", color=colour, lw=2.5, zorder=2)
+        axes.plot(*base, "s", color=colour, ms=9, zorder=3)
+        axes.plot(*points[1:].T, "o", color="white", mec=colour, ms=6, zorder=3)
+        axes.annotate(leg.name, tuple(base), xytext=(6, -14), textcoords="offset points", size=8)
+        corners.append(points[-1])
+    if len({tuple(c.round(9)) for c in corners}) > 2:
+        axes.fill(*np.array(corners).T, color="0.5", alpha=0.4, zorder=1)
+    axes.margins(0.18)
+    axes.set(xlabel=along("x"), ylabel=along("y"), aspect="equal")
+
+
+def draw_poses(
+    axes: Axes, mechanism: Mechanism, plan: Plan, seen: tuple[int, int] = (0, 1)
+) -> None:
+    """Draw poses of a plan by set, unfilled if no fit follows them; strokes show orientations.
+
+    Args:
+        axes: Where to draw.
+        mechanism: The mechanism.
+        plan: The poses, and the sets they belong to.
+        seen: Coordinates that point right and up.
+    """
+    turns = "phi" in mechanism.platform.coordinates
+    scale = per_si("m", STORED)
+    size = 0.05 * scale * float(np.ptp(plan.poses[:, :2], axis=0).max())
+    sets = np.array(plan.serving)
+    names = dict.fromkeys((*mechanism.leg_names, EVERY_LEG, *plan.serving))
+    for index, name in enumerate(names):
+        colour, marker, _ = look(index)
+        colour = EVERY if name in (EVERY_LEG, VERIFY) else colour
+        if not (own := plan.poses[sets == name]).size:
+            continue
+        said = {EVERY_LEG: "every leg", VERIFY: "verify (not fitted)"}.get(name, f"set {name}")
+        many, at = len(own) > PAGE.many, scale * own[:, seen]
+        unfilled: dict[str, Any] = (
+            {"mfc": "none", "color": colour} if name == VERIFY else {"color": colour}
+        )
+        axes.plot(*at.T, marker, **unfilled, ms=4, label=said, zorder=2, rasterized=many)
+        if turns:
+            end = at + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
+            strokes = list(np.stack((at, end), axis=1))
+            axes.add_collection(LineCollection(strokes, colors=colour, lw=0.8, zorder=2))
+    axes.set(xlabel=along("xyz"[seen[0]]), ylabel=along("xyz"[seen[1]]))
+
+
+def along(axis: str) -> str:
+    """Return what names an axis of the base frame, with its unit."""
+    return f"{axis} [{STORED['m']}]"
+
+
+def height_said(height: float | None) -> str:
+    """Return at which z something is drawn, [m]; nothing where there is no z."""
+    return "" if height is None else f"z = {amount(height, 'm', 3, STORED)}"
+
+
+def draw_bars(
+    axes: Axes,
+    values: Mapping[str, Mapping[str, float]],
+    looks: Callable[[int], Look] = look,
+) -> Axes:
+    """Draw bars of several series side by side, by series, then by name.
+
+    Args:
+        axes: Where to draw.
+        values: By series, then by name.
+        looks: Look of a series by its number; those of legs if not given.
+    """
+    names = list(dict.fromkeys(name for series in values.values() for name in series))
+    width = 0.8 / len(values)
+    for index, (series, own) in enumerate(values.items()):
+        places = np.array([names.index(name) for name in own])
+        shift = (index - (len(values) - 1) / 2) * width
+        colour, _, hatch = looks(index)
+        own_look: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white"}
+        axes.bar(places + shift, list(own.values()), width, label=label(series), **own_look)
+    name_places(axes, names)
+    outside(axes)
+    return axes
+
+
+def outside(axes: Axes) -> None:
+    """Put the legend beside the axes, where it hides nothing."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+
+
+def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> None:
+    """Write names below places 0, 1, … of an axis, upright where they are many."""
+    axes.set_xticks(range(len(names)), _named(names, units))
+    if _upright(names):
+        axes.tick_params(axis="x", labelrotation=90, labelsize=7)
+
+
+def height_of_names(names: Sequence[str], units: Sequence[str] = ()) -> float:
+    """Return how much room ``name_places`` takes below an axis, [inch]."""
+    if not _upright(names):
+        return PAGE.margins["bottom"]
+    return 0.2 + 0.7 * PAGE.letter * max(map(len, _named(names, units)))
+
+
+def _upright(names: Sequence[str]) -> bool:
+    return len(names) > 2 * PAGE.width  # less than half an inch for each
+
+
+def _named(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    between = " " if _upright(names) else "\n"
+    labels = [f"{name}{between}[{unit}]" for name, unit in zip(names, units, strict=False)]
+    return labels or list(names)
+
+
+def label(name: str) -> str:
+    """Return a name as a label that matplotlib does not leave out of legends."""
+    return f" {name}" if name.startswith("_") else name

@@ -1,0 +1,169 @@
+"""A calibration as a drawing: a leg with its dimensions, and beneath it every parameter's values.
+
+One page of A4. Colours say by how much a parameter changed over its ±; lines link those that are
+weakly determined together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult
+from pincal.calibration.result import CalibrationResult
+from pincal.kinematics.configurations import home_of
+from pincal.model.mechanism import Mechanism
+from pincal.show.pictures.dimension_lines import symbol
+from pincal.show.pictures.figure import draw_leg
+from pincal.show.pictures.files import drawing
+from pincal.show.style import IDENTIFIED, INK, NOMINAL, PAGE_WIDTH
+from pincal.show.view.scene import scene
+from pincal.words.numbers import measured
+from pincal.words.pages import clean
+
+Array = NDArray[np.float64]
+#: A4 in a printer's margins, [inch].
+_SIZE = (PAGE_WIDTH / 25.4, 257.0 / 25.4)
+_LEGS = 3  # columns of a table, at most
+_LINE = 0.165  # height of a line of a table, [inch]
+#: Changes over ± from which a colour is used, with what it says.
+LEVELS = (
+    (0.0, NOMINAL, "changed by less than its ±"),
+    (1.0, "#7352e8", "by 1 to 5 times its ±"),
+    (5.0, IDENTIFIED, "by more than 5 times its ±"),
+)
+
+
+def colour_of(p: IdentifiedParameter) -> str:
+    """Return the colour of a parameter by its change over half its 95 % interval."""
+    if not np.isfinite(p.half) or p.half <= 0.0:
+        return INK[0]
+    return [colour for least, colour, _ in LEVELS if abs(p.change) >= least * p.half][-1]
+
+
+def kinds_of_legs(result: CalibrationResult) -> list[list[LegResult]]:
+    """Return the legs of a result, those with the same parameters together."""
+    kinds: dict[tuple[str, ...], list[LegResult]] = {}
+    for leg in result.legs:
+        kinds.setdefault(tuple(p.name for p in leg.parameters), []).append(leg)
+    return list(kinds.values())
+
+
+def sheet(result: CalibrationResult, name: str = "") -> Figure:
+    """Return the drawing of a leg, and a table of the parameters of all legs like it.
+
+    Args:
+        result: The calibration.
+        name: Of the leg; the first if not given.
+
+    Raises:
+        MechanismError: no such leg.
+    """
+    mechanism = result.nominal
+    leg = mechanism.leg(name or mechanism.leg_names[0]).name
+    legs = next(one for one in kinds_of_legs(result) if leg in [own.name for own in one])
+    blocks = [legs[i : i + _LEGS] for i in range(0, len(legs), _LEGS)]
+    lines = sum(_lines(own) for own in blocks)
+    table = min(_LINE * lines / _SIZE[1], 0.7)
+    with drawing():
+        figure = Figure(figsize=_SIZE)
+        draw_dimensioned(figure.add_axes((0.02, table + 0.06, 0.96, 0.88 - table)), result, leg)
+        figure.text(0.02, 0.975, f"{clean(mechanism.name)}: {clean(leg)}", size=9, weight="bold")
+        about = "one of these legs; values of all below" if len(legs) > 1 else "values below"
+        figure.text(0.98, 0.975, about, size=8, ha="right")
+        below = figure.add_axes((0.02, 0.05, 0.96, table))
+        _table(below, result, blocks, lines)
+        keys = [Line2D([], [], color=colour, lw=3, label=said) for _, colour, said in LEVELS]
+        keys.append(Line2D([], [], color=INK[0], lw=3, label="held fixed"))
+        figure.legend(handles=keys, loc="lower center", ncols=4, frameon=False, fontsize=7)
+    return figure
+
+
+def draw_dimensioned(axes: Axes, result: CalibrationResult, leg: str) -> Axes:
+    """Draw a leg of the nominal mechanism with dimensions in the colours of their changes."""
+    own = next(one for one in result.legs if one.name == leg)
+    colours = {p.name: colour_of(p) for p in own.parameters}
+    mechanism = result.nominal
+    return draw_leg(axes, scene(mechanism, home_of(mechanism)), leg, colours)
+
+
+def _table(
+    axes: Axes, result: CalibrationResult, blocks: Sequence[Sequence[LegResult]], lines: float
+) -> None:
+    """Write nominal and identified values, ±, in blocks of legs; link weak pairs of one leg."""
+    axes.set(xlim=(0.0, 1.0), ylim=(lines, 0.0))
+    axes.set_axis_off()
+    line = 0.6
+    for legs in blocks:
+        places = [0.36 + 0.62 * (i + 1) / len(legs) for i in range(len(legs))]
+        head = [(0.0, "left", "parameter"), (0.36, "right", "nominal")]
+        head += [(at, "right", clean(leg.name)) for at, leg in zip(places, legs, strict=True)]
+        for at, side, text in head:
+            axes.text(at, line, text, size=7.5, weight="bold", ha=side, va="center")
+        axes.plot((0.0, 1.0), (line + 0.55,) * 2, color=INK[0], lw=0.6)
+        line += 1.1
+        rows = {}
+        for p in legs[0].parameters:
+            rows[p.name] = line
+            _row(axes, line, p.name, (legs, places), result.nominal)
+            line += 1.0 if _alike(legs, p.name) else 1.8
+        for leg, at in zip(legs, places, strict=True):
+            _links(axes, result, leg, (rows, at + 0.006))
+        line += 1.0
+
+
+def _alike(legs: Sequence[LegResult], name: str) -> bool:
+    """Return whether a parameter has one nominal value in all legs."""
+    return len({p.nominal for leg in legs for p in leg.parameters if p.name == name}) == 1
+
+
+def _lines(legs: Sequence[LegResult]) -> float:
+    """Return how many lines a block takes."""
+    return 2.2 + sum(1.0 if _alike(legs, p.name) else 1.8 for p in legs[0].parameters)
+
+
+def _row(
+    axes: Axes,
+    line: float,
+    name: str,
+    where: tuple[Sequence[LegResult], Sequence[float]],
+    mechanism: Mechanism,
+) -> None:
+    """Write a parameter of several legs: nominal values, then identified ones at places."""
+    legs, places = where
+    own = [next(p for p in leg.parameters if p.name == name) for leg in legs]
+    label = clean(mechanism.label(legs[0].name, name)).replace("$", r"\$")
+    said = symbol(name) + f"  {label[:30]}" * bool(label)
+    axes.text(0.0, line, said, size=7, va="center", parse_math=True)
+    alike = _alike(legs, name)
+    nominal = measured(own[0].nominal, 0.0, own[0].unit) if alike else "beneath"
+    axes.text(0.36, line, nominal, size=7, ha="right", va="center")
+    for p, at in zip(own, places, strict=True):
+        if not alike:
+            was = measured(p.nominal, 0.0, p.unit)
+            axes.text(at, line + 0.8, was, size=7, ha="right", va="center")
+        text = p.text
+        shown = colour_of(p) if colour_of(p) != NOMINAL else "#6B6B6B"  # text needs more contrast
+        axes.text(at, line, text, size=7, ha="right", va="center", color=shown)
+
+
+def _links(
+    axes: Axes,
+    result: CalibrationResult,
+    leg: LegResult,
+    where: tuple[dict[str, float], float],
+) -> None:
+    """Draw a bracket from one parameter of a leg to another whose error goes with its own."""
+    rows, at = where
+    ids = {p.id: p.name for p in leg.parameters}
+    both = [pair for pair in result.weak if pair.first in ids and pair.second in ids][:3]
+    for depth, pair in enumerate(both):
+        out = at + 0.004 * (depth + 1)
+        first, second = rows[ids[pair.first]], rows[ids[pair.second]]
+        x, y = (at, out, out, at), (first, first, second, second)
+        axes.plot(x, y, color=INK[0], lw=0.7, clip_on=False)
