@@ -15,7 +15,7 @@ from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.configurations import legs_at
 from pincal.model.measuring.measurements import Noise, Plan
-from pincal.show.results import noisy_series, parameters
+from pincal.show.results import directions, noisy_series, parameters
 from pincal.show.style import EVERY, IDENTIFIED, MARKERS, NOMINAL, OUTLIER, look
 from pincal.words.numbers import SMALL, STORED, per_si
 from pincal.workspace.criteria import in_workspace
@@ -76,21 +76,6 @@ def over_time(axes: Axes, result: CalibrationResult) -> Axes:
     axes.set(xlabel="data row" if column is None else "time", ylabel="mean residual / its σ")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
     return axes
-
-
-def directions(result: CalibrationResult) -> tuple[list[str], Array, Array]:
-    """Return ids, singular values and directions of what was identified, the weakest last.
-
-    Of the identification Jacobian with columns of unit length at that: 1 where parameters are
-    independent, near 0 where errors of several go together. Directions are columns, in the
-    parameters' own standard errors if the others were known.
-    """
-    ids = [p.id for _, p in parameters(result)]
-    std = np.sqrt(np.diagonal(result.covariance))
-    free = np.flatnonzero(np.isfinite(std) & (std > 0.0))
-    own = result.covariance[np.ix_(free, free)]
-    values, vectors = np.linalg.eigh(own / np.outer(std[free], std[free]))
-    return [ids[i] for i in free], 1.0 / np.sqrt(np.maximum(values, 1e-300)), vectors
 
 
 def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
