@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -282,3 +283,33 @@ def test_command_draws_in_the_width_asked_for(
     assert wrong.code == 2
     assert "residuals" in wrong.err
     assert not (tmp_path / "n.svg").exists()
+
+
+def test_convergence_falls_to_the_fit(result: pincal.CalibrationResult) -> None:
+    """A line for the fit: it never rises, and ends at the root of reduced χ²."""
+    (line, level) = result.plot.convergence().lines
+    values = np.asarray(line.get_ydata(), dtype=np.float64)
+    assert len(values) > 2
+    assert values[0] > 5.0 * values[-1]
+    assert (np.diff(values) <= 1e-6 * values[:-1]).all()
+    assert values[-1] == pytest.approx(np.sqrt(result.reduced_chi2), rel=1e-3)
+    assert list(level.get_ydata()) == [1.0, 1.0]
+    data = result.measurements
+    legs = pincal.calibrate(result.nominal, data, noise=NOISE, method="per-leg")
+    assert [one.get_label() for one in legs.plot.convergence().lines[:2]] == ["leg_1", "leg_2"]
+
+
+def test_steps_are_kept_and_old_results_load(
+    result: pincal.CalibrationResult, tmp_path: Path
+) -> None:
+    """The steps come back from a file; a file without them loads, and its plot is refused."""
+    folder = result.save(tmp_path / "result")
+    assert pincal.load_result(folder).costs == result.costs
+    path = folder / "result.json"
+    kept = json.loads(path.read_text("utf-8"))
+    del kept["data"]["costs"]
+    path.write_text(json.dumps(kept), encoding="utf-8")
+    old = pincal.load_result(folder)
+    assert old.costs == ()
+    with pytest.raises(pincal.MeasurementError, match="steps of its search"):
+        old.plot.convergence()

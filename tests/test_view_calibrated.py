@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
+from pincal.show.pictures.figure import _axes_of_view
 from pincal.show.style import ERRORS, shades
 from pincal.show.view.calibrated import calibrated
 from pincal.show.view.found import Errors
@@ -110,7 +112,7 @@ def test_weakest_direction_is_that_of_largest_variance(
     assert weakest.named.split(", ")[0] == ids[int(np.argmax(np.abs(vectors[:, -1])))]
 
 
-def test_tracker_stands_where_the_frame_says() -> None:
+def test_tracker_stands_where_the_frame_says(tmp_path: Path) -> None:
     """A tracker at a place of its own frame is drawn where that is in the base frame."""
     mechanism = pincal.load_mechanism("6UPS")
     truth = pincal.disturb(mechanism, 1e-4, seed=1)

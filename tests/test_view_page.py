@@ -555,7 +555,7 @@ def test_slider_goes_from_nominal_to_identified(opened: Any) -> None:
 
 
 def test_swing_and_errors_of_a_result(opened: Any) -> None:
-    """The weakest slider mirrors the machine about the nominal one; errors show one cloud at most."""
+    """The weakest slider mirrors the machine about the nominal one; one cloud of errors shows."""
     mechanism = pincal.load_mechanism("5R")
     truth = pincal.disturb(mechanism, 2e-3, seed=1)
     shifts = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))

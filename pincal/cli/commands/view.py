@@ -252,6 +252,8 @@ def picture(
             magnify=what.magnify,
             dimensions=dimensions or (),
         )
+        if what.result is not None:
+            found = found.with_result(what.result)
         found.save(output, force=force)
     _say_unreached(found.scene)
     wrote(output)

@@ -23,7 +23,19 @@ from pincal.show.pictures.dimension_lines import draw_dimensions, point_of, symb
 from pincal.show.pictures.dimensions import Dimension, dimensions_of
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.painting import paint, placed
-from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
+from pincal.show.style import (
+    ACTIVE,
+    CARRIED,
+    DIMENSION,
+    DOMAIN,
+    GROUND,
+    IDENTIFIED,
+    MARKERS,
+    PASSIVE,
+    PICTURE,
+)
+from pincal.show.view.found import Instrument
+from pincal.show.view.marks import stand
 from pincal.show.view.scene import Scene, frame_axes, grid_step, ground
 from pincal.show.view.solids import Shape
 from pincal.words.numbers import amount, counted
@@ -59,6 +71,9 @@ def _extent(scene: Scene, row: int, found: Sequence[tuple[str, Dimension]] = ())
     T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
     tips = tips @ T_base_platform[:3, :3].T + T_base_platform[:3, 3]
     points = np.concatenate((scene.points(), tips, *(one.line for _, one in found)))
+    if scene.found and scene.found.instrument:
+        ends = np.array([scene.found.instrument.at, scene.found.instrument.T_base_frame[:3, 3]])
+        points = np.concatenate((points, ends))
     low, high = np.nanmin(points @ V[:2].T, axis=0), np.nanmax(points @ V[:2].T, axis=0)
     margin = 0.06 * float(np.max(high - low))
     return np.stack((low - margin, high + margin))
@@ -85,6 +100,8 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
     shapes += [(shape, T_base_platform) for shape in frame]
     paint(axes, [*shapes, *placed(scene.body, row)], V, edge)
+    if scene.found and scene.found.instrument:
+        legend.append(_instrument(axes, scene, scene.found.instrument, V, edge))
     if scene.identified:
         paint(axes, placed(scene.identified.body, row), V, edge, IDENTIFIED)
         label = f"identified, errors × {scene.identified.magnify:g}"
@@ -108,6 +125,17 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     if found:
         _dimension(axes, scene, row, dimensions, found, V)
     return axes
+
+
+def _instrument(axes: Axes, scene: Scene, instrument: Instrument, V: Array, edge: float) -> Line2D:
+    """Draw a tracker where it stands, with its frame, and return its line of the legend."""
+    size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
+    place = np.eye(4)
+    place[:3, 3] = instrument.at
+    shapes = [(shape, place) for shape in stand(size, scene.planar)]
+    shapes += [(shape, instrument.T_base_frame) for shape in frame_axes(scene)]
+    paint(axes, shapes, V, edge)
+    return _dot(DIMENSION, "tracker, and its frame")
 
 
 def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> Axes:
