@@ -131,9 +131,17 @@ def test_tracker_stands_where_the_frame_says(tmp_path: Path) -> None:
     assert shown.instrument is not None
     expected = T.inv().apply([0.1, 0.2, 0.3])
     np.testing.assert_allclose(shown.instrument.at, expected, atol=2e-2)
-    assert (
-        pincal.view(mechanism, result.poses[:2]).with_result(result).html().count("tracker, ") == 1
-    )
+    page = pincal.view(mechanism, result.poses[:2]).with_result(result).html()
+    assert page.count("tracker, ") == 1
+    drawn = pincal.picture(mechanism).with_result(result)
+    axes = drawn.figure().axes[0]
+    legend = axes.get_legend()
+    assert legend is not None
+    assert "tracker, and its frame" in [text.get_text() for text in legend.get_texts()]
+    right, up = _axes_of_view(False)[:2] @ expected
+    assert axes.get_xlim()[0] < right < axes.get_xlim()[1]
+    assert axes.get_ylim()[0] < up < axes.get_ylim()[1]
+    drawn.save(tmp_path / "tracker.png")
 
 
 def test_page_says_what_is_drawn(result: pincal.CalibrationResult) -> None:
