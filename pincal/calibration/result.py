@@ -100,7 +100,7 @@ class CalibrationResult:
     costs: tuple[tuple[float, ...], ...] = ()
     """Of each fit (of all legs, or of each), what was minimised, per degree of freedom: at the
     start, where the search began if that is elsewhere, and after each step taken. With a robust
-    loss of its last search; empty of results saved by version 0.2.0 and before."""
+    loss of its first search, by Cauchy's; empty of results saved by version 0.2.0 and before."""
     systematic: Array | None = None
     """Part of the covariance that is off by the same in all rows (type B), shape (n, n)."""
     findings: tuple[Finding, ...] = ()
