@@ -14,6 +14,7 @@ import numpy as np
 from pincal.model.measuring.measurements import Plan
 from pincal.show.page import Page
 from pincal.show.report.report import Report
+from pincal.show.report.verdicts import verdicts
 from pincal.show.results import warnings
 from pincal.show.view.calibrated import calibrated
 from pincal.show.view.scene import MAGNIFY, MOST_POSES, plan_of, scene
@@ -45,5 +46,6 @@ class LinkedPage(Page):
             title=f"{self.report.found.result.nominal.name}: calibration",
             report=self.report.html(),
             view=self.view.html(),
+            verdicts=verdicts(self.report.found.result),
             data=json.dumps({"rows": self.rows}),
         )
