@@ -16,9 +16,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import pincal
+from pincal.kinematics.configurations import home_of
+from pincal.show.pictures.dimension_lines import MARK
+from pincal.show.pictures.exploded import GAP, draw_leg, shifts
+from pincal.show.pictures.figure import axes_of_view, dimensions_at
 from pincal.show.pictures.sheet import LEVELS, colour_of
 from pincal.show.plots import Plots
 from pincal.show.style import NOMINAL
+from pincal.show.view.scene import scene
 from pincal.words.numbers import measured
 
 NOISE = pincal.Noise(1e-4, 1e-4)
@@ -313,3 +318,30 @@ def test_steps_are_kept_and_old_results_load(
     assert old.costs == ()
     with pytest.raises(pincal.MeasurementError, match="steps of its search"):
         old.plot.convergence()
+
+
+@pytest.mark.parametrize("name", ["5R", "6UPS", "delta"])
+def test_drawings_are_apart(name: str) -> None:
+    """Base, leg and platform are moved along the leg by equal steps, their dimensions with them."""
+    mechanism = pincal.load_mechanism(name)
+    shown = scene(mechanism, home_of(mechanism))
+    leg = mechanism.leg_names[0]
+    apart = shifts(shown, leg)
+    T = mechanism.platform.matrices(shown.plan.poses)[0]
+    point = mechanism.leg(leg).point.placement.xyz
+    along = T[:3, :3] @ point + T[:3, 3] - mechanism.leg(leg).joints[0].placement.xyz
+    np.testing.assert_allclose(apart["leg"], GAP * along, atol=1e-12)
+    np.testing.assert_allclose(apart["platform"], 2 * apart["leg"], atol=1e-12)
+    parts = {one.part for _, one in dimensions_at(shown, 0, [leg])}
+    assert parts == ({"base", "leg", "platform"} if name == "6UPS" else {"base", "leg"})
+    axes, colours = (
+        Figure().subplots(),
+        dict.fromkeys(mechanism.leg(leg).parameter_names, "#123456"),
+    )
+    draw_leg(axes, shown, leg, colours)
+    V = axes_of_view(shown.planar)[:2]
+    lines = {line.get_gid(): line.get_xydata() for line in axes.lines}
+    for _, one in dimensions_at(shown, 0, [leg]):
+        if one.names and not one.beside and one.kind in ("length", "angle"):
+            expected = (one.line + apart[one.part]) @ V.T
+            np.testing.assert_allclose(lines[MARK + one.names[0]], expected, atol=1e-12)

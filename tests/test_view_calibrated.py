@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
-from pincal.show.pictures.figure import _axes_of_view
+from pincal.show.pictures.figure import axes_of_view
 from pincal.show.report.linked import LinkedPage
 from pincal.show.report.report import report
 from pincal.show.report.verdicts import verdicts
@@ -141,7 +141,7 @@ def test_tracker_stands_where_the_frame_says(tmp_path: Path) -> None:
     legend = axes.get_legend()
     assert legend is not None
     assert "tracker, and its frame" in [text.get_text() for text in legend.get_texts()]
-    right, up = _axes_of_view(False)[:2] @ expected
+    right, up = axes_of_view(False)[:2] @ expected
     assert axes.get_xlim()[0] < right < axes.get_xlim()[1]
     assert axes.get_ylim()[0] < up < axes.get_ylim()[1]
     drawn.save(tmp_path / "tracker.png")
