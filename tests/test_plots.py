@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +16,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import pincal
+from pincal.kinematics.configurations import home_of
+from pincal.show.pictures.dimension_lines import MARK
+from pincal.show.pictures.exploded import GAP, draw_leg, shifts
+from pincal.show.pictures.figure import axes_of_view, dimensions_at
 from pincal.show.pictures.sheet import LEVELS, colour_of
 from pincal.show.plots import Plots
 from pincal.show.style import NOMINAL
+from pincal.show.view.scene import scene
 from pincal.words.numbers import measured
 
 NOISE = pincal.Noise(1e-4, 1e-4)
@@ -282,3 +288,60 @@ def test_command_draws_in_the_width_asked_for(
     assert wrong.code == 2
     assert "residuals" in wrong.err
     assert not (tmp_path / "n.svg").exists()
+
+
+def test_convergence_falls_to_the_fit(result: pincal.CalibrationResult) -> None:
+    """A line for the fit: it never rises, and ends at the root of reduced χ²."""
+    (line, level) = result.plot.convergence().lines
+    values = np.asarray(line.get_ydata(), dtype=np.float64)
+    assert len(values) > 2
+    assert values[0] > 5.0 * values[-1]
+    assert (np.diff(values) <= 1e-6 * values[:-1]).all()
+    assert values[-1] == pytest.approx(np.sqrt(result.reduced_chi2), rel=1e-3)
+    assert list(level.get_ydata()) == [1.0, 1.0]
+    data = result.measurements
+    legs = pincal.calibrate(result.nominal, data, noise=NOISE, method="per-leg")
+    assert [one.get_label() for one in legs.plot.convergence().lines[:2]] == ["leg_1", "leg_2"]
+
+
+def test_steps_are_kept_and_old_results_load(
+    result: pincal.CalibrationResult, tmp_path: Path
+) -> None:
+    """The steps come back from a file; a file without them loads, and its plot is refused."""
+    folder = result.save(tmp_path / "result")
+    assert pincal.load_result(folder).costs == result.costs
+    path = folder / "result.json"
+    kept = json.loads(path.read_text("utf-8"))
+    del kept["data"]["costs"]
+    path.write_text(json.dumps(kept), encoding="utf-8")
+    old = pincal.load_result(folder)
+    assert old.costs == ()
+    with pytest.raises(pincal.MeasurementError, match="steps of its search"):
+        old.plot.convergence()
+
+
+@pytest.mark.parametrize("name", ["5R", "6UPS", "delta"])
+def test_drawings_are_apart(name: str) -> None:
+    """Base, leg and platform are moved along the leg by equal steps, their dimensions with them."""
+    mechanism = pincal.load_mechanism(name)
+    shown = scene(mechanism, home_of(mechanism))
+    leg = mechanism.leg_names[0]
+    apart = shifts(shown, leg)
+    T = mechanism.platform.matrices(shown.plan.poses)[0]
+    point = mechanism.leg(leg).point.placement.xyz
+    along = T[:3, :3] @ point + T[:3, 3] - mechanism.leg(leg).joints[0].placement.xyz
+    np.testing.assert_allclose(apart["leg"], GAP * along, atol=1e-12)
+    np.testing.assert_allclose(apart["platform"], 2 * apart["leg"], atol=1e-12)
+    parts = {one.part for _, one in dimensions_at(shown, 0, [leg])}
+    assert parts == ({"base", "leg", "platform"} if name == "6UPS" else {"base", "leg"})
+    axes, colours = (
+        Figure().subplots(),
+        dict.fromkeys(mechanism.leg(leg).parameter_names, "#123456"),
+    )
+    draw_leg(axes, shown, leg, colours)
+    V = axes_of_view(shown.planar)[:2]
+    lines = {line.get_gid(): line.get_xydata() for line in axes.lines}
+    for _, one in dimensions_at(shown, 0, [leg]):
+        if one.names and not one.beside and one.kind in ("length", "angle"):
+            expected = (one.line + apart[one.part]) @ V.T
+            np.testing.assert_allclose(lines[MARK + one.names[0]], expected, atol=1e-12)

@@ -552,3 +552,33 @@ def test_slider_goes_from_nominal_to_identified(opened: Any) -> None:
         window.page.locator("#share").fill(str(share))
         expected = (1 - share) * ends[0] + share * ends[1]
         assert np.allclose(window.matrices(view, "identified"), expected, atol=1e-9)
+
+
+def test_swing_and_errors_of_a_result(opened: Any) -> None:
+    """The weakest slider mirrors the machine about the nominal one; one cloud of errors shows."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = pincal.disturb(mechanism, 2e-3, seed=1)
+    shifts = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
+    some, noise = pincal.Plan(mechanism.platform.home + shifts), pincal.Noise(1e-4, 1e-4)
+    data = pincal.simulate(mechanism, truth, some, noise, 3).measurements
+    result = pincal.calibrate(mechanism, data, noise=noise)
+    view = pincal.view(mechanism, result.poses, identified=result.identified).with_result(result)
+    window = opened(view)
+    assert view.scene.found is not None
+    assert view.scene.found.weakest is not None
+    ends = view.scene.body.placements[0], view.scene.found.weakest.body.placements[0]
+    for share in (-1.0, 0.5, 1.0):
+        window.page.locator("#weakest").fill(str(share))
+        expected = (1 - share) * ends[0] + share * ends[1]
+        assert np.allclose(window.matrices(view, "weakest"), expected, atol=1e-9)
+    seen = """() => ["before", "after"].map((one) =>
+      window.pincal.viewer.scene_tree.find(["meshcat", "errors", one]).object.visible)"""
+    for choice, expected in (("before", [1, 0]), ("after", [0, 1]), ("none", [0, 0])):
+        window.page.locator("#errors").select_option(choice)
+        assert window.page.evaluate(seen) == [bool(one) for one in expected]
+    window.page.get_by_text("swing").click()
+    first = window.page.locator("#weakest").input_value()
+    window.page.wait_for_function(
+        "(first) => document.getElementById('weakest').value !== first", arg=first
+    )
+    assert window.clean(), (window.said, window.asked)

@@ -78,6 +78,9 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         evaluations=sum(one.evaluations for one in fits),
         left=max(one.left for one in fits),
         converged=all(one.converged for one in fits),
+        costs=tuple(
+            tuple(cost / max(one.degrees_of_freedom, 1) for cost in one.costs) for one in fits
+        ),
         outliers=_merged([outlier for one in found.fits for outlier in one.outliers]),
         shift=None if None in shifts else max(s for s in shifts if s is not None),
         gauge=() if gauge is None else gauge.found,

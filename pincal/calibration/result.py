@@ -97,6 +97,10 @@ class CalibrationResult:
     left: float
     """How far the optimum is where the search ended, to first order, in standard errors."""
     converged: bool
+    costs: tuple[tuple[float, ...], ...] = ()
+    """Of each fit (of all legs, or of each), what was minimised, per degree of freedom: at the
+    start, where the search began if that is elsewhere, and after each step taken. With a robust
+    loss of its first search, by Cauchy's; empty of results saved by version 0.2.0 and before."""
     systematic: Array | None = None
     """Part of the covariance that is off by the same in all rows (type B), shape (n, n)."""
     findings: tuple[Finding, ...] = ()

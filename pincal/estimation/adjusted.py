@@ -93,6 +93,7 @@ def last_steps(system: System, found: Found) -> Found:
                 if not costs[1] < costs[0]:
                     share /= 4.0
                     continue
+                there = replace(there, costs=(*here.costs, float(costs[1])))
                 here, now, share = there, trial, min(1.0, 2.0 * share)
                 normal = system.solve(now, here.weights, here.scale)
     except (MeasurementError, np.linalg.LinAlgError):  # no such conditions there: as it was

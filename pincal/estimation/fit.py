@@ -50,6 +50,8 @@ class Fit:
     converged: bool
     left: float
     """How far the optimum is, to first order, in standard errors."""
+    costs: tuple[float, ...]
+    """Sums of squares at the start, where the search began if elsewhere, after each step taken."""
 
     @property
     def problem(self) -> Problem:
@@ -120,7 +122,7 @@ def fit(
     if not problem.weighted:
         system = replace(system, unit=float(np.median(np.linalg.norm(first.stack.noise, axis=2))))
     weights, _ = system.weights(first)
-    highest = system.cost(system.residuals(first), weights, first.state)
+    begun = highest = system.cost(system.residuals(first), weights, first.state)
     if start is not None:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
     near, more = near_start(system, first, progress) if start is None else (first, 0)
@@ -162,6 +164,7 @@ def fit(
         evaluations=found.evaluations + count + more,
         converged=found.converged,
         left=found.left,
+        costs=found.costs if near is first else (float(begun), *found.costs),
     )
 
 

@@ -86,6 +86,8 @@ class Found:
     left: float
     """How far the optimum is, to first order, in standard errors."""
     converged: bool
+    costs: tuple[float, ...]
+    """Sums of squares, the priors' included, where the search began and after each step taken."""
 
 
 def search(
@@ -115,6 +117,7 @@ def search(
     left_out = np.zeros(len(weights), dtype=bool) if system.kept is None else ~system.kept
     held, cost_held = left_out, np.inf
     highest = max(cost, highest) if np.isfinite(highest) else cost
+    costs = [cost]
     while normal.decrement > max(BY.no_step, rounding(system, here)):
         if normal.decrement <= enough * np.sqrt(max(cost / here.value.size, 1.0)):
             break
@@ -149,6 +152,7 @@ def search(
             damping, growth = (damping if damping > BY.damping[0] else 0.0), 10.0
             slow = blind and new.decrement > 0.5 * normal.decrement
             here, weights, scale, cost, normal = trial, new_weights, new_scale, new_cost, new
+            costs.append(cost)
             if cost < 0.5 * cost_held:
                 held, cost_held = left_out, np.inf
             if slow and normal.decrement <= BY.slow:  # rounding, or less than matters to anyone
@@ -163,7 +167,8 @@ def search(
     unit = 1.0 if system.known else np.sqrt(cost / dof)
     left = normal.decrement / max(unit, 1e-300)
     there = normal.decrement <= max(BY.no_step, 10.0 * rounding(system, here))
-    return Found(here, weights, scale, evaluations, left, there or left <= BY.negligible)
+    ended = there or left <= BY.negligible
+    return Found(here, weights, scale, evaluations, left, ended, tuple(float(c) for c in costs))
 
 
 def _along_the_valley(

@@ -126,6 +126,14 @@ class Plots:
         """
         return charts.by_poses(_axes_of(ax, 6.4, 3.6), self.result)
 
+    def convergence(self, ax: Axes | None = None) -> Axes:
+        """Draw what was minimised, step by step, in standard deviations.
+
+        Raises:
+            MeasurementError: a result that was saved before steps were kept.
+        """
+        return charts.step_by_step(_axes_of(ax, 6.4, 3.6), self.result)
+
     def platform(self, ax: Axes | None = None) -> Axes:
         """Draw by how much each parameter's change moves the platform over the workspace.
 

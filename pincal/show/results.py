@@ -103,6 +103,21 @@ def parameters(result: CalibrationResult) -> Iterator[tuple[LegResult, Identifie
             yield leg, p
 
 
+def directions(result: CalibrationResult) -> tuple[list[str], Array, Array]:
+    """Return ids, singular values and directions of what was identified, the weakest last.
+
+    Of the identification Jacobian with columns of unit length at that: 1 where parameters are
+    independent, near 0 where errors of several go together. Directions are columns, in the
+    parameters' own standard errors if the others were known.
+    """
+    ids = [p.id for _, p in parameters(result)]
+    std = np.sqrt(np.diagonal(result.covariance))
+    free = np.flatnonzero(np.isfinite(std) & (std > 0.0))
+    own = result.covariance[np.ix_(free, free)]
+    values, vectors = np.linalg.eigh(own / np.outer(std[free], std[free]))
+    return [ids[i] for i in free], 1.0 / np.sqrt(np.maximum(values, 1e-300)), vectors
+
+
 def warnings(result: CalibrationResult) -> list[str]:
     """Return the warnings; one that several legs share is said once, with their names."""
     legs: dict[str, list[str]] = {}

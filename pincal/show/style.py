@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 #: Of legs, and of sets of poses that serve them; all colours here are held apart for people who
 #: lack a kind of cone by tests/test_style.py.
 LEGS = (
@@ -29,6 +32,8 @@ OUTLIER = "#c8091c"
 #: Positions of a fundamental domain, and those that follow from it.
 DOMAIN, CARRIED = "#520856", "#d8c3da"
 GROUND = "#d4d4d4"
+#: Errors from small to large (matplotlib's cividis, without the ends that vanish on a ground).
+ERRORS = ("#e0c949", "#b8a866", "#908b79", "#6e717a", "#4a5a7c", "#2d4a80")
 #: Lengths, angles, axes and their names in drawings; poses for every leg.
 DIMENSION = EVERY = "#222222"
 #: Each colour as it is on a dark ground.
@@ -137,3 +142,10 @@ class Look(NamedTuple):
 def look(index: int) -> Look:
     """Return the look of a leg or set by its number."""
     return Look(*(own[index % len(own)] for own in (LEGS, MARKERS, HATCHES)))
+
+
+def shades(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return colours of errors by their places on the scale from 0 to 1, (N,) to (N, 3)."""
+    stops = np.array([[int(one[i : i + 2], 16) / 255 for i in (1, 3, 5)] for one in ERRORS])
+    at = np.linspace(0.0, 1.0, len(stops))
+    return np.stack([np.interp(shares, at, own) for own in stops.T], axis=1)

@@ -23,6 +23,7 @@ class Kind(StrEnum):
     platform = "platform"
     correlation = "correlation"
     singular = "singular"
+    convergence = "convergence"
     poses = "poses"
     error_map = "error_map"
     bed = "bed"
@@ -57,9 +58,9 @@ def plot(
     One column or a page wide, letters of 7 to 9 points. residuals: by row; workspace: where they
     were measured; time: their means over the run; parameters: changes in units of their ±;
     platform: what changes move the platform by; correlation; singular: how well each direction is
-    determined; poses: accuracy by number of poses, with the bound; error_map: expected error over
-    x and y; bed: z over a printer's bed; runs: runs side by side; drawing: a leg with dimensions,
-    and a table of all values, on A4.
+    determined; convergence: residuals by step of the search; poses: accuracy by number of poses,
+    with the bound; error_map: expected error over x and y; bed: z over a printer's bed; runs: runs
+    side by side; drawing: a leg with dimensions, and a table of all values, on A4.
     """
     from matplotlib.figure import Figure
 

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import load_result, read_result
 from pincal.cli.app import (
     Force,
@@ -90,7 +91,7 @@ class SeenOptions:
             identified,
             MAGNIFY if magnify is None else magnify,
             ", ".join(path.name for path in (*tables, *folders)),
-            _warnings(folders[0]) if folders else (),
+            *(_result(folders[0]) if folders else ((), None)),
         )
 
 
@@ -107,6 +108,8 @@ class Seen:
     """Names of the files."""
     notices: tuple[str, ...] = ()
     """Warnings of the RESULT."""
+    result: CalibrationResult | None = None
+    """None of a RESULT of version 0.1, which does not hold what it was made from."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,9 @@ def view(
     The slider and the arrow keys go from pose to pose, the space bar plays. Without POSES.csv:
     home and some of the workspace, or the poses that RESULT estimated. With RESULT the
     calibrated machine is shown too, where it goes when the nominal model drives it, its errors
-    magnified. The page is served to this machine alone, until Ctrl-C.
+    magnified; arrows go from measured to predicted points, the workspace is coloured by error, and
+    a slider moves the machine along the direction that the measurements determine least. The page
+    is served to this machine alone, until Ctrl-C.
     """
     html = page.html
     if html is not None:
@@ -163,6 +168,8 @@ def view(
             source=what.source,
         )
         shown = shown.with_notices(what.notices)
+        if what.result is not None:
+            shown = shown.with_result(what.result)
         if page.meshes is not None:
             shown = shown.with_meshes(page.meshes)
         shown.html()
@@ -245,6 +252,8 @@ def picture(
             magnify=what.magnify,
             dimensions=dimensions or (),
         )
+        if what.result is not None:
+            found = found.with_result(what.result)
         found.save(output, force=force)
     _say_unreached(found.scene)
     wrote(output)
@@ -338,12 +347,13 @@ def _identified(folder: Path) -> Mechanism:
     return load_mechanism(folder)
 
 
-def _warnings(folder: Path) -> tuple[str, ...]:
-    """Return the warnings of a result; one of version 0.1 keeps them as sentences."""
+def _result(folder: Path) -> tuple[tuple[str, ...], CalibrationResult | None]:
+    """Return a result's warnings, and itself; of one of version 0.1 its sentences alone."""
     kept = read_result(folder)
-    if "data" in kept:
-        return tuple(warnings(load_result(folder)))
-    return tuple(str(text) for text in kept.get("warnings") or ())
+    if "data" not in kept:
+        return tuple(str(text) for text in kept.get("warnings") or ()), None
+    result = load_result(folder)
+    return tuple(warnings(result)), result
 
 
 def _positions(path: Path, mechanism: Mechanism) -> Array:

@@ -143,7 +143,7 @@ def _fitted(
     except (PincalError, np.linalg.LinAlgError):
         plain = None
     return Robust(
-        replace(one, first=coarse.first),
+        replace(one, first=coarse.first, costs=coarse.costs),
         rows,
         _outliers(one, scale, rows, system.kept),
         plain if plain is not None and plain.converged else None,

@@ -14,7 +14,6 @@
   let pose = -1;
   let timer = null;
   let frame = 0;
-  let share = 1; // of the identified machine's errors that is drawn
 
   // meshcat's scene is in a world whose y points up
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
@@ -37,6 +36,7 @@
   for (const body of data.bodies) {
     body.matrices = new Float64Array(bytes(body.matrices).buffer);
     body.nodes = body.paths.map(node);
+    body.share = 1; // of what differs from the nominal machine that is drawn
   }
 
   function move(part, m, k) { // m: columns of 3, from k on; sheared parts have no quaternion
@@ -53,7 +53,8 @@
       const there = !Number.isNaN(body.matrices[k]);
       part.object.visible = there;
       if (!there) return;
-      if (body === data.bodies[0] || share === 1 || data.bodies[0].paths.length !== body.paths.length) move(part, body.matrices, k);
+      const { share } = body;
+      if (share === 1 || data.bodies[0].paths.length !== body.paths.length) move(part, body.matrices, k);
       else move(part, body.matrices.subarray(k, k + 12).map((one, i) => one * share + (1 - share) * data.bodies[0].matrices[k + i]), 0);
     });
   }
@@ -152,8 +153,8 @@
     find("set").hidden = !set.name;
     coloured(find("set").querySelector("i"), set.colour);
     find("set").querySelector("span").textContent = set.name === "all" ? "for every leg" : `set ${set.name}`;
-    const names = data.bodies.length > 1 ? ["", "identified: "] : [""];
-    const problems = data.bodies.map((body, i) => body.problems[pose] && names[i] + body.problems[pose]).filter(Boolean);
+    const shown = data.bodies.filter((body) => body.name !== "weakest");
+    const problems = shown.map((body, i) => body.problems[pose] && (i ? `${body.name}: ` : "") + body.problems[pose]).filter(Boolean);
     find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
     find("problem").hidden = !problems.length;
     data.rows.forEach((row, i) => {
@@ -183,7 +184,7 @@
     const tick = (now) => {
       const part = Math.min(Math.max((now - begin) / (MOTION || 1), 0), 1);
       if (part < 1 && next > 0 && jog.between(pose, next, part * part * (3 - 2 * part))) {
-        blend(data.bodies[1], pose, next, part);
+        data.bodies.slice(1).forEach((body) => blend(body, pose, next, part));
         frame = requestAnimationFrame(tick);
         return;
       }
@@ -193,8 +194,7 @@
     frame = requestAnimationFrame(tick);
   }
 
-  function blend(body, from, to, part) { // the identified machine, whose loops are not closed here
-    if (!body) return;
+  function blend(body, from, to, part) { // another machine, whose loops are not closed here
     const mixed = new Float64Array(12);
     body.nodes.forEach((node, index) => {
       const [a, b] = [from, to].map((one) => 12 * (one * body.nodes.length + index));
@@ -233,18 +233,61 @@
   });
   data.layers.forEach((layer) => checkbox(find("layers"), layer.name, layer.shown, (on) => setVisible(layer.path, on), layer.colour));
 
-  if (data.bodies[1]) { // from nominal to identified
+  // Between the nominal machine and another one
+
+  function between(body, id, least, ends, said) {
     const label = element("label", "", find("layers"));
-    element("span", "nominal", label);
+    element("span", ends[0], label);
     const input = element("input", "", label);
-    Object.assign(input, { type: "range", id: "share", min: 0, max: 1, step: 0.02, value: 1 });
-    input.setAttribute("aria-label", "from nominal to identified");
-    element("span", "identified", label);
+    Object.assign(input, { type: "range", id, className: "share", min: least, max: 1, step: 0.02, value: 1 });
+    input.setAttribute("aria-label", said);
+    element("span", ends[1], label);
     input.addEventListener("input", () => {
-      share = input.valueAsNumber;
-      place(data.bodies[1]);
+      body.share = input.valueAsNumber;
+      place(body);
       viewer.set_dirty();
     });
+    return input;
+  }
+
+  const named = (name) => data.bodies.find((body) => body.name === name);
+  if (named("identified")) between(named("identified"), "share", 0, ["nominal", "identified"], "from nominal to identified");
+  if (named("weakest")) {
+    const input = between(named("weakest"), "weakest", -1, ["−", "+"], "along the weakest direction");
+    const swing = element("button", "swing", input.parentElement);
+    swing.type = "button";
+    let moving = 0;
+    const sway = (begin) => (now) => {
+      input.value = Math.sin((now - begin) / 600);
+      input.dispatchEvent(new Event("input"));
+      moving = requestAnimationFrame(sway(begin));
+    };
+    const layer = [...find("layers").querySelectorAll("label")].find((one) => one.textContent.startsWith("weakest")).querySelector("input");
+    input.addEventListener("input", () => layer.checked || layer.click());
+    swing.addEventListener("click", () => {
+      if (moving) cancelAnimationFrame(moving);
+      moving = moving ? 0 : requestAnimationFrame(sway(performance.now()));
+      swing.textContent = moving ? "stop" : "swing";
+    });
+  }
+
+  if (data.errors) { // over the workspace, before and after, on one scale
+    const label = element("label", "workspace by error (log scale): ", find("layers"));
+    const select = element("select", "", label);
+    select.id = "errors";
+    const kinds = { none: "not shown", before: "nominal (before)", after: "identified, as expected" };
+    Object.entries(kinds).forEach(([value, text]) => (element("option", text, select).value = value));
+    const bar = element("p", "", find("layers"));
+    bar.className = "scale";
+    element("span", data.errors.ends[0], bar);
+    element("i", "", bar).style.background = `linear-gradient(to right, ${data.errors.colours.join(", ")})`;
+    element("span", data.errors.ends[1], bar);
+    const change = () => {
+      ["before", "after"].forEach((one) => setVisible(`meshcat/errors/${one}`, select.value === one));
+      bar.hidden = select.value === "none";
+    };
+    select.addEventListener("change", change);
+    change();
   }
 
   const tags = data.legs.map((leg) => {
@@ -377,7 +420,8 @@
   };
   document.addEventListener("keydown", (event) => {
     const typing = event.key === " " && ["BUTTON", "INPUT"].includes(event.target.tagName) && event.target.id !== "slider";
-    if (event.key in keys && !typing && !event.ctrlKey && !event.altKey && !event.metaKey) {
+    const own = event.target.matches("select, input[type=range]:not(#slider)"); // these have keys of their own
+    if (event.key in keys && !typing && !own && !event.ctrlKey && !event.altKey && !event.metaKey) {
       event.preventDefault();
       keys[event.key]();
     }

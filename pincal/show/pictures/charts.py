@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
@@ -15,7 +15,7 @@ from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.configurations import legs_at
 from pincal.model.measuring.measurements import Noise, Plan
-from pincal.show.results import noisy_series, parameters
+from pincal.show.results import directions, noisy_series, parameters
 from pincal.show.style import EVERY, IDENTIFIED, MARKERS, NOMINAL, OUTLIER, look
 from pincal.words.numbers import SMALL, STORED, per_si
 from pincal.workspace.criteria import in_workspace
@@ -78,21 +78,6 @@ def over_time(axes: Axes, result: CalibrationResult) -> Axes:
     return axes
 
 
-def directions(result: CalibrationResult) -> tuple[list[str], Array, Array]:
-    """Return ids, singular values and directions of what was identified, the weakest last.
-
-    Of the identification Jacobian with columns of unit length at that: 1 where parameters are
-    independent, near 0 where errors of several go together. Directions are columns, in the
-    parameters' own standard errors if the others were known.
-    """
-    ids = [p.id for _, p in parameters(result)]
-    std = np.sqrt(np.diagonal(result.covariance))
-    free = np.flatnonzero(np.isfinite(std) & (std > 0.0))
-    own = result.covariance[np.ix_(free, free)]
-    values, vectors = np.linalg.eigh(own / np.outer(std[free], std[free]))
-    return [ids[i] for i in free], 1.0 / np.sqrt(np.maximum(values, 1e-300)), vectors
-
-
 def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
     """Draw singular values on a scale of decades, and name what the weakest direction moves."""
     ids, values, vectors = directions(result)
@@ -105,6 +90,37 @@ def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
     terms = [f"{weakest[i]:+.2f} {ids[i]}".replace("-", "−") for i in most]
     axes.set_title("weakest: " + "  ".join(terms), fontsize=7)
     axes.set(xlabel="direction", ylabel="singular value (columns scaled)")
+    return axes
+
+
+def step_by_step(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw the root of the cost per degree of freedom after each step of the search.
+
+    One line for all legs, or one for each. 1 is what the noise alone makes.
+
+    Raises:
+        MeasurementError: a result that was saved before steps were kept.
+    """
+    if not result.costs:
+        raise MeasurementError(
+            f"{result.nominal.name}: this result does not hold the steps of its search; calibrate "
+            "again"
+        )
+    alone = len(result.costs) == 1
+    names = [leg.name for leg in result.legs]
+    if len(names) != len(result.costs):
+        names = [f"fit {number}" for number in range(1, len(result.costs) + 1)]
+    for index, (name, costs) in enumerate(zip(names, result.costs, strict=True)):
+        own = look(index)
+        colour, steps = (IDENTIFIED if alone else own.colour), np.arange(len(costs))
+        axes.plot(steps, np.sqrt(costs), own.marker + "-", color=colour, ms=4, lw=1, label=name)
+    axes.set_yscale("log")
+    axes.axhline(1.0, color="0.5", lw=0.8, ls="--", zorder=0)
+    _plain(axes.yaxis)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.set(xlabel="step of the search", ylabel="residuals, root mean square [σ]")
+    if not alone:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
     return axes
 
 

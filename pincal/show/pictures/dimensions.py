@@ -40,6 +40,8 @@ class Dimension:
     """Of an angle, shape (3,), [m]."""
     beside: bool = False
     """Whether the line lies on a link, so that it is better drawn beside that."""
+    part: Literal["base", "leg", "platform"] = "leg"
+    """What it is a dimension of."""
 
     @property
     def extent(self) -> float:
@@ -67,14 +69,16 @@ def dimensions_of(
     found: list[Dimension] = []
     for index, joint in enumerate(leg.joints):
         parent = links[index - 1] if index else np.eye(4)
-        found += _placed(joint, values, parent, size, beside=index > 0)
+        own = _placed(joint, values, parent, size, beside=index > 0)
+        found += [replace(one, part="leg" if index else "base") for one in own]
         for place, sensor in enumerate(leg.sensors):
             if sensor.joint == joint.name:
                 position = float(joints[leg.active[place]])
                 start = float(law.start[place])
-                own = _Drive(joint, parent @ joint.placement.origin(), links[:, :3, 3], size)
-                found += _read(sensor, own, start - sensor.law(values)[1], start, position)
-    found += _placed(leg.point, values, T_base_platform, size, beside=False)
+                drive = _Drive(joint, parent @ joint.placement.origin(), links[:, :3, 3], size)
+                found += _read(sensor, drive, start - sensor.law(values)[1], start, position)
+    own = _placed(leg.point, values, T_base_platform, size, beside=False)
+    found += [replace(one, part="platform") for one in own]
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import cycle
 from typing import Any
 
@@ -23,7 +23,19 @@ from pincal.show.pictures.dimension_lines import draw_dimensions, point_of, symb
 from pincal.show.pictures.dimensions import Dimension, dimensions_of
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.painting import paint, placed
-from pincal.show.style import ACTIVE, CARRIED, DOMAIN, GROUND, IDENTIFIED, MARKERS, PASSIVE, PICTURE
+from pincal.show.style import (
+    ACTIVE,
+    CARRIED,
+    DIMENSION,
+    DOMAIN,
+    GROUND,
+    IDENTIFIED,
+    MARKERS,
+    PASSIVE,
+    PICTURE,
+)
+from pincal.show.view.found import Instrument
+from pincal.show.view.marks import stand
 from pincal.show.view.scene import Scene, frame_axes, grid_step, ground
 from pincal.show.view.solids import Shape
 from pincal.words.numbers import amount, counted
@@ -35,14 +47,14 @@ Array = NDArray[np.float64]
 def scene_figure(scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Figure:
     """Return a figure of a scene, the mechanism at one of its poses; all else as of a picture."""
     with drawing():
-        width, height = np.ptp(_extent(scene, row, _dimensions(scene, row, dimensions)), axis=0)
+        width, height = np.ptp(_extent(scene, row, dimensions_at(scene, row, dimensions)), axis=0)
         inches = PICTURE.legend + np.clip(PICTURE.width * height / width, *PICTURE.heights)
         figure = Figure(figsize=(PICTURE.width, float(inches)), layout="constrained")
         draw_scene(figure.subplots(), scene, row, dimensions)
     return figure
 
 
-def _axes_of_view(planar: bool) -> Array:
+def axes_of_view(planar: bool) -> Array:
     """Return what points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
     if planar:
         return np.eye(3)
@@ -54,11 +66,14 @@ def _axes_of_view(planar: bool) -> Array:
 
 def _extent(scene: Scene, row: int, found: Sequence[tuple[str, Dimension]] = ()) -> Array:
     """Return the least and largest of what is seen, right and up, shape (2, 2), [m]."""
-    V = _axes_of_view(scene.planar)
+    V = axes_of_view(scene.planar)
     tips = np.array([2 * axis.T_link_shape[:3, 3] for axis in frame_axes(scene)])
     T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
     tips = tips @ T_base_platform[:3, :3].T + T_base_platform[:3, 3]
     points = np.concatenate((scene.points(), tips, *(one.line for _, one in found)))
+    if scene.found and scene.found.instrument:
+        ends = np.array([scene.found.instrument.at, scene.found.instrument.T_base_frame[:3, 3]])
+        points = np.concatenate((points, ends))
     low, high = np.nanmin(points @ V[:2].T, axis=0), np.nanmax(points @ V[:2].T, axis=0)
     margin = 0.06 * float(np.max(high - low))
     return np.stack((low - margin, high + margin))
@@ -66,8 +81,8 @@ def _extent(scene: Scene, row: int, found: Sequence[tuple[str, Dimension]] = ())
 
 def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Axes:
     """Draw a scene, the mechanism at one of its poses; all else as of a picture."""
-    V = _axes_of_view(scene.planar)
-    found = _dimensions(scene, row, dimensions)
+    V = axes_of_view(scene.planar)
+    found = dimensions_at(scene, row, dimensions)
     low, high = _extent(scene, row, found)
     edge = PICTURE.edge * float(np.linalg.norm(high - low))
     axes.add_collection(
@@ -85,6 +100,8 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
     shapes += [(shape, T_base_platform) for shape in frame]
     paint(axes, [*shapes, *placed(scene.body, row)], V, edge)
+    if scene.found and scene.found.instrument:
+        legend.append(_instrument(axes, scene, scene.found.instrument, V, edge))
     if scene.identified:
         paint(axes, placed(scene.identified.body, row), V, edge, IDENTIFIED)
         label = f"identified, errors × {scene.identified.magnify:g}"
@@ -93,7 +110,7 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     if any(leg.passive for leg in scene.mechanism.legs):
         legend.append(_dot(PASSIVE, "passive joint"))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    _name_axes(axes, frame, V)
+    name_axes(axes, frame, V)
     _name_legs(axes, scene, V, (low + high) / 2, point_of(axes))
     axes.set_axis_off()
     axes.legend(
@@ -110,40 +127,18 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     return axes
 
 
-def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> Axes:
-    """Draw one leg of a mechanism with its dimensions, the rest faint behind it.
-
-    Args:
-        axes: Where to draw.
-        scene: The mechanism at a pose, its first.
-        leg: Name of the leg.
-        colours: Of dimensions, by the names of parameters.
-    """
-    V, found = _axes_of_view(scene.planar), _dimensions(scene, 0, [leg])
-    low, high = _extent(scene, 0, found)
-    edge = PICTURE.edge * float(np.linalg.norm(high - low))
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    axes.set_axis_off()
-    number = scene.mechanism.leg_names.index(leg) + 1
-    places = scene.body.placements[0]
-    parts = zip(scene.body.parts, places, strict=True)
-    shapes: dict[bool, list[tuple[Shape, Array]]] = {False: [], True: []}
-    for part, place in parts:
-        if np.isfinite(place).all():
-            own = part.path.startswith(f"leg {number}/")
-            shapes[own] += [(shape, place) for shape in part.shapes]
-    paint(axes, shapes[False], V, edge, GROUND)
-    paint(axes, [*((shape, np.eye(4)) for shape in frame_axes(scene)), *shapes[True]], V, edge)
-    _name_axes(axes, frame_axes(scene), V)
-    links = scene.body.skeletons()[0]
-    along = np.linspace(0.0, 1.0, 60)[:, None, None]
-    busy = ((1.0 - along) * links[:, 0] + along * links[:, 1]).reshape(-1, 3)
-    if found:
-        draw_dimensions(axes, found, V, busy, colours)
-    return axes
+def _instrument(axes: Axes, scene: Scene, instrument: Instrument, V: Array, edge: float) -> Line2D:
+    """Draw a tracker where it stands, with its frame, and return its line of the legend."""
+    size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
+    place = np.eye(4)
+    place[:3, 3] = instrument.at
+    shapes = [(shape, place) for shape in stand(size, scene.planar)]
+    shapes += [(shape, instrument.T_base_frame) for shape in frame_axes(scene)]
+    paint(axes, shapes, V, edge)
+    return _dot(DIMENSION, "tracker, and its frame")
 
 
-def _dimensions(scene: Scene, row: int, legs: Sequence[str]) -> list[tuple[str, Dimension]]:
+def dimensions_at(scene: Scene, row: int, legs: Sequence[str]) -> list[tuple[str, Dimension]]:
     """Return the parameters of legs as dimensions, each with its leg where they are several."""
     mechanism, poses = scene.mechanism, scene.plan.poses[[row]]
     if not legs:
@@ -219,7 +214,7 @@ def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
     return legend
 
 
-def _name_axes(axes: Axes, frame: Sequence[Shape], V: Array) -> None:
+def name_axes(axes: Axes, frame: Sequence[Shape], V: Array) -> None:
     """Write the letters of the base frame's axes beyond their ends; none of one that is end on."""
     for letter, shape in zip("xyz", frame, strict=True):
         length = float(shape.size[1])

@@ -6,7 +6,7 @@ Mechanisms in a plane are seen from above, others from the side, in parallel pro
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,11 +17,14 @@ from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measuring.measurements import Plan
+from pincal.show.view.found import Found
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
 if TYPE_CHECKING:  # matplotlib is imported where it is needed
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from pincal.calibration.result import CalibrationResult
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +36,13 @@ class Picture:
     """Which pose the mechanism is drawn at."""
     dimensions: tuple[str, ...] = ()
     """Legs whose parameters are drawn as dimensions."""
+
+    def with_result(self, result: CalibrationResult) -> Picture:
+        """Return the picture with the tracker of a calibration where its place is known."""
+        from pincal.show.view.calibrated import instrument
+
+        found = Found(instrument=instrument(result))
+        return replace(self, scene=replace(self.scene, found=found))
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""

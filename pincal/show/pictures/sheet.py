@@ -19,7 +19,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.kinematics.configurations import home_of
 from pincal.model.mechanism import Mechanism
 from pincal.show.pictures.dimension_lines import symbol
-from pincal.show.pictures.figure import draw_leg
+from pincal.show.pictures.exploded import draw_leg
 from pincal.show.pictures.files import drawing
 from pincal.show.style import IDENTIFIED, INK, NOMINAL, PAGE_WIDTH
 from pincal.show.view.scene import scene

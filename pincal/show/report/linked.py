@@ -14,7 +14,9 @@ import numpy as np
 from pincal.model.measuring.measurements import Plan
 from pincal.show.page import Page
 from pincal.show.report.report import Report
+from pincal.show.report.verdicts import verdicts
 from pincal.show.results import warnings
+from pincal.show.view.calibrated import calibrated
 from pincal.show.view.scene import MAGNIFY, MOST_POSES, plan_of, scene
 from pincal.show.view.view import View
 from pincal.words.pages import rendered
@@ -33,6 +35,7 @@ class LinkedPage(Page):
         plan = Plan(result.poses[whole], readings=None if read is None else read[whole])
         identified = result.identified if result.converged else None
         shown = scene(result.nominal, plan_of(result.nominal, plan), None, identified, magnify)
+        shown = calibrated(shown, result, report.found.errors)
         self.view = View(shown, "poses of the measurements", warnings(result))
         self.rows = {str(row + 1): place for place, row in enumerate(whole.tolist())}
 
@@ -43,5 +46,6 @@ class LinkedPage(Page):
             title=f"{self.report.found.result.nominal.name}: calibration",
             report=self.report.html(),
             view=self.view.html(),
+            verdicts=verdicts(self.report.found.result),
             data=json.dumps({"rows": self.rows}),
         )

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from pincal.show.style import CARRIED, DOMAIN, GROUND, IDENTIFIED
+from pincal.show.style import CARRIED, DOMAIN, GROUND, IDENTIFIED, NOMINAL, OUTLIER, shades
 from pincal.show.view.bodies import Body
+from pincal.show.view.found import Found
+from pincal.show.view.marks import arrows, stand
 from pincal.show.view.scene import Scene, frame_axes, ground
 from pincal.show.view.solids import Shape
 
@@ -52,7 +54,9 @@ def commands(scene: Scene) -> list[bytes]:
     """Return what draws a scene in meshcat's viewer, at no pose yet.
 
     Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``bodies.Part``);
-    ``sets/1`` and ``ghosts/1`` for the first set and so on; ``cloud``, ``base axes``, ``grid``.
+    ``sets/1`` and ``ghosts/1`` for the first set and so on; ``cloud``, ``base axes``, ``grid``;
+    of a calibration ``misses``, ``outlying``, ``errors/before``, ``errors/after``, ``weakest`` with
+    its parts, ``instrument``.
     """
     recorder = _Recorder()
     draw = meshcat.Visualizer(window=recorder)
@@ -73,7 +77,41 @@ def commands(scene: Scene) -> list[bytes]:
     for number, (_, colour, positions, lines) in enumerate(scene.by_set(), 1):
         _dots(draw[f"sets/{number}"], positions, _rgb(colour), 7)
         _lines(draw[f"ghosts/{number}"], lines, colour, opacity=0.45)
+    if scene.found:
+        _found(draw, scene.found, scene)
     return recorder.commands
+
+
+def _found(draw: Any, found: Found, scene: Scene) -> None:
+    """Draw what a calibration found."""
+    size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
+    if found.misses:
+        both = (
+            ("misses", ~found.misses.outlying, IDENTIFIED),
+            ("outlying", found.misses.outlying, OUTLIER),
+        )
+        for path, own, colour in both:
+            if own.any():
+                corners = arrows(found.misses, own, size)
+                draw[path].set_object(_facets(corners), _matt(colour))
+                lift = 0.1 * size if scene.planar else 0.0  # seen from above, over the platform
+                draw[path].set_transform(np.array([*_I[:2], [0.0, 0.0, 1.0, lift], _I[3]]))
+    if found.errors:
+        for name in ("before", "after"):
+            colours = shades(found.errors.shares(getattr(found.errors, name)))
+            _dots(draw[f"errors/{name}"], found.errors.positions, colours, 4)
+    if found.weakest:
+        _body(draw["weakest"], found.weakest.body, NOMINAL, opacity=0.6)
+    if found.instrument:
+        place = np.eye(4)
+        place[:3, 3] = found.instrument.at
+        for number, shape in enumerate(stand(size, scene.planar), 1):
+            node = draw[f"instrument/shape {number}"]
+            node.set_object(_geometry(shape), _matt(shape.colour))
+            turned = shape.T_link_shape @ (_UPRIGHT if shape.kind == "cylinder" else _I)
+            node.set_transform(place @ turned)
+        _axes(draw["instrument/frame"], frame_axes(scene))
+        draw["instrument/frame"].set_transform(found.instrument.T_base_frame)
 
 
 def viewer_script() -> str:

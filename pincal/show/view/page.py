@@ -14,9 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.show.style import DARK, DOMAIN, IDENTIFIED, PAPER, TOWARDS_VIEWER
+from pincal.show.style import (
+    DARK,
+    DOMAIN,
+    ERRORS,
+    IDENTIFIED,
+    NOMINAL,
+    OUTLIER,
+    PAPER,
+    TOWARDS_VIEWER,
+)
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
+from pincal.show.view.found import Found
+from pincal.show.view.marks import cut
 from pincal.show.view.motion import motion
 from pincal.show.view.scene import Scene, frame_axes, grid_step, set_colour
 from pincal.show.view.solids import GREY
@@ -52,6 +63,8 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
     bodies = {"mechanism": scene.body}
     if scene.identified:
         bodies["identified"] = scene.identified.body
+    if scene.found and scene.found.weakest:
+        bodies["weakest"] = scene.found.weakest.body
     return {
         "name": scene.mechanism.name,
         "description": scene.mechanism.description,
@@ -74,6 +87,7 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
             for leg in scene.mechanism.legs
         ],
         "layers": _layers(scene),
+        "errors": _errors(scene),
         "motion": motion(scene),
         "level": scene.level,
         "axis": frame_axes(scene)[0].size[1],
@@ -86,6 +100,7 @@ def _body(root: str, body: Body) -> dict[str, Any]:
     """Return a body's paths, and its placements as columns of 3, N x n_parts x 4 x 3 doubles."""
     columns = np.ascontiguousarray(body.placements[:, :, :3].swapaxes(2, 3), dtype="<f8")
     return {
+        "name": root,
         "paths": [f"meshcat/{root}/{part.path}" for part in body.parts],
         "matrices": base64.b64encode(columns.tobytes()).decode(),
         "problems": list(body.problems),
@@ -132,9 +147,43 @@ def _layers(scene: Scene) -> list[dict[str, Any]]:
             count += f" of {cloud.given:,}"
         share = f"; dark: fundamental domain of {cloud.group}" if not cloud.domain.all() else ""
         layers.append(("cloud", f"workspace, {count} positions{share}", True))
+    if scene.found:
+        layers += _found(scene, scene.found)
     layers += [("base axes", "base frame", True), ("grid", "grid", True)]
     colours = {"identified": IDENTIFIED, "cloud": DOMAIN}
+    colours |= {"misses": IDENTIFIED, "outlying": OUTLIER, "weakest": NOMINAL}
     return [
         {"path": f"meshcat/{path}", "name": name, "shown": shown, "colour": colours.get(path, "")}
         for path, name, shown in layers
     ]
+
+
+def _found(scene: Scene, found: Found) -> list[tuple[str, str, bool]]:
+    """Return the layers of what a calibration found."""
+    layers = []
+    if misses := found.misses:
+        size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
+        short, factor = cut(misses, size), f"errors × {misses.magnify:,.12g}"
+        for path, who, own in (
+            ("misses", "measured → predicted", ~misses.outlying),
+            ("outlying", "outliers", misses.outlying),
+        ):
+            count = int((own & short).sum())
+            more = f", {count} longer than drawn" if count else ""
+            layers += [(path, f"{who}, {factor}{more}", True)] if own.any() else []
+    if weakest := found.weakest:
+        said = f"weakest direction, ±{weakest.magnify:.3g} of its standard errors"
+        layers.append(("weakest", f"{said}: {weakest.named}", False))
+    if found.instrument:
+        far = float(np.linalg.norm(found.instrument.at))
+        layers.append(("instrument", f"tracker, {far:.3g} m from the base frame", True))
+    return layers
+
+
+def _errors(scene: Scene) -> dict[str, Any] | None:
+    """Return the scale of errors over the workspace, None if there are none."""
+    if not (scene.found and scene.found.errors):
+        return None
+    scale, unit = per_si("m", SMALL), SMALL["m"]
+    ends = [f"{scale * one:.2g} {unit}" for one in scene.found.errors.limits]
+    return {"colours": list(ERRORS), "ends": ends}

@@ -19,6 +19,7 @@ from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.style import DIMENSION, EVERY, look
 from pincal.show.view.bodies import Body, body
+from pincal.show.view.found import Found
 from pincal.show.view.solids import Shape
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.domain import in_domain
@@ -64,6 +65,8 @@ class Scene:
     """Sensor readings, shape (N, n_legs), [rad] or [m]; NaN where not reached."""
     identified: Identified | None = None
     cloud: Cloud | None = None
+    found: Found | None = None
+    """What a calibration adds."""
 
     @property
     def sets(self) -> tuple[str, ...]:
@@ -130,7 +133,7 @@ def scene(
         )
     found = Scene(mechanism, plan, body(mechanism, plan), joints_at(mechanism, plan).readings)
     if identified is not None:
-        machine = _identified(found, as_mechanism(identified), magnify)
+        machine = driven(found, as_mechanism(identified), magnify)
         found = replace(found, identified=machine)
     return found if workspace is None else replace(found, cloud=_cloud(mechanism, workspace))
 
@@ -167,8 +170,8 @@ def _cloud(mechanism: Mechanism, workspace: ArrayLike) -> Cloud:
     return Cloud(positions, in_domain(group, positions), group.name, len(given))
 
 
-def _identified(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
-    """Return where the identified machine goes when the nominal model commands the poses.
+def driven(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
+    """Return where another machine goes when the nominal model commands the poses.
 
     Differences of parameters are magnified, not those of poses, so that what is drawn is a
     mechanism whose loops close; to first order its platform's error is magnified alike.
@@ -187,15 +190,15 @@ def _identified(scene: Scene, identified: Mechanism, magnify: float) -> Identifi
         for leg in mechanism.legs
     }
     machine = mechanism.with_parameters(off)
-    driven = np.flatnonzero(np.isfinite(scene.readings).all(axis=1))
-    solution = forward(machine, scene.readings[driven], poses[driven])
-    reached = driven[solution.converged]
+    known = np.flatnonzero(np.isfinite(scene.readings).all(axis=1))
+    solution = forward(machine, scene.readings[known], poses[known])
+    reached = known[solution.converged]
     there = Plan(solution.poses[solution.converged], readings=scene.readings[reached])
     at = body(machine, there)
     placements = np.full((len(poses), *at.placements.shape[1:]), np.nan)
     placements[reached] = at.placements
     why = dict.fromkeys(range(len(poses)), "the nominal model does not reach this pose")
-    why |= dict(zip(driven.tolist(), solution.reasons, strict=True))
+    why |= dict(zip(known.tolist(), solution.reasons, strict=True))
     why |= dict(zip(reached.tolist(), at.problems, strict=True))
     everywhere = replace(at, placements=placements, problems=tuple(why.values()))
     return Identified(everywhere, magnify, platform_errors(mechanism, identified, scene.plan))
@@ -224,9 +227,13 @@ def frame_axes(scene: Scene) -> tuple[Shape, ...]:
 def grid_step(scene: Scene) -> float:
     """Return the lines' distance on the ground, 1, 2 or 5 times a power of ten, [m]."""
     width = float(np.ptp(scene.bounds()[:, :2], axis=0).max())
-    wanted = max(width, 1e-9) / 6
-    decade = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(s for s in (1.0, 2.0, 5.0) if s <= wanted / decade * (1 + 1e-9)) * decade)
+    return rounded_down(max(width, 1e-9) / 6)
+
+
+def rounded_down(value: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above a value."""
+    decade = 10.0 ** np.floor(np.log10(value))
+    return float(max(s for s in (1.0, 2.0, 5.0) if s <= value / decade * (1 + 1e-9)) * decade)
 
 
 def ground(scene: Scene) -> Array:

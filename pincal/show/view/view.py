@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 from weakref import finalize
 
 import numpy as np
@@ -19,6 +20,9 @@ from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.page import Page
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
+
+if TYPE_CHECKING:
+    from pincal.calibration.result import CalibrationResult
 
 Array = NDArray[np.float64]
 
@@ -44,6 +48,16 @@ class View(Page):
 
         body = with_meshes(self.scene.body, self.scene.mechanism, urdf)
         return View(replace(self.scene, body=body), self._source, self._notices)
+
+    def with_result(self, result: CalibrationResult) -> View:
+        """Return the view with what a calibration of this mechanism found.
+
+        Arrows from measured to predicted points, errors over the workspace before and after, the
+        weakest direction, and the tracker where its place is known.
+        """
+        from pincal.show.view.calibrated import calibrated
+
+        return View(calibrated(self.scene, result), self._source, self._notices)
 
     def with_notices(self, notices: Sequence[str]) -> View:
         """Return the view with what is to be known first, such as a result's ``warnings``."""

@@ -1,0 +1,144 @@
+"""A scene with what a calibration found: how it is worked out from the result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.calibration.promise import pose_misses
+from pincal.calibration.result import CalibrationResult
+from pincal.errors import PincalError
+from pincal.model.measuring.setup import ORIGIN
+from pincal.show.results import directions, parameters
+from pincal.show.view.found import Errors, Found, Instrument, Misses, Weakest
+from pincal.show.view.scene import Scene, driven, rounded_down
+from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
+
+Array = NDArray[np.float64]
+#: Of the scene's size: a long arrow, and how far a parameter moves along the weakest direction.
+_ARROW, _SWING = 0.08, 0.08
+_NAMED = 3
+
+
+def calibrated(
+    scene: Scene, result: CalibrationResult, errors: WorkspaceErrors | None = None
+) -> Scene:
+    """Return a scene with what a calibration of its mechanism found.
+
+    Args:
+        scene: The mechanism at poses.
+        result: Its calibration; of one that did not converge, the place of the tracker alone.
+        errors: Over the workspace, computed if not given.
+    """
+    if not result.converged:
+        return replace(scene, found=Found(instrument=instrument(result)))
+    size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
+    found = Found(
+        misses(result, size),
+        _errors(result, workspace_errors(result) if errors is None else errors),
+        weakest(scene, result, size),
+        instrument(result),
+    )
+    return replace(scene, found=found)
+
+
+def misses(result: CalibrationResult, size: float) -> Misses | None:
+    """Return how rows miss what was measured of the platform's position; None if nothing was.
+
+    Args:
+        result: The calibration.
+        size: Of what is drawn, [m].
+    """
+    measured, shifts = _measured(result)
+    rows = np.flatnonzero(np.isfinite(np.hstack((measured, shifts))).all(axis=1))
+    if not len(rows):
+        return None
+    bad = {one.row for one in result.outliers}
+    outlying = np.array([row in bad for row in rows.tolist()])
+    lengths = np.linalg.norm(shifts[rows], axis=1)
+    usual = lengths if outlying.all() else lengths[~outlying]
+    long = max(float(np.quantile(usual, 0.95)), 1e-12 * size)
+    return Misses(measured[rows], shifts[rows], outlying, rounded_down(_ARROW * size / long))
+
+
+def _measured(result: CalibrationResult) -> tuple[Array, Array]:
+    """Return measured points and predicted less measured, shape (N, 3), [m]; NaN if unknown.
+
+    Of poses that were measured in full, by what closes the legs there; of other rows by the
+    residuals of x, y and z.
+    """
+    calibration, platform = result.calibration, result.nominal.platform
+    twists = pose_misses(calibration, result.identified, result.outside)
+    poses, _ = calibration.given_poses(result.outside)
+    lengths = platform.lengths
+    measured, shifts = np.zeros((2, len(poses), 3))
+    measured[:, :lengths] = poses[:, :lengths]
+    shifts[:, :lengths] = twists[:, [row < 3 for row in platform.twist_rows]]
+    seen = {one.name: one for one in result.observed}
+    axes = ("x", "y", "z")[: platform.space]
+    if result.estimated_poses is None or not set(axes) <= set(seen):
+        return measured, shifts
+    off = np.full((len(poses), 3), np.nan)
+    off[:, platform.space :] = 0.0
+    for axis, name in enumerate(axes):
+        off[seen[name].rows, axis] = seen[name].residuals
+    offset = np.array(result.options.setup.targets[ORIGIN].offset)
+    if result.outside is not None:
+        off, offset = off @ result.outside.frame[:3, :3], result.outside.offsets[0]
+    matrices = platform.matrices(result.estimated_poses)
+    points = matrices[:, :3, 3] + matrices[:, :3, :3] @ offset
+    missing = ~np.isfinite(shifts).all(axis=1)
+    measured[missing], shifts[missing] = (points - off)[missing], off[missing]
+    return measured, shifts
+
+
+def _errors(result: CalibrationResult, found: WorkspaceErrors) -> Errors | None:
+    """Return errors of position over the workspace; None where none can be promised."""
+    before, after = found.before[:, 0], found.after[:, 0]
+    rows = np.isfinite(before) & np.isfinite(after)
+    if not result.explained or not (rows & (np.fmax(before, after) > 0.0)).any():
+        return None
+    at = result.nominal.platform.matrices(found.poses[rows])[:, :3, 3]
+    return Errors(at, before[rows], after[rows])
+
+
+def weakest(scene: Scene, result: CalibrationResult, size: float) -> Weakest | None:
+    """Return the machine off along its weakest direction; None where nothing was identified.
+
+    Args:
+        scene: The mechanism at poses.
+        result: The calibration.
+        size: Of what is drawn, [m].
+    """
+    ids, values, vectors = directions(result)
+    if not ids:
+        return None
+    every = {p.id: p for _, p in parameters(result)}
+    std = np.sqrt(np.diagonal(result.covariance))[[list(every).index(one) for one in ids]]
+    step = dict(zip(ids, (vectors[:, -1] * std / values[-1]).tolist(), strict=True))
+    seen = max(abs(v) * (size if every[i].unit == "rad" else 1.0) for i, v in step.items())
+    moved = {
+        leg.name: [p.nominal + step.get(p.id, 0.0) for p in leg.parameters] for leg in result.legs
+    }
+    off = scene.mechanism.with_parameters({leg: np.array(own) for leg, own in moved.items()})
+    most = sorted(step, key=lambda one: -abs(step[one] / std[ids.index(one)]))[:_NAMED]
+    magnify = rounded_down(_SWING * size / max(seen, 1e-300))
+    try:
+        body = driven(scene, off, magnify).body
+    except PincalError:  # a machine so far off that it cannot be built
+        return None
+    return Weakest(body, magnify, ", ".join(most))
+
+
+def instrument(result: CalibrationResult) -> Instrument | None:
+    """Return where the tracker stands; None if its place is not known."""
+    tracker = result.options.setup.tracker
+    if tracker is None:
+        return None
+    T_base_frame: Array = np.eye(4)
+    if result.outside is not None:
+        T_base_frame = np.asarray(np.linalg.inv(result.outside.frame), dtype=np.float64)
+    at = T_base_frame[:3, :3] @ np.array(tracker.at) + T_base_frame[:3, 3]
+    return Instrument(at, T_base_frame)

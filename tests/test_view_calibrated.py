@@ -1,0 +1,175 @@
+"""What a calibration adds to a view: arrows, errors, the weakest direction, the tracker."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import pincal
+from pincal.show.pictures.figure import axes_of_view
+from pincal.show.report.linked import LinkedPage
+from pincal.show.report.report import report
+from pincal.show.report.verdicts import verdicts
+from pincal.show.style import ERRORS, shades
+from pincal.show.view.calibrated import calibrated
+from pincal.show.view.found import Errors
+from pincal.show.view.marks import arrows, cut
+from pincal.show.view.scene import Scene, scene
+
+NOISE = pincal.Noise(1e-5, 1e-5)
+OFF = np.array([2e-3, -1e-3])
+
+
+def calibration() -> pincal.CalibrationResult:
+    """Return the calibration of a 5R of which row 4 was measured off by OFF."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = pincal.disturb(mechanism, 2e-3, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, NOISE, 3).measurements
+    poses = data.poses.copy()
+    poses[4] += OFF
+    return pincal.calibrate(mechanism, replace(data, poses=poses), noise=NOISE, loss="huber")
+
+
+@pytest.fixture(scope="module")
+def result() -> pincal.CalibrationResult:
+    """Calibration of a 5R with an outlier."""
+    return calibration()
+
+
+@pytest.fixture(scope="module")
+def drawn(result: pincal.CalibrationResult) -> Scene:
+    """Scene of its rows, with what was found."""
+    return calibrated(scene(result.nominal, pincal.Plan(result.poses)), result)
+
+
+def test_arrows_go_from_measured_to_predicted(
+    result: pincal.CalibrationResult, drawn: Scene
+) -> None:
+    """An arrow ends where forward kinematics predicts, to first order; the outlier's goes back."""
+    assert drawn.found is not None
+    misses = drawn.found.misses
+    assert misses is not None
+    data = result.measurements
+    np.testing.assert_allclose(misses.measured[:, :2], data.poses)
+    predicted = pincal.forward(result.identified, data.readings, data.poses).poses
+    np.testing.assert_allclose(misses.shifts[:, :2], predicted - data.poses, atol=1e-5)
+    assert misses.outlying.tolist() == [row == 4 for row in range(30)]
+    np.testing.assert_allclose(misses.shifts[4, :2], -OFF, atol=1e-4)
+
+
+def test_drawn_arrows_are_magnified(drawn: Scene) -> None:
+    """A drawn arrow begins at the point and is the shift's length times the factor, or is cut."""
+    assert drawn.found is not None
+    misses = drawn.found.misses
+    assert misses is not None
+    size = 2.0
+    for row in range(len(misses.measured)):
+        corners = arrows(misses, np.arange(30) == row, size).reshape(-1, 3)
+        along = misses.shifts[row] / np.linalg.norm(misses.shifts[row])
+        reach = ((corners - misses.measured[row]) @ along).max()
+        whole = misses.magnify * np.linalg.norm(misses.shifts[row])
+        assert reach == pytest.approx(min(whole, 0.5 * size))
+        assert cut(misses, size)[row] == (whole > 0.5 * size)
+    assert cut(misses, size)[4]
+
+
+def test_errors_share_one_scale(result: pincal.CalibrationResult, drawn: Scene) -> None:
+    """Before and after are those of the workspace; equal errors have equal colours in both."""
+    assert drawn.found is not None
+    errors = drawn.found.errors
+    assert errors is not None
+    assert errors.after.mean() < 0.1 * errors.before.mean()
+    row = 7
+    expected = result.expected_error(errors.positions[[row], :2]).position
+    assert errors.after[row] == pytest.approx(expected, rel=1e-6)
+    values = np.geomspace(1e-6, 1e-3, 50)
+    swapped = Errors(np.zeros((50, 3)), values[::-1], values)
+    np.testing.assert_array_equal(swapped.shares(values)[::-1], swapped.shares(values[::-1]))
+    low, high = swapped.limits
+    assert swapped.shares(np.array([0.0, low, np.sqrt(low * high), high, 1.0])) == pytest.approx(
+        [0.0, 0.0, 0.5, 1.0, 1.0]
+    )
+    ends = [[int(one[i : i + 2], 16) / 255 for i in (1, 3, 5)] for one in (ERRORS[0], ERRORS[-1])]
+    np.testing.assert_allclose(shades(np.array([0.0, 1.0])), ends)
+
+
+def test_weakest_direction_is_that_of_largest_variance(
+    result: pincal.CalibrationResult, drawn: Scene
+) -> None:
+    """The machine that swings is closed, drawn at every pose, and named by what moves most."""
+    assert drawn.found is not None
+    weakest = drawn.found.weakest
+    assert weakest is not None
+    assert np.isfinite(weakest.body.placements).all()
+    off = weakest.body.placements - drawn.body.placements
+    assert 0.01 < np.abs(off[..., :3, 3]).max() < 0.5
+    std = np.sqrt(np.diagonal(result.covariance))
+    _, vectors = np.linalg.eigh(result.covariance / np.outer(std, std))
+    ids = [p.id for leg in result.legs for p in leg.parameters]
+    assert weakest.named.split(", ")[0] == ids[int(np.argmax(np.abs(vectors[:, -1])))]
+
+
+def test_tracker_stands_where_the_frame_says(tmp_path: Path) -> None:
+    """A tracker at a place of its own frame is drawn where that is in the base frame."""
+    mechanism = pincal.load_mechanism("6UPS")
+    truth = pincal.disturb(mechanism, 1e-4, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.1, 0.1, (30, 6))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, pincal.Noise(1e-6, 1e-6), 3).measurements
+    T = RigidTransform.from_components([1.5, 0.4, -0.2], Rotation.from_rotvec([0.02, 0.01, 0.7]))
+    seen = T * RigidTransform.from_matrix(mechanism.platform.matrices(data.poses))
+    moved = replace(data, poses=mechanism.platform.coordinates_of(seen))
+    tracker = pincal.Tracker(at=(0.1, 0.2, 0.3), range=1e-6, azimuth=1e-6, elevation=1e-6)
+    setup = pincal.Setup(unknown_frame=True, tracker=tracker)
+    noise = pincal.Noise(orientation=1e-6)
+    result = pincal.calibrate(mechanism, moved, noise=noise, setup=setup)
+    shown = calibrated(scene(mechanism, pincal.Plan(result.poses[:2])), result).found
+    assert shown is not None
+    assert shown.instrument is not None
+    expected = T.inv().apply([0.1, 0.2, 0.3])
+    np.testing.assert_allclose(shown.instrument.at, expected, atol=2e-2)
+    page = pincal.view(mechanism, result.poses[:2]).with_result(result).html()
+    assert page.count("tracker, ") == 1
+    drawn = pincal.picture(mechanism).with_result(result)
+    axes = drawn.figure().axes[0]
+    legend = axes.get_legend()
+    assert legend is not None
+    assert "tracker, and its frame" in [text.get_text() for text in legend.get_texts()]
+    right, up = axes_of_view(False)[:2] @ expected
+    assert axes.get_xlim()[0] < right < axes.get_xlim()[1]
+    assert axes.get_ylim()[0] < up < axes.get_ylim()[1]
+    drawn.save(tmp_path / "tracker.png")
+
+
+def test_page_says_what_is_drawn(result: pincal.CalibrationResult) -> None:
+    """The page names the factor of the arrows, the outliers and the ends of the scale."""
+    view = pincal.view(result.nominal, result.poses, identified=result.identified)
+    page = view.with_result(result).html()
+    for text in ("measured → predicted, errors × ", "outliers, errors × ", "weakest direction, ±"):
+        assert text in page
+    assert '"errors":{"colours"' in page
+    assert '"errors":null' in view.html()
+
+
+def test_verdicts_stand_side_by_side(result: pincal.CalibrationResult) -> None:
+    """χ², loss and held-out rows say the result's numbers; what contradicts the model is bad."""
+    chi2, loss, held = verdicts(result)
+    assert float(chi2.value) == pytest.approx(result.reduced_chi2, rel=1e-2)
+    assert (loss.value, loss.kind) == ("huber", "care")
+    assert loss.text.startswith("1 row does not fit")
+    assert (held.value, held.kind) == ("–", "")
+    one = result.validated(3).validation
+    assert one is not None
+    *_, held = verdicts(replace(result, validation=one))
+    assert held.value == f"{one.held_out:.2f} σ"
+    wrong = replace(result, reduced_chi2=25.0, chi2_p_value=1e-20)
+    assert verdicts(wrong)[0].kind == "bad"
+    page = LinkedPage(report(result)).html()
+    for cell in (chi2, loss):
+        assert f"{cell.name} <b>{cell.value}</b><p>{cell.text}</p>" in page
