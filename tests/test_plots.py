@@ -14,8 +14,10 @@ from command_line import done, run
 from lxml import etree
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from measured import machine, seen_from_elsewhere
 
 import pincal
+from pincal.calibration.fits import fitted
 from pincal.kinematics.configurations import home_of
 from pincal.show.pictures.dimension_lines import MARK
 from pincal.show.pictures.exploded import GAP, draw_leg, shifts
@@ -147,7 +149,7 @@ def test_every_kind_of_result_plots(case: str, tmp_path: Path) -> None:
     (image,) = result.plot.correlation().images
     assert np.abs(image.get_array()).max() <= 1.0 + 1e-9
     if mechanism.by_readings:
-        with pytest.raises(pincal.WorkspaceError, match="no workspace"):
+        with pytest.raises(pincal.WorkspaceError, match="follow from readings"):
             result.plot.error_map()
     else:
         values = result.plot.error_map().images[0].get_array().compressed()
@@ -193,15 +195,35 @@ def test_accuracy_by_poses_ends_at_the_promise_and_above_the_bound(
 
 
 def test_singular_values_are_those_of_scaled_columns(result: pincal.CalibrationResult) -> None:
-    """Reciprocal roots of the correlations' eigenvalues, the largest first."""
+    """Of the search's own white rows, columns of unit length, by SVD; the largest first."""
     (line,) = result.plot.singular().lines
-    std = np.sqrt(np.diagonal(result.covariance))
-    free = std > 0.0
-    rho = result.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
-    expected = 1 / np.sqrt(np.linalg.eigvalsh(rho))
-    expected = expected[expected < 1e6]
-    np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-6)
-    assert (np.diff(line.get_ydata()) <= 0.0).all()
+    fit = fitted(result.calibration).fits[0].fit
+    J = fit.last.jacobian @ fit.unknowns.map
+    rows = J.reshape(-1, J.shape[2])
+    expected = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
+    np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-3)
+
+
+def test_what_rows_alone_do_not_make_is_not_drawn_by_their_number() -> None:
+    """Priors, and residuals that contradict the noise, are refused, not drawn too well."""
+    mechanism, _, data = machine("3RRR")
+    with_priors = pincal.calibrate(mechanism, data, noise=NOISE, tolerance={"m": 1e-4, "rad": 1e-4})
+    wrong = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-6, 1e-6, 5e-7))
+    for one in (with_priors, wrong):
+        with pytest.raises(pincal.MeasurementError):
+            one.plot.poses()
+
+
+def test_accuracy_by_poses_ends_at_the_promise_in_an_unknown_frame() -> None:
+    """What frames take up is no error of the machine, and bars at the platform leave it out."""
+    mechanism, _, data = machine("3RRR")
+    seen = seen_from_elsewhere(mechanism, data)
+    setup = pincal.Setup(unknown_frame=True)
+    result = pincal.calibrate(mechanism, seen, noise=NOISE, setup=setup)
+    curve, _ = result.plot.poses().lines
+    over = pincal.sample_configurations(result.nominal, 300)
+    expected = 1e3 * result.expected_error(over).position
+    assert curve.get_ydata()[-1] == pytest.approx(expected, rel=0.05)
 
 
 def test_residuals_over_workspace_and_time(result: pincal.CalibrationResult) -> None:

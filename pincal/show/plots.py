@@ -37,7 +37,8 @@ class Plots:
         """Draw residuals after the calibration in standard deviations, against the row.
 
         Those of the legs or, if their readings are exact, of the platform as measured. Dashed
-        lines: where 95 of 100 are expected by the noise.
+        lines: 1.96 standard deviations of the noise; residuals that share what is missed with
+        others stay well within. Rows that were rejected are named.
         """
         axes = _axes_of(ax, 6.4, 3.6)
         for index, one in enumerate(noisy_series(self.result)):
@@ -47,6 +48,7 @@ class Plots:
             axes.plot(rows, values, own.marker, color=own.colour, ms=3, label=label(one.name))
         _levels(axes, 1.96)
         axes.set(xlabel="data row", ylabel="residual [σ]")
+        charts.say_rejected(axes, self.result)
         outside(axes)
         return axes
 
@@ -80,7 +82,10 @@ class Plots:
                 "makes them, so no accuracy can be promised and none is drawn"
             )
         if (maps := error_maps(self.result)) is None:
-            raise WorkspaceError(f"{name}: no workspace was found to draw errors over")
+            why = "no workspace was found to draw errors over x and y"
+            if self.result.nominal.by_readings:
+                why = "its poses follow from readings: errors over x and y are not drawn"
+            raise WorkspaceError(f"{name}: {why}")
         axes, middle = _axes_of(ax, 5.0, 4.2), len(maps.heights) // 2
         image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[middle, ..., 0])
         axes.figure.colorbar(image, ax=axes, label=f"expected error of position [{SMALL['m']}]")
@@ -98,7 +103,7 @@ class Plots:
         axes.figure.colorbar(image, ax=axes, label="correlation")
         ids = [p.id for _, p in parameters(self.result)]
         places, names = list(range(len(free))), [ids[i] for i in free]
-        if len(free) > _MANY:  # legs alone: letters stay as large as they are read
+        if len(free) > _MANY and len(self.result.legs) > 1:  # legs alone: letters stay large
             begin = [i for i in places if i == 0 or _owner(names[i]) != _owner(names[i - 1])]
             places, names = begin, [_owner(names[i]) for i in begin]
         axes.set_xticks(places, names, rotation=90, fontsize=7)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
 from pincal.calibration.result import CalibrationResult
+from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.model.measuring.measurements import Noise
 from pincal.words.results import noise
 from pincal.words.sentences import WORDINGS, sentence
@@ -103,19 +105,34 @@ def parameters(result: CalibrationResult) -> Iterator[tuple[LegResult, Identifie
             yield leg, p
 
 
-def directions(result: CalibrationResult) -> tuple[list[str], Array, Array]:
-    """Return ids, singular values and directions of what was identified, the weakest last.
+class Directions(NamedTuple):
+    """Directions of parameters, by how well they were identified."""
 
-    Of the identification Jacobian with columns of unit length at that: 1 where parameters are
-    independent, near 0 where errors of several go together. Directions are columns, in the
-    parameters' own standard errors if the others were known.
-    """
+    ids: list[str]
+    """Of what was identified, length n."""
+    values: Array
+    """Singular values of the Jacobian with columns of unit length, the largest first, shape (r,):
+    about 1 where parameters are independent, near 0 where errors of several go together."""
+    vectors: Array
+    """Columns, in the units below, shape (n, r)."""
+    units: Array
+    """Standard errors of the parameters if all others were known, shape (n,)."""
+
+
+def directions(result: CalibrationResult) -> Directions:
+    """Return the directions of what was identified; those fixed by choice are left out."""
     ids = [p.id for _, p in parameters(result)]
     std = np.sqrt(np.diagonal(result.covariance))
     free = np.flatnonzero(np.isfinite(std) & (std > 0.0))
-    own = result.covariance[np.ix_(free, free)]
-    values, vectors = np.linalg.eigh(own / np.outer(std[free], std[free]))
-    return [ids[i] for i in free], 1.0 / np.sqrt(np.maximum(values, 1e-300)), vectors
+    scale = np.outer(std[free], std[free])
+    values, axes = np.linalg.eigh(result.covariance[np.ix_(free, free)] / scale)
+    kept = values > RANK_TOLERANCE * values.max(initial=0.0)
+    information = (axes[:, kept] / values[kept]) @ axes[:, kept].T
+    lengths = np.sqrt(np.diagonal(information))
+    squares, vectors = np.linalg.eigh(information / np.outer(lengths, lengths))
+    squares, vectors = squares[::-1][: kept.sum()], vectors[:, ::-1][:, : kept.sum()]
+    singular = np.sqrt(np.maximum(squares, 0.0))
+    return Directions([ids[i] for i in free], singular, vectors, std[free] / lengths)
 
 
 def warnings(result: CalibrationResult) -> list[str]:

@@ -64,8 +64,9 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
 
   const tip = (q) => Motion.product(Motion.links(motion.legs[0], q[0]).pop(), Motion.inverse(motion.points[0]));
 
-  // Where sliders say; false, and nothing moves, if a leg does not reach
-  function go(wanted) {
+  // Where sliders say, within their ranges; false, and nothing moves, if a leg does not reach
+  function go(asked) {
+    const wanted = asked.map((one, i) => Math.min(Math.max(one, -motion.sliders[i].most), motion.sliders[i].most));
     let state = null;
     if (motion.jog === "joints") {
       const q = [begun.joints[0].map((one, i) => one + wanted[i])];
@@ -84,6 +85,9 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
     }
     const reached = draw(state);
     if (reached) offset = wanted;
+    if (reached && wanted.some((one) => one !== 0)) { // others stand at poses, and would seem to be off
+      data.bodies.slice(1).forEach((other) => other.nodes.forEach((part) => (part.object.visible = false)));
+    }
     said.hidden = reached;
     write();
     return reached;

@@ -198,7 +198,12 @@
     const mixed = new Float64Array(12);
     body.nodes.forEach((node, index) => {
       const [a, b] = [from, to].map((one) => 12 * (one * body.nodes.length + index));
-      mixed.forEach((_, i) => (mixed[i] = (1 - part) * body.matrices[a + i] + part * body.matrices[b + i]));
+      const whole = body.share === 1 || data.bodies[0].paths.length !== body.paths.length;
+      const mix = (matrices, i) => (1 - part) * matrices[a + i] + part * matrices[b + i];
+      mixed.forEach((_, i) => {
+        mixed[i] = mix(body.matrices, i);
+        if (!whole) mixed[i] = body.share * mixed[i] + (1 - body.share) * mix(data.bodies[0].matrices, i);
+      });
       node.object.visible = !mixed.some(Number.isNaN);
       if (node.object.visible) move(node, mixed, 0);
     });

@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
 from pincal.design.information import information_rows
+from pincal.design.platform_error import without_frames
 from pincal.design.selection.accuracy_bound import accurate_design
 from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, WorkspaceError
+from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.kinematics.configurations import legs_at
 from pincal.model.measuring.measurements import Noise, Plan
 from pincal.show.results import directions, noisy_series, parameters
@@ -24,8 +26,11 @@ from pincal.workspace.sampling import sample_configurations
 Array = NDArray[np.float64]
 _SAMPLES = 300  # of the workspace
 _STEPS = 12  # numbers of poses
+_ROWS = 12  # that are named
 _NAMED = 3  # parameters of a direction
 _ACROSS = 31  # cells of a bed
+_SAME = 0.02  # by which the error of all rows may differ from the result's own
+_BARS = 25  # parameters beside each other
 
 
 def worst_of_rows(result: CalibrationResult) -> Array:
@@ -35,6 +40,16 @@ def worst_of_rows(result: CalibrationResult) -> Array:
         noisy = one.sigma > 0.0
         np.fmax.at(worst, one.rows[noisy], np.abs(one.after[noisy] / one.sigma[noisy]))
     return worst
+
+
+def say_rejected(axes: Axes, result: CalibrationResult) -> None:
+    """Name the rows that were rejected, of which no residual is drawn."""
+    worst = worst_of_rows(result)
+    rows = [one.row for one in result.outliers if not np.isfinite(worst[one.row])]
+    if rows:
+        some = ", ".join(str(row + 1) for row in sorted(set(rows))[:_ROWS])
+        more = " …" if len(set(rows)) > _ROWS else ""
+        axes.set_title(f"rejected, not drawn: rows {some}{more}", fontsize=8)
 
 
 def over_workspace(axes: Axes, result: CalibrationResult) -> Axes:
@@ -49,6 +64,7 @@ def over_workspace(axes: Axes, result: CalibrationResult) -> Axes:
     if own:
         axes.plot(*at[own].T, "o", ms=9, mfc="none", mec=OUTLIER, mew=1.3, label="outlier")
         axes.legend()
+    say_rejected(axes, result)
     axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]", aspect="equal")
     return axes
 
@@ -74,22 +90,24 @@ def over_time(axes: Axes, result: CalibrationResult) -> Axes:
     axes.axhspan(-1.96, 1.96, color="0.92", zorder=0)
     axes.axhline(0.0, color="0.5", lw=0.8)
     axes.set(xlabel="data row" if column is None else "time", ylabel="mean residual / its σ")
+    say_rejected(axes, result)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
     return axes
 
 
 def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
     """Draw singular values on a scale of decades, and name what the weakest direction moves."""
-    ids, values, vectors = directions(result)
-    lost = values < 1e6  # those beyond are gauge freedoms: the covariance has nothing along them
-    shown, vectors = values[lost], vectors[:, lost]
-    axes.semilogy(np.arange(1, len(shown) + 1), shown, MARKERS[0], color=IDENTIFIED, ms=4)
+    found = directions(result)
+    count = np.arange(1, len(found.values) + 1)
+    axes.semilogy(count, found.values, MARKERS[0], color=IDENTIFIED, ms=4)
     _plain(axes.yaxis)
-    weakest = vectors[:, -1]
+    weakest = found.vectors[:, -1]
     most = np.argsort(-np.abs(weakest), kind="stable")[:_NAMED]
-    terms = [f"{weakest[i]:+.2f} {ids[i]}".replace("-", "−") for i in most]
+    terms = [f"{weakest[i]:+.2f} {found.ids[i]}".replace("-", "−") for i in most]
     axes.set_title("weakest: " + "  ".join(terms), fontsize=7)
-    axes.set(xlabel="direction", ylabel="singular value (columns scaled)")
+    lost = len(found.ids) - len(found.values)
+    more = f" ({lost} more are fixed by choice)" if lost else ""
+    axes.set(xlabel=f"direction{more}", ylabel="singular value (columns scaled)")
     return axes
 
 
@@ -130,22 +148,28 @@ def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
     The bound: no choice of n of the measured poses, repeated at will, does better.
 
     Raises:
-        MeasurementError: noise differs between rows, or parameters are undetermined.
+        MeasurementError: noise differs between rows, residuals contradict it, or more than the
+            rows made the result.
         WorkspaceError: no workspace was found.
     """
-    rows, C = _information(result)
+    if not result.explained:
+        raise MeasurementError(
+            f"{result.nominal.name}: residuals are {result.excess:.3g} times as large as the noise "
+            "given makes them, so no accuracy can be promised and none is drawn"
+        )
+    rows, C, own = _information(result)
     n, counts = rows.shape[2], np.arange(len(rows)) + 1
     numbers, errors = [], []
     for count in np.unique(np.geomspace(max(2, n // rows.shape[1]), len(rows), _STEPS).astype(int)):
-        own = rows[:count].reshape(-1, n)
-        if np.linalg.matrix_rank(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)) == n:
-            half = np.linalg.solve(own.T @ own, C)
+        some = rows[:count].reshape(-1, n)
+        if np.linalg.matrix_rank(some) == n:
+            half = np.linalg.solve(some.T @ some, C)
             numbers.append(count)
             errors.append(float(np.sqrt((half * C).sum())))
-    if not numbers:
+    if not errors or abs(errors[-1] / own - 1.0) > _SAME:
         raise MeasurementError(
-            f"{result.nominal.name}: the rows do not determine all parameters, so the error has no "
-            "limit; hold some of them fixed"
+            f"{result.nominal.name}: more than the rows and their noise made this result (priors, "
+            "legs alone, a loss), so what fewer rows would give is not drawn"
         )
     scale = per_si("m")
     least = np.sqrt(accurate_design(rows, C).least / counts)
@@ -163,13 +187,18 @@ def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
 
 
 def _plain(axis: Axis) -> None:
-    """Write numbers of an axis of decades as they are read, and no others between."""
+    """Write numbers of an axis of decades as they are read: 1, 2 and 5 of each."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
-def _information(result: CalibrationResult) -> tuple[Array, Array]:
-    """Return white rows of each pose, (N, r, n), and C with L = C Cᵀ of the platform's position."""
+def _information(result: CalibrationResult) -> tuple[Array, Array, float]:
+    """Return white rows of each pose, C with L = C Cᵀ, and the result's own error, [m].
+
+    Rows, shape (N, r, n), are in coordinates of the n directions that all of them determine; L is
+    of the platform's position over the workspace, without what motions of frames explain.
+    """
     machine, noise = result.identified, result.noise
     if not isinstance(noise, Noise):
         raise MeasurementError(
@@ -182,10 +211,17 @@ def _information(result: CalibrationResult) -> tuple[Array, Array]:
     std = np.sqrt(np.diagonal(result.covariance))
     free = np.append(np.isfinite(std) & (std > 0.0), np.ones(rows.shape[2] - n, dtype=bool))
     over = legs_at(machine, sample_configurations(result.nominal, _SAMPLES))
-    gain = over.gain[:, : machine.platform.lengths]
+    moved = without_frames(machine, over.poses, over.gain, result.frames_moved)
+    gain = moved[:, : machine.platform.lengths]
     C = np.zeros((len(free), gain.shape[0] * gain.shape[1]))
     C[:n] = gain.reshape(-1, n).T / np.sqrt(len(gain))
-    return rows[..., free], C[free]
+    own = float(np.sqrt((C[:n] * (result.covariance @ C[:n])).sum()))
+    rows, C = rows[..., free], C[free]
+    flat = rows.reshape(-1, rows.shape[2])
+    size = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+    _, s, V = np.linalg.svd(flat / size, full_matrices=False)
+    into = V[s > RANK_TOLERANCE * s.max()].T  # what all rows determine
+    return rows / size @ into, into.T @ (C / size[:, None]), own
 
 
 def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
@@ -197,12 +233,13 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
         WorkspaceError: no workspace was found.
     """
     found = legs_at(result.identified, sample_configurations(result.nominal, _SAMPLES))
-    gain = found.gain[:, : result.nominal.platform.lengths]
+    moved = without_frames(result.identified, found.poses, found.gain, result.frames_moved)
+    gain = moved[:, : result.nominal.platform.lengths]
     per = np.sqrt((gain**2).sum(axis=1).mean(axis=0))  # [m] per unit of each parameter
     every = [p for _, p in parameters(result)]
     own = [(p, one) for p, one in zip(every, per.tolist(), strict=True) if p.high > p.low]
     own.sort(key=lambda one: abs(one[0].change) * one[1])
-    own = own[-25:]
+    count, own = len(own), own[-_BARS:]
     places, scale = np.arange(len(own)), per_si("m")
     changes = np.array([scale * one * abs(p.change) for p, one in own])
     halves = np.array([scale * one * p.half for p, one in own])
@@ -214,11 +251,13 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     axes.set_yticks(places, [p.id for p, _ in own], fontsize=7)
     axes.set_xlabel(f"moves the platform by [{SMALL['m']}]; grey: change within its ±")
     axes.set_xlim(left=0.0)
+    if count > len(own):
+        axes.set_title(f"the {len(own)} largest of {count}", fontsize=8)
     return axes
 
 
 def runs_compared(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw each run's parameters less their mean, in the standard errors of a run.
+    """Draw each run's parameters less their mean, in the standard errors of that.
 
     Raises:
         MeasurementError: runs were not compared.
@@ -229,7 +268,8 @@ def runs_compared(axes: Axes, result: CalibrationResult) -> Axes:
             "several runs, and result.compared() compares them"
         )
     known = runs.predicted > 0.0
-    off = (runs.values - runs.values.mean(axis=0))[:, known] / runs.predicted[known]
+    share = np.sqrt(1.0 - 1.0 / len(runs.values))  # a run is in the mean, too
+    off = (runs.values - runs.values.mean(axis=0))[:, known] / (share * runs.predicted[known])
     places = np.arange(off.shape[1])
     for index, (name, own) in enumerate(zip(runs.runs, off, strict=True)):
         mark = look(index)
@@ -237,7 +277,7 @@ def runs_compared(axes: Axes, result: CalibrationResult) -> Axes:
     axes.axhspan(-1.96, 1.96, color="0.92", zorder=0)
     names = [name for name, one in zip(runs.names, known, strict=True) if one]
     axes.set_xticks(places, names, rotation=90, fontsize=7)
-    axes.set_ylabel("run less mean [σ of a run]")
+    axes.set_ylabel("run less mean [its σ]")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
     return axes
 
@@ -251,8 +291,10 @@ def bed_heights(result: CalibrationResult) -> tuple[Array, Array, Array]:
         WorkspaceError: a machine without x, y and z, or no workspace at that height.
     """
     machine, platform = result.begun, result.nominal.platform
-    if platform.coordinates[:3] != ("x", "y", "z") or machine.by_readings:
+    if platform.coordinates[:3] != ("x", "y", "z"):
         raise WorkspaceError(f"{machine.name}: a bed needs a platform that moves in x, y and z")
+    if machine.by_readings:
+        raise WorkspaceError(f"{machine.name}: its poses follow from readings, so no bed is drawn")
     samples = sample_configurations(result.nominal, 1000).poses
     low, high = samples.min(axis=0), samples.max(axis=0)
     x, y = (np.linspace(low[i], high[i], _ACROSS) for i in (0, 1))

@@ -112,18 +112,19 @@ def weakest(scene: Scene, result: CalibrationResult, size: float) -> Weakest | N
         result: The calibration.
         size: Of what is drawn, [m].
     """
-    ids, values, vectors = directions(result)
-    if not ids:
+    found = directions(result)
+    if not len(found.values):
         return None
     every = {p.id: p for _, p in parameters(result)}
-    std = np.sqrt(np.diagonal(result.covariance))[[list(every).index(one) for one in ids]]
-    step = dict(zip(ids, (vectors[:, -1] * std / values[-1]).tolist(), strict=True))
+    weakest = found.vectors[:, -1] / found.values[-1]
+    step = dict(zip(found.ids, (weakest * found.units).tolist(), strict=True))
     seen = max(abs(v) * (size if every[i].unit == "rad" else 1.0) for i, v in step.items())
     moved = {
         leg.name: [p.nominal + step.get(p.id, 0.0) for p in leg.parameters] for leg in result.legs
     }
     off = scene.mechanism.with_parameters({leg: np.array(own) for leg, own in moved.items()})
-    most = sorted(step, key=lambda one: -abs(step[one] / std[ids.index(one)]))[:_NAMED]
+    order = np.argsort(-np.abs(weakest), kind="stable")
+    most = [found.ids[i] for i in order[:_NAMED]]
     magnify = rounded_down(_SWING * size / max(seen, 1e-300))
     try:
         body = driven(scene, off, magnify).body
