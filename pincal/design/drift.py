@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pincal.design.forecast import Forecast
 from pincal.design.information import parameter_ids
 from pincal.design.platform_error import PlatformError, platform_error
+from pincal.model.checks import ALIKE
 from pincal.model.measuring.measurements import Plan
 
 Array = NDArray[np.float64]
@@ -58,7 +59,12 @@ def drift(found: Forecast, poses: Plan | Array, expected: PlatformError | None =
     return Drift(
         shifts=shifts,
         relative=relative,
-        worst=parameter_ids(found.mechanism)[int(np.argmax(relative))],
+        worst=parameter_ids(found.mechanism)[_first_largest(relative)],
         platform=there,
         share=max(shares, default=np.nan),
     )
+
+
+def _first_largest(values: Array) -> int:
+    """Return where the largest value is; the first, where symmetry makes several alike."""
+    return int(np.argmax(values >= (1.0 - ALIKE) * values.max()))

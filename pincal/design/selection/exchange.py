@@ -7,7 +7,6 @@ All starts are exchanged at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +53,6 @@ def exchange(
     rng: np.random.Generator,
     starts: int,
     criterion: Criterion | None = None,
-    admitted: Callable[[Index], Index] = np.asarray,
 ) -> tuple[Index, float]:
     """Return the best set of candidates found from several starts, and its value.
 
@@ -71,7 +69,6 @@ def exchange(
         rng: Source of the random starts.
         starts: Number of starts.
         criterion: What is made large; log det if not given.
-        admitted: Takes candidates in order, and returns those that may be taken, no two alike.
 
     Raises:
         ObservabilityError: fewer candidates than the set is to have.
@@ -80,8 +77,8 @@ def exchange(
     places = np.flatnonzero(np.isfinite(priority))
     first = places[most_of(priority[places], max(_EFFORT.pool, 2 * count))]
     others = places[rng.permutation(len(places))[: len(first)]]
-    pool = admitted(np.union1d(first, others))
-    pool = pool if len(pool) >= count else admitted(places)
+    pool = rows.admitted(np.union1d(first, others))
+    pool = pool if len(pool) >= count else rows.admitted(places)
     if len(pool) < count:
         raise ObservabilityError(
             f"{len(pool)} of {rows.total} candidates are in reach, no two of them alike; "
@@ -108,7 +105,9 @@ def exchange(
         gains = [squares(rows, places, tuple(one[i] for one in by)) for i in range(len(sets))]
         more = [places[most_of(gain, _EFFORT.pool)] for gain in gains]
         others = np.setdiff1d(np.concatenate(more), pool)
-        pool = np.sort(admitted(np.concatenate((pool, others))))  # of two alike the earlier stays
+        pool = np.sort(
+            rows.admitted(np.concatenate((pool, others)))
+        )  # of two alike the earlier stays
     return sets[0], float(values[0]) + lacking
 
 

@@ -61,8 +61,8 @@ class LegRows:
         demand = leg_demand_at(self.mechanism, leg, matrices)
         return leg_whitener(demand, self.mechanism, self.noise)(demand.parameter)
 
-    def distinct(self, places: Index) -> Index:
-        """Return the places of which no earlier one is the same pose, or one of its orbit."""
+    def admitted(self, places: Index) -> Index:
+        """See ``Rows``: those of which no earlier one is the same pose, or one of its orbit."""
         images, _ = orbit_of(self.elements, self.matrices(places))
         return places[~repeated(images)]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.selection.accuracy_bound import accurate_design
-from pincal.design.selection.candidates import Rows, most_of
+from pincal.design.selection.candidates import Rows, Some, most_of
 from pincal.design.selection.certificate import ContinuousDesign, continuous_design
 from pincal.design.selection.criteria import MeanVariance, Parts
 from pincal.design.selection.exchange import exchange
@@ -182,14 +182,11 @@ class Search:
         self.usable = min(self.usable, len(usable))
         self.unreachable = max(self.unreachable, rows.total - len(usable))
 
-        def admitted(some: Index) -> Index:
-            if not self._all_reach(some):
-                some = some[self._known[some]]
-            return rows.distinct(some)
+        def admit(some: Index) -> Index:
+            return rows.admitted(some if self._all_reach(some) else some[self._known[some]])
 
-        chosen, log_det = exchange(
-            quick, count, design.priority, self.rng, how.starts, admitted=admitted
-        )
+        offered = _Offered(quick, admit)
+        chosen, log_det = exchange(offered, count, design.priority, self.rng, how.starts)
         return chosen, design.efficiency(log_det, count, n)
 
     def _too_few(self, found: int, count: int) -> ObservabilityError:
@@ -217,6 +214,24 @@ class Search:
             f"the candidate poses leave parameters undetermined: {'; '.join(lost)}. "
             "Add poses that determine each of them, or make one of them a constant"
         )
+
+
+@dataclass(frozen=True)
+class _Offered:
+    """Candidates, and which of them may be taken."""
+
+    rows: Rows
+    admitted: Callable[[Index], Index]
+    """See ``Rows``."""
+
+    @property
+    def total(self) -> int:
+        """See ``Rows``."""
+        return self.rows.total
+
+    def __call__(self, places: Some) -> Parts:
+        """See ``Rows``."""
+        return self.rows(places)
 
 
 def _sample(places: Index) -> Index:

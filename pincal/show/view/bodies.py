@@ -8,11 +8,12 @@ Where a leg does not reach, its links are NaN.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from io import BytesIO
 from typing import Any
 
 import numpy as np
+from lxml import etree
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.kinematics.configurations import as_plan, joints_at
@@ -176,21 +177,23 @@ def _rod(axis: tuple[float, float, float], strokes: Array, inside: float) -> tup
 
 def urdf_shapes(text: str) -> list[tuple[Shape, ...]]:
     """Return the visuals of a URDF that pincal wrote, link by link in the URDF's order."""
-    import yourdfpy  # slow to import, and needed here only
-
-    urdf = yourdfpy.URDF.load(BytesIO(text.encode()), load_meshes=False, build_scene_graph=False)
-    return [tuple(map(_shape, link.visuals)) for link in urdf.robot.links]
+    robot: Any = etree.fromstring(text.encode())
+    return [tuple(map(_shape, link.iter("visual"))) for link in robot.iter("link")]
 
 
 def _shape(visual: Any) -> Shape:
-    """Return a visual of yourdfpy's."""
-    geometry = visual.geometry
-    if geometry.box is not None:
-        kind, size = "box", geometry.box.size
-    elif geometry.cylinder is not None:
-        kind, size = "cylinder", (geometry.cylinder.radius, geometry.cylinder.length)
-    else:
-        kind, size = "sphere", (geometry.sphere.radius,)
-    origin = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
-    colour = "#" + "".join(f"{round(255 * c):02x}" for c in visual.material.color.rgba[:3])
-    return Shape(kind, tuple(map(float, size)), origin, colour)
+    """Return a visual element: a box, a cylinder or a sphere."""
+    (geometry,) = visual.find("geometry")
+    keys = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
+    size = [value for key in keys[geometry.tag] for value in _numbers(geometry.get(key))]
+    origin = np.eye(4)
+    if (placed := visual.find("origin")) is not None:
+        origin[:3, :3] = Rotation.from_euler("xyz", _numbers(placed.get("rpy"))).as_matrix()
+        origin[:3, 3] = _numbers(placed.get("xyz"))
+    rgb = _numbers(visual.find("material/color").get("rgba"))[:3]
+    colour = "#" + "".join(f"{round(255 * part):02x}" for part in rgb)
+    return Shape(geometry.tag, tuple(size), origin, colour)
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]
