@@ -17,6 +17,7 @@ from pincal.show.report.report import report
 from pincal.show.report.verdicts import verdicts
 from pincal.show.style import ERRORS, shades
 from pincal.show.view.calibrated import calibrated
+from pincal.show.view.calibrated import misses as misses_of
 from pincal.show.view.found import Errors
 from pincal.show.view.marks import arrows, cut
 from pincal.show.view.scene import Scene, scene
@@ -176,3 +177,28 @@ def test_verdicts_stand_side_by_side(result: pincal.CalibrationResult) -> None:
     page = LinkedPage(report(result)).html()
     for cell in (chi2, loss):
         assert f"{cell.name} <b>{cell.value}</b><p>{cell.text}</p>" in page
+
+
+def test_positions_alone_have_arrows_too() -> None:
+    """Where no orientation was measured, arrows are the residuals of x, y and z, in base axes."""
+    mechanism = pincal.load_mechanism("6UPS")
+    truth = pincal.disturb(mechanism, 5e-4, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.1, 0.1, (60, 6))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, pincal.Noise(5e-5, 5e-5), 3).measurements
+    poses = data.poses.copy()
+    poses[:, 3:] = np.nan
+    target = pincal.Target((0.05, 0.0, 0.1), unknown=True)
+    setup = pincal.Setup(unknown_frame=True, targets={"platform": target})
+    noise = pincal.Noise(5e-5)
+    data = replace(data, poses=poses)
+    result = pincal.calibrate(mechanism, data, noise=noise, setup=setup)
+    misses = misses_of(result, 1.0)
+    assert misses is not None
+    lengths = np.linalg.norm(misses.shifts, axis=1)
+    seen = {one.name: one.residuals for one in result.observed}
+    expected = np.linalg.norm([seen[axis] for axis in "xyz"], axis=0)
+    np.testing.assert_allclose(lengths, expected, atol=1e-12)
+    assert result.outside is not None
+    F = result.outside.frame
+    np.testing.assert_allclose(misses.measured @ F[:3, :3].T + F[:3, 3], poses[:, :3], atol=1e-9)

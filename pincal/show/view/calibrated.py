@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 #: Of the scene's size: a long arrow, and how far a parameter moves along the weakest direction.
 _ARROW, _SWING = 0.08, 0.08
 _NAMED = 3
+_SHARES = (1.0, 0.3, 0.1, 0.03)  # of that motion, until the machine can be built
+_DRAWN = 0.5  # of the poses, at least
 
 
 def calibrated(
@@ -71,8 +73,10 @@ def _measured(result: CalibrationResult) -> tuple[Array, Array]:
     """
     calibration, platform = result.calibration, result.nominal.platform
     twists = pose_misses(calibration, result.identified, result.outside)
-    poses, _ = calibration.given_poses(result.outside)
-    lengths = platform.lengths
+    poses, lengths = np.full(twists.shape, np.nan), platform.lengths
+    whole: NDArray[np.bool_] = np.asarray(np.isfinite(result.measurements.poses).all(axis=1))
+    if whole.any():
+        poses[whole] = calibration.rows(whole).given_poses(result.outside)[0]
     measured, shifts = np.zeros((2, len(poses), 3))
     measured[:, :lengths] = poses[:, :lengths]
     shifts[:, :lengths] = twists[:, [row < 3 for row in platform.twist_rows]]
@@ -105,7 +109,9 @@ def _errors(result: CalibrationResult, found: WorkspaceErrors) -> Errors | None:
 
 
 def weakest(scene: Scene, result: CalibrationResult, size: float) -> Weakest | None:
-    """Return the machine off along its weakest direction; None where nothing was identified.
+    """Return the machine off along its weakest direction.
+
+    None where nothing was identified, or where it cannot be built at half of the poses.
 
     Args:
         scene: The mechanism at poses.
@@ -125,12 +131,15 @@ def weakest(scene: Scene, result: CalibrationResult, size: float) -> Weakest | N
     off = scene.mechanism.with_parameters({leg: np.array(own) for leg, own in moved.items()})
     order = np.argsort(-np.abs(weakest), kind="stable")
     most = [found.ids[i] for i in order[:_NAMED]]
-    magnify = rounded_down(_SWING * size / max(seen, 1e-300))
-    try:
-        body = driven(scene, off, magnify).body
-    except PincalError:  # a machine so far off that it cannot be built
-        return None
-    return Weakest(body, magnify, ", ".join(most))
+    for share in _SHARES:  # where a machine that far off cannot be built, nearer
+        magnify = rounded_down(share * _SWING * size / max(seen, 1e-300))
+        try:
+            body = driven(scene, off, magnify).body
+        except PincalError:
+            continue
+        if np.isfinite(body.placements).all(axis=(1, 2, 3)).mean() >= _DRAWN:
+            return Weakest(body, magnify, ", ".join(most))
+    return None
 
 
 def instrument(result: CalibrationResult) -> Instrument | None:
