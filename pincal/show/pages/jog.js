@@ -64,9 +64,8 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
 
   const tip = (q) => Motion.product(Motion.links(motion.legs[0], q[0]).pop(), Motion.inverse(motion.points[0]));
 
-  // Where sliders say, within their ranges; false, and nothing moves, if a leg does not reach
-  function go(asked) {
-    const wanted = asked.map((one, i) => Math.min(Math.max(one, -motion.sliders[i].most), motion.sliders[i].most));
+  // Where sliders say; false, and nothing moves, if a leg does not reach
+  function go(wanted) {
     let state = null;
     if (motion.jog === "joints") {
       const q = [begun.joints[0].map((one, i) => one + wanted[i])];
@@ -155,7 +154,8 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
     if (!there) return;
     const d = there.sub(held.from); // the world's y points up
     const shift = [d.x, -d.z, d.y];
-    go(held.offset.map((one, i) => (motion.sliders[i].row < 3 ? one + shift[motion.sliders[i].row] : one)));
+    const within = (one, most) => Math.min(Math.max(one, -most), most); // as far as sliders go
+    go(held.offset.map((one, i) => (motion.sliders[i].row < 3 ? within(one + shift[motion.sliders[i].row], motion.sliders[i].most) : one)));
   });
   for (const end of ["pointerup", "pointercancel"]) {
     canvas.addEventListener(end, () => {

@@ -21,6 +21,7 @@ from pincal.show.view.scene import Scene, frame_axes
 from pincal.show.view.solids import Shape
 
 Array = NDArray[np.float64]
+_LINES = 3.0  # of names that stand outside of what is drawn
 #: How far apart neighbours are moved, of the distance from foot to platform point.
 GAP = 0.22
 
@@ -56,7 +57,9 @@ def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> 
     corners = [_corners(shape, place) for shape, place in (*faint, *own, *frames)]
     seen = np.concatenate((*corners, *(one.line for _, one in found))) @ V[:2].T
     low, high = seen.min(axis=0), seen.max(axis=0)
-    margin = 0.05 * float(np.max(high - low))
+    box = axes.get_window_extent()
+    across = float(np.max((high - low) / (box.width, box.height))) * axes.figure.dpi / 72.0
+    margin = 0.05 * float(np.max(high - low)) + _LINES * PICTURE.name * across
     edge = PICTURE.edge * float(np.linalg.norm(high - low))
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal")
