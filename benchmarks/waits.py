@@ -61,7 +61,7 @@ def page(old: list[dict[str, dict[str, object]]], new: list[dict[str, dict[str, 
         "",
         "Written by `python benchmarks/waits.py OLD_TREE --write docs/waits.md`; seconds, medians",
         f"of three runs in {len(new)} round(s) in turn, with defaults. `pincal bench` prints these",
-        "tasks on your machine; like all commands it has one thread of BLAS. What was asked are aims,",
+        "tasks on your machine; like all commands it has one thread of BLAS. Asked are aims,",
         "how many times as fast as 0.1.0; not all are reached. A limit does the least of the work.",
         f"Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
         f"{platform.machine()}.",
