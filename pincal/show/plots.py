@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import MeasurementError, WorkspaceError
+from pincal.errors import WorkspaceError
 from pincal.show.pictures import charts
 from pincal.show.pictures.parts import along, draw_bars, draw_map, height_said, label, outside
 from pincal.show.results import noisy_series, parameters
@@ -76,11 +76,7 @@ class Plots:
             WorkspaceError: no workspace was found with the default margins.
         """
         name = self.result.nominal.name
-        if not self.result.explained:
-            raise MeasurementError(
-                f"{name}: residuals are {self.result.excess:.3g} times as large as the noise given "
-                "makes them, so no accuracy can be promised and none is drawn"
-            )
+        charts.refuse_unexplained(self.result)
         if (maps := error_maps(self.result)) is None:
             why = "no workspace was found to draw errors over x and y"
             if self.result.nominal.by_readings:

@@ -42,6 +42,19 @@ def worst_of_rows(result: CalibrationResult) -> Array:
     return worst
 
 
+def refuse_unexplained(result: CalibrationResult) -> None:
+    """Raise if no accuracy can be promised.
+
+    Raises:
+        MeasurementError: residuals contradict the noise given.
+    """
+    if not result.explained:
+        raise MeasurementError(
+            f"{result.nominal.name}: residuals are {result.excess:.3g} times as large as the noise "
+            "given makes them, so no accuracy can be promised and none is drawn"
+        )
+
+
 def say_rejected(axes: Axes, result: CalibrationResult) -> None:
     """Name the rows that were rejected, of which no residual is drawn."""
     worst = worst_of_rows(result)
@@ -152,11 +165,7 @@ def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
             rows made the result.
         WorkspaceError: no workspace was found.
     """
-    if not result.explained:
-        raise MeasurementError(
-            f"{result.nominal.name}: residuals are {result.excess:.3g} times as large as the noise "
-            "given makes them, so no accuracy can be promised and none is drawn"
-        )
+    refuse_unexplained(result)
     rows, C, own = _information(result)
     n, counts = rows.shape[2], np.arange(len(rows)) + 1
     numbers, errors = [], []
