@@ -9,6 +9,7 @@ import sys
 import numpy as np
 
 from pincal.cli.app import app, listen, remember, stderr
+from pincal.cli.drawing import ready_to_draw
 from pincal.errors import PincalError
 
 
@@ -21,7 +22,8 @@ def main(argv: list[str] | None = None) -> None:
     remember(sys.argv[1:] if argv is None else argv)
     listen()
     try:
-        app(args=argv, prog_name="pincal")
+        with ready_to_draw(sys.argv[1:] if argv is None else ()):  # a process has its own, only
+            app(args=argv, prog_name="pincal")
     except PincalError as error:
         stderr.print(f"pincal: {error}", style="bold red", markup=False, highlight=False)
         sys.exit(2)

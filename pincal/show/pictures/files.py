@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 
 from pincal.errors import FileError
 from pincal.files.output import writing
-from pincal.show.style import DARK, INK, PAPER
+from pincal.show.style import DARK_OF
 from pincal.words.pages import clean, rendered
 
 #: What each format would say about its making.
@@ -47,14 +47,7 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-#: Colours of drawings that are other on dark ground: those of the palette, black and white.
-_DARK = {**DARK, "#000000": INK[1], "#ffffff": PAPER[1], "#cccccc": "#40464e"}
 _COLOUR = re.compile(r"#[0-9a-fA-F]{6}\b")
-
-
-def dark_variables() -> str:
-    """Return the colours of figures on dark ground, as variables of CSS."""
-    return " ".join(f"--c{light[1:]}: {dark};" for light, dark in _DARK.items())
 
 
 @contextmanager
@@ -180,7 +173,7 @@ def _place_no_empty_labels(drawn: Figure) -> None:
 def _themed(colour: re.Match[str]) -> str:
     """Return a colour as a variable of the page, which has another one on dark ground."""
     own = colour[0].lower()
-    return f"var(--c{own[1:]}, {own})" if own in _DARK else own
+    return f"var(--c{own[1:]}, {own})" if own in DARK_OF else own
 
 
 def _inline(svg: bytes) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
-from pincal.show.pictures.files import on_page
+from pincal.show.pictures.files import SvgFigure, on_page
 from pincal.show.pictures.parts import (
     along,
     before_after,
@@ -357,3 +357,16 @@ def maps_figure(found: Findings) -> Drawn:
         "to be expected of the calibrated one (standard error). One scale of decades for both; "
         "white: not in the workspace."
     )
+
+
+#: By what a report calls them.
+FIGURES: dict[str, Callable[[Findings], SvgFigure | None]] = {
+    "poses": poses_figure,
+    "changes": changes_figure,
+    "drawing": drawing_figure,
+    "residuals": residuals_figure,
+    "histogram": histogram_figure,
+    "rms": platform_figure,
+    "maps": maps_figure,
+    "observability": observability_figure,
+}
