@@ -19,7 +19,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pincal.show.pictures.files import SvgFigure
+    from pincal.show.pictures.svg import SvgFigure
     from pincal.show.report.findings import Findings
 
 #: Figures that follow from the fits alone, and those that wait for the checks of a result.

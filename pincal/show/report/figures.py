@@ -17,7 +17,7 @@ from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
-from pincal.show.pictures.files import SvgFigure, on_page
+from pincal.show.pictures.files import on_page
 from pincal.show.pictures.parts import (
     along,
     before_after,
@@ -31,6 +31,7 @@ from pincal.show.pictures.parts import (
     name_places,
 )
 from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
+from pincal.show.pictures.svg import SvgFigure
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, parameters, whose
 from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look
