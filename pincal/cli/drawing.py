@@ -1,4 +1,4 @@
-"""The process that draws the report of ``pincal calibrate``, begun before that is imported."""
+"""The process that draws the report of ``pincal calibrate``, begun before all else is loaded."""
 
 from __future__ import annotations
 

@@ -289,7 +289,7 @@ def calibrate(
         tables = calibration_tables(result) if how.verbose else []
         _say(result, page.found.errors, said, tables, drawn=not how.no_report)
     wrote(output)
-    answer(as_json(result))
+    answer(lambda: as_json(result))
     if not result.converged:
         raise typer.Exit(1)
     if result.excess > 1.0 and not how.accept:

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter
@@ -25,6 +24,7 @@ from pincal.show.pictures.parts import (
     draw_map,
     draw_mechanism,
     draw_poses,
+    draw_strokes,
     height_of_names,
     height_said,
     label,
@@ -244,20 +244,20 @@ def residuals_figure(found: Findings) -> Drawn:
         left.plot(rows, factor * one.before, marker, mfc="none", **style)
         right.plot(rows, factor * one.after, marker, **style)
         bound = 1.96 * factor * one.sigma
-        ends = np.stack((np.stack((rows, -bound), 1), np.stack((rows, bound), 1)), 1)
-        bars = LineCollection(list(ends), colors="0.8", lw=3, zorder=0, rasterized=many)
-        right.add_collection(bars)
+        ends = (np.stack((rows, side * bound), axis=1) for side in (-1.0, 1.0))
+        draw_strokes(right, *ends, color="0.8", lw=3, zorder=0, rasterized=many)
         _mark_outliers(right, found, one, factor)
         left.set_ylabel(f"{one.name}\n[{unit}]")
         for axes in (left, right):
             axes.axhline(0.0, color="0.5", lw=0.6, zorder=0)
             axes.tick_params(labelleft=True)
+            axes.yaxis.set_major_locator(MaxNLocator(5))
     for axes, title in zip(panels[0], ("nominal", "identified"), strict=True):
         axes.set_title(f"{title} parameters ({'before' if title == 'nominal' else 'after'})")
     for axes in panels[-1]:
         axes.set_xlabel("data row")
     for axes in panels[:-1].flat:  # ticks are most of what is drawn
-        axes.tick_params(axis="x", bottom=False)
+        axes.xaxis.set_visible(False)
     return drawn, (
         f"Residuals of each {whose(series)} against the row of the measurements, before and "
         "after; the scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: "
@@ -347,7 +347,7 @@ def maps_figure(found: Findings) -> Drawn:
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
         bar = drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        bar.ax.yaxis.set_minor_formatter(NullFormatter())
+        bar.ax.yaxis.set_minor_locator(NullLocator())
     for axes in panels:
         axes.set_axis_off()
     drawn.supxlabel(along("x"), size=8)

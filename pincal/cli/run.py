@@ -9,12 +9,11 @@ import sys
 import numpy as np
 
 from pincal.cli.app import app, listen, remember, stderr
-from pincal.cli.drawing import ready_to_draw
 from pincal.errors import PincalError
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input."""
+def run(argv: list[str] | None = None) -> None:
+    """Run what was typed; leaves by ``SystemExit``."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")
@@ -22,8 +21,7 @@ def main(argv: list[str] | None = None) -> None:
     remember(sys.argv[1:] if argv is None else argv)
     listen()
     try:
-        with ready_to_draw(sys.argv[1:] if argv is None else ()):  # a process has its own, only
-            app(args=argv, prog_name="pincal")
+        app(args=argv, prog_name="pincal")
     except PincalError as error:
         stderr.print(f"pincal: {error}", style="bold red", markup=False, highlight=False)
         sys.exit(2)
