@@ -5,7 +5,6 @@ A figure is drawn and written under one set of matplotlib's parameters.
 
 from __future__ import annotations
 
-import gc
 import io
 import re
 import warnings
@@ -18,6 +17,7 @@ import matplotlib as mpl
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from pincal.collection import no_collection
 from pincal.errors import FileError
 from pincal.files.output import writing
 from pincal.show.pictures.svg import SvgFigure
@@ -113,7 +113,7 @@ def on_page(
     def decorate(draw: Callable[..., tuple[Figure, str] | None]) -> Callable[..., SvgFigure | None]:
         def part(*args: Any) -> SvgFigure | None:
             buffer = io.BytesIO()
-            with drawing(svg_hashsalt=name), _no_collection():
+            with drawing(svg_hashsalt=name), no_collection():
                 if (drawn := draw(*args)) is None:
                     return None
                 _place_no_empty_labels(drawn[0])
@@ -124,18 +124,6 @@ def on_page(
         return part
 
     return decorate
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Make the many objects of a figure without looking for rings among them in between."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def _place_no_empty_labels(drawn: Figure) -> None:

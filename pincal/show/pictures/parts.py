@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
@@ -20,8 +21,26 @@ from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look
 from pincal.words.numbers import STORED, amount, per_si
 
 Array = NDArray[np.float64]
+#: A figure and its caption, or none where there is nothing to show.
+Drawn = tuple[Figure, str] | None
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
+
+
+def page_figure(height: float, **margins: float) -> Figure:
+    """Return a figure as wide as a page, its panels within fixed margins, [inch].
+
+    Args:
+        height: Of the figure.
+        **margins: ``left``, ``right``, ``bottom``, ``top`` where they are other than usual.
+    """
+    height = min(height, PAGE.height)
+    left, right, bottom, top = (margins.get(one, own) for one, own in PAGE.margins.items())
+    drawn = Figure(figsize=(PAGE.width, height))
+    drawn.subplots_adjust(
+        left / PAGE.width, bottom / height, 1 - right / PAGE.width, 1 - top / height, 0.3, 0.3
+    )
+    return drawn
 
 
 def before_after(index: int) -> Look:

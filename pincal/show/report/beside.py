@@ -7,6 +7,7 @@ the same bytes.
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import subprocess
@@ -97,6 +98,7 @@ def drawing_beside() -> Iterator[Drawer | None]:
 
 def answer() -> None:
     """Draw what is asked for on stdin until that ends, then write the figures to stdout."""
+    gc.disable()  # it lives for a moment
     out, sys.stdout = sys.stdout.buffer, sys.stderr
     from pincal.show.report.figures import FIGURES
     from pincal.words.numbers import reading_in
