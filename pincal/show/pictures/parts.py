@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -128,7 +129,7 @@ def draw_poses(
         axes.plot(*at.T, marker, **unfilled, ms=4, label=said, zorder=2, rasterized=many)
         if turns:
             end = at + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
-            draw_strokes(axes, at, end, color=colour, lw=0.8, zorder=2)
+            draw_strokes(axes, at, end, colors=colour, lw=0.8, zorder=2)
     axes.set(xlabel=along("xyz"[seen[0]]), ylabel=along("xyz"[seen[1]]))
 
 
@@ -136,7 +137,7 @@ def draw_strokes(axes: Axes, begin: Array, end: Array, **look: Any) -> None:
     """Draw lines from points to others, shapes (N, 2), as one path: each would be an element."""
     between = np.full((len(begin), 1, 2), np.nan)
     path = np.concatenate((begin[:, None], end[:, None], between), axis=1).reshape(-1, 2)
-    axes.plot(*path.T, "-", solid_capstyle="butt", **look)
+    axes.add_collection(LineCollection([path], **look))
 
 
 def along(axis: str) -> str:

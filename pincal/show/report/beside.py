@@ -66,9 +66,9 @@ class Drawer:
             for one in self._written:
                 one.result()
             said, _ = self._talk.submit(self._process.communicate).result()
-        except (OSError, ValueError, RuntimeError):  # it has ended
-            return {}
-        return dict(pickle.loads(said)) if self._process.returncode == 0 else {}
+            return dict(pickle.loads(said)) if self._process.returncode == 0 else {}
+        except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError):
+            return {}  # it has ended, or says nothing that is understood
 
     def end(self) -> None:
         """End the process, whatever it does."""

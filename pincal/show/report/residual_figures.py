@@ -77,7 +77,7 @@ def residuals_figure(found: Findings) -> Drawn:
         lane = lanes[1][index]
         right.plot(rows, lane.at(after[index]), marker, **style)
         ends = [np.stack((rows, lane.at(end)), axis=1) for end in (-bounds[index], bounds[index])]
-        draw_strokes(right, ends[0], ends[1], color="0.8", lw=3, zorder=0, rasterized=many)
+        draw_strokes(right, ends[0], ends[1], colors="0.8", lw=3, zorder=0, rasterized=many)
         _mark_outliers(right, found, one, lane.at(after[index]), lane.middle + 0.45)
         place = (-0.275, lane.middle)
         said: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "center", "size": 8}
