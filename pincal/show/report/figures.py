@@ -23,6 +23,7 @@ from pincal.show.pictures.parts import (
     draw_map,
     draw_mechanism,
     draw_poses,
+    draw_strokes,
     height_of_names,
     height_said,
     label,
@@ -58,7 +59,8 @@ def poses_figure(found: Findings) -> Drawn:
         draw_mechanism(left, mechanism)
         if found.errors is not None and found.errors.sampled:
             sampled = per_si("m", STORED) * found.errors.poses[:, :2]
-            axes.plot(*sampled.T, ",", color="0.8", zorder=0)
+            dot = np.array((7e-3 * float(np.ptp(sampled[:, 0])), 0.0))
+            draw_strokes(axes, sampled, sampled + dot, colors="0.75", lw=1.3, zorder=0)
         draw_poses(axes, mechanism, plan)
         axes.set_aspect("equal")
         what = "over its workspace (grey), and the mechanism at home"
