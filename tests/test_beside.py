@@ -51,11 +51,17 @@ def test_every_figure_is_asked_for_once() -> None:
 @pytest.mark.slow
 def test_figures_drawn_beside_are_the_same_bytes(table: Path, tmp_path: Path) -> None:
     """A command that has a process to draw writes the report of one that has none."""
-    here = "import os, sys; os.sched_getaffinity = lambda _: {0}; os.cpu_count = lambda: 1; "
-    run = "from pincal.cli import main; main()"
-    for name, code in (("beside", run), ("here", here + run)):
+    run = (
+        "import atexit, sys; from pincal.show.report import beside; from pincal.cli import main; "
+        "atexit.register(lambda: print('matplotlib' in sys.modules)); "
+    )
+    for name, spare in (("beside", True), ("here", False)):
         typed = ["calibrate", "5R", str(table), "-o", str(tmp_path / name)]
-        subprocess.run([sys.executable, "-c", code, *typed], check=True, capture_output=True)
+        code = f"{run} beside._spare_core = lambda: {spare}; main()"
+        ran = subprocess.run(
+            [sys.executable, "-c", code, *typed], check=True, capture_output=True, text=True
+        )
+        assert ran.stdout.endswith(f"{not spare}\n")
     pages = [undated((tmp_path / name / "report.html").read_bytes()) for name in ("beside", "here")]
     assert pages[0] == pages[1]
     assert pages[0].count(b"<figure>") == 8
@@ -93,19 +99,22 @@ def test_a_process_that_draws_for_ever_is_ended() -> None:
 
 
 def test_without_processes_figures_are_drawn_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where no process may be started, or there is one core, there is no drawer."""
+    """Where no process may be started, or no core is idle, there is no drawer."""
 
     def refused(*_: Any, **__: Any) -> None:
         raise PermissionError
 
     monkeypatch.setattr(beside.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    monkeypatch.setattr(beside.os, "getloadavg", lambda: (0.5, 9.0, 9.0), raising=False)
     monkeypatch.setattr(beside.subprocess, "Popen", refused)
     with drawing_beside() as found:
         assert found is None
-    monkeypatch.setattr(beside.os, "sched_getaffinity", lambda _: {0}, raising=False)
     monkeypatch.setattr(beside.subprocess, "Popen", None)
-    with drawing_beside() as found:
-        assert found is None
+    for cores, busy in (({0}, 0.5), ({0, 1}, 2.5)):
+        monkeypatch.setattr(beside.os, "sched_getaffinity", lambda _, own=cores: own, raising=False)
+        monkeypatch.setattr(beside.os, "getloadavg", lambda own=busy: (own,) * 3, raising=False)
+        with drawing_beside() as found:
+            assert found is None
 
 
 @pytest.mark.parametrize(

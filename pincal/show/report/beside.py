@@ -78,12 +78,18 @@ class Drawer:
             pass
 
 
+def _spare_core() -> bool:
+    """Return whether a core would else be idle: two processes compute more than one, in all."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    return (cores or 1) > 1 and busy < (cores or 1)
+
+
 @contextmanager
 def drawing_beside() -> Iterator[Drawer | None]:
     """Start a process that draws, and end it behind; None where none can be, or helps."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     process = None
-    if (cores or 1) > 1 and sys.executable and not getattr(sys, "frozen", False):
+    if _spare_core() and sys.executable and not getattr(sys, "frozen", False):
         run = [sys.executable, "-P", "-c", _RUN]
         to, by = subprocess.PIPE, subprocess.DEVNULL
         with suppress(OSError):
