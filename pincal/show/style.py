@@ -144,6 +144,11 @@ def look(index: int) -> Look:
     return Look(*(own[index % len(own)] for own in (LEGS, MARKERS, HATCHES)))
 
 
+def other_look(index: int) -> Look:
+    """Return the look of a coordinate or a run by its number: no colour of a leg, but a marker."""
+    return Look(DIMENSION, MARKERS[index % len(MARKERS)], HATCHES[index % len(HATCHES)])
+
+
 def shades(shares: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return colours of errors by their places on the scale from 0 to 1, (N,) to (N, 3)."""
     stops = np.array([[int(one[i : i + 2], 16) / 255 for i in (1, 3, 5)] for one in ERRORS])

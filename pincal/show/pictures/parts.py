@@ -17,10 +17,13 @@ from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look
-from pincal.words.numbers import STORED, amount, per_si
+from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look, other_look
+from pincal.words.numbers import STORED, per_si
+from pincal.words.plots import along
 
 Array = NDArray[np.float64]
+#: Standard deviations within which 95 of 100 normal numbers lie.
+NORMAL = 1.96
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 
@@ -57,8 +60,13 @@ def draw_map(
     if (np.diff(levels) > 1e-6 * levels[-1]).all():
         masked = np.ma.masked_invalid(values)
         lines = axes.contour(x, y, masked, levels, colors="black", linewidths=0.7)
-        axes.clabel(lines, fmt="%.2g", fontsize=7)
+        axes.clabel(lines, fmt=f"%.{_places(np.diff(levels).min())}f", fontsize=7)
     return image
+
+
+def _places(step: float) -> int:
+    """Return how many decimal places tell numbers apart that differ by a step."""
+    return max(0, int(np.ceil(-np.log10(step))))
 
 
 def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
@@ -115,14 +123,11 @@ def draw_poses(
     axes.set(xlabel=along("xyz"[seen[0]]), ylabel=along("xyz"[seen[1]]))
 
 
-def along(axis: str) -> str:
-    """Return what names an axis of the base frame, with its unit."""
-    return f"{axis} [{STORED['m']}]"
-
-
-def height_said(height: float | None) -> str:
-    """Return at which z something is drawn, [m]; nothing where there is no z."""
-    return "" if height is None else f"z = {amount(height, 'm', 3, STORED)}"
+def marks(index: int, *, of_leg: bool) -> dict[str, Any]:
+    """Return the marker of a series of points: of a leg by its colour, of others by filling."""
+    own = look(index) if of_leg else other_look(index)
+    filled: dict[str, Any] = {} if of_leg or index % 2 == 0 else {"mfc": "none"}
+    return {"marker": own.marker, "color": own.colour, **filled}
 
 
 def draw_bars(
