@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import WorkspaceError
 from pincal.show.pictures import charts, residual_charts
-from pincal.show.pictures.parts import draw_bars, draw_map
+from pincal.show.pictures.parts import draw_bars, draw_map, room, wrapped
 from pincal.show.results import parameters
+from pincal.show.style import PAGE
 from pincal.show.workspace_errors import error_maps
 from pincal.words import plots as words
 from pincal.words.numbers import per_si
 
 Array = NDArray[np.float64]
-#: Names along an axis of a figure across a page.
-_MANY = 30
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Plots:
                 values[leg.name][p.name] = p.change / p.half
         axes = draw_bars(_axes_of(ax, 6.4, 3.6), values)
         residual_charts.levels(axes, 1.0, "±")
-        axes.set_ylabel(words.CHANGE)
+        axes.set_ylabel(wrapped(words.CHANGE, room(axes)[1]))
         return axes
 
     def error_map(self, ax: Axes | None = None) -> Axes:
@@ -72,7 +71,7 @@ class Plots:
             raise WorkspaceError(words.no_map(name, by_readings=self.result.nominal.by_readings))
         axes, middle = _axes_of(ax, 5.0, 4.2), len(maps.heights) // 2
         image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[middle, ..., 0])
-        axes.figure.colorbar(image, ax=axes, label=words.EXPECTED)
+        axes.figure.colorbar(image, ax=axes, label=wrapped(words.EXPECTED, room(axes)[1]))
         height = maps.heights[middle]
         axes.set(xlabel=words.along("x"), ylabel=words.along("y"), title=words.height(height))
         return axes
@@ -87,9 +86,13 @@ class Plots:
         axes.figure.colorbar(image, ax=axes, label=words.CORRELATION)
         ids = [p.id for _, p in parameters(self.result)]
         places, names = list(range(len(free))), [ids[i] for i in free]
-        if len(free) > _MANY and len(self.result.legs) > 1:  # legs alone: letters stay large
+        fit = int(min(room(axes)) / PAGE.line_small)  # letters stay large
+        if len(free) > fit and len(self.result.legs) > 1:  # legs alone
             begin = [i for i in places if i == 0 or _owner(names[i]) != _owner(names[i - 1])]
             places, names = begin, [_owner(names[i]) for i in begin]
+        elif len(free) > fit:
+            step = -(-len(free) // fit)
+            places, names = places[::step], names[::step]
         axes.set_xticks(places, names, rotation=90, fontsize=7)
         axes.set_yticks(places, names, fontsize=7)
         return axes
@@ -150,7 +153,7 @@ class Plots:
         most = float(np.nanmax(np.abs(off)))
         image = draw_map(axes, (x, y), off, (-most, most))
         image.set_cmap("RdBu_r")
-        axes.figure.colorbar(image, ax=axes, label=words.BED)
+        axes.figure.colorbar(image, ax=axes, label=wrapped(words.BED, room(axes)[1]))
         axes.set(xlabel=words.along("x"), ylabel=words.along("y"))
         return axes
 
@@ -177,7 +180,7 @@ class Plots:
 
 def _axes_of(ax: Axes | None, width: float, height: float) -> Axes:
     """Return axes to draw into, of a new figure if none are given, [inch]."""
-    return ax or Figure(figsize=(width, height), layout="constrained").subplots()
+    return ax or Figure(figsize=(width, height), layout="compressed").subplots()
 
 
 def _owner(identity: str) -> str:

@@ -78,6 +78,10 @@ class PageStyle:
     """Around a figure's panels, [inch]."""
     letter: float = 0.075
     """Width of a letter in a legend, [inch]."""
+    small: float = 0.065
+    """Width of a letter of labels, [inch]."""
+    line_small: float = 0.115
+    """Height of a line of names along an axis, [inch]."""
     line: float = 0.2
     """Height of a line of a legend, [inch]."""
     many: int = 1500

@@ -57,8 +57,8 @@ def unchecked(count: int) -> str:
 
 def weakest(parts: Sequence[tuple[float, str]]) -> str:
     """Return the weakest direction, by shares of parameters."""
-    terms = [f"{share:+.2f} {name}".replace("-", "−") for share, name in parts]
-    return "weakest: " + "  ".join(terms)
+    terms = [f"{share:+.2f}\u00a0{name}".replace("-", "−") for share, name in parts]
+    return "weakest: " + " ".join(terms)
 
 
 def directions(fixed: int) -> str:

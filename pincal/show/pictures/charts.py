@@ -17,7 +17,7 @@ from pincal.errors import MeasurementError, WorkspaceError
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.kinematics.configurations import legs_at
 from pincal.model.measuring.measurements import Noise, Plan
-from pincal.show.pictures.parts import NORMAL, label, marks, outside
+from pincal.show.pictures.parts import NORMAL, label, marks, name_places, outside, room, wrapped
 from pincal.show.results import directions, parameters
 from pincal.show.style import EVERY, IDENTIFIED, MARKERS, NOMINAL
 from pincal.show.workspace_errors import moved_apart
@@ -32,7 +32,7 @@ _STEPS = 12  # numbers of poses
 _NAMED = 3  # parameters of a direction
 _ACROSS = 31  # cells of a bed
 _SAME = 0.02  # by which the error of all rows may differ from the result's own
-_BARS = 25  # parameters beside each other
+_BAR = 0.125  # height of a bar with its name, [inch]
 
 
 def refuse_unexplained(result: CalibrationResult) -> None:
@@ -54,9 +54,9 @@ def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
     weakest = found.vectors[:, -1]
     most = np.argsort(-np.abs(weakest), kind="stable")[:_NAMED]
     said = words.weakest([(float(weakest[i]), found.ids[i]) for i in most])
-    axes.set_title(said, fontsize=7, wrap=True)
+    axes.set_title(wrapped(said, room(axes)[0]), fontsize=7)
     lost = len(found.ids) - len(found.values)
-    axes.set(xlabel=words.directions(lost), ylabel=words.SINGULAR)
+    axes.set(xlabel=words.directions(lost), ylabel=wrapped(words.SINGULAR, room(axes)[1]))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     return axes
 
@@ -83,7 +83,7 @@ def step_by_step(axes: Axes, result: CalibrationResult) -> Axes:
     axes.axhline(1.0, color="0.5", lw=0.8, ls="--", zorder=0)
     _plain(axes.yaxis)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axes.set(xlabel=words.STEP, ylabel=words.COST)
+    axes.set(xlabel=words.STEP, ylabel=wrapped(words.COST, room(axes)[1]))
     if not alone:
         outside(axes)
     return axes
@@ -119,7 +119,7 @@ def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
     _plain(axes.yaxis)
     axes.set_xticks([one for one in numbers if one >= 1.25 * numbers[0] or one == numbers[0]][::3])
     _plain(axes.xaxis)
-    axes.set(xlabel=words.POSES, ylabel=words.EXPECTED)
+    axes.set(xlabel=words.POSES, ylabel=wrapped(words.EXPECTED, room(axes)[1]))
     axes.legend()
     return axes
 
@@ -175,7 +175,8 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     every = [p for _, p in parameters(result)]
     own = [(p, one) for p, one in zip(every, per.tolist(), strict=True) if p.high > p.low]
     own.sort(key=lambda one: abs(one[0].change) * one[1])
-    count, own = len(own), own[-_BARS:]
+    count, most = len(own), int(room(axes)[1] / _BAR)
+    own = own[-most:]
     places, scale = np.arange(len(own)), per_si("m")
     changes = np.array([scale * one * abs(p.change) for p, one in own])
     halves = np.array([scale * one * p.half for p, one in own])
@@ -209,9 +210,8 @@ def runs_compared(axes: Axes, result: CalibrationResult) -> Axes:
     for index, (name, own) in enumerate(zip(runs.runs, off, strict=True)):
         axes.plot(places, own, **marks(index, of_leg=False), ls="", ms=4, label=label(name))
     axes.axhspan(-NORMAL, NORMAL, color="0.92", zorder=0, label=words.NORMAL)
-    names = [name for name, one in zip(runs.names, known, strict=True) if one]
-    axes.set_xticks(places, names, rotation=90, fontsize=7)
-    axes.set_ylabel(words.RUN)
+    name_places(axes, [name for name, one in zip(runs.names, known, strict=True) if one])
+    axes.set_ylabel(wrapped(words.RUN, room(axes)[1]))
     outside(axes)
     return axes
 

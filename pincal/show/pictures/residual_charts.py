@@ -13,7 +13,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.estimation.linear import State
 from pincal.estimation.residuals.leg_residuals import leg_residuals
 from pincal.estimation.residuals.redundancy import Left
-from pincal.show.pictures.parts import NORMAL, label, marks, outside
+from pincal.show.pictures.parts import NORMAL, label, marks, outside, room, wrapped
 from pincal.show.results import CONTROLLED, Series, noisy_series
 from pincal.show.style import OUTLIER
 from pincal.words import plots as words
@@ -68,7 +68,7 @@ def over_workspace(axes: Axes, result: CalibrationResult) -> Axes:
     x, y = at[known].T
     drawn = axes.scatter(x, y, c=worst[known], s=26, cmap="cividis_r", vmin=0.0, vmax=4.0, lw=0)
     bar = axes.figure.colorbar(drawn, ax=axes, extend="max")
-    bar.set_label(words.largest(standardised=standardised(result)))
+    bar.set_label(wrapped(words.largest(standardised=standardised(result)), room(axes)[1]))
     own = [one.row for one in result.outliers if one.row < len(at)]
     if own:
         axes.plot(*at[own].T, "o", ms=9, mfc="none", mec=OUTLIER, mew=1.3, label=words.OUTLIER)
@@ -99,7 +99,8 @@ def over_time(axes: Axes, result: CalibrationResult) -> Axes:
         axes.plot(middle, means, **own, ms=4, lw=1, label=label(one.name))
     axes.axhspan(-NORMAL, NORMAL, color="0.92", zorder=0, label=words.NORMAL)
     axes.axhline(0.0, color="0.5", lw=0.8)
-    axes.set(xlabel=words.ROW if column is None else words.TIME, ylabel=words.MEAN)
+    axes.set_xlabel(words.ROW if column is None else words.TIME)
+    axes.set_ylabel(wrapped(words.MEAN, room(axes)[1]))
     say_left_out(axes, result)
     outside(axes)
     return axes
