@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import WorkspaceError
-from pincal.show.pictures import charts, residual_charts
+from pincal.show.pictures import charts, image_charts, residual_charts
 from pincal.show.pictures.parts import draw_bars, draw_map, room, wrapped
 from pincal.show.results import parameters
 from pincal.show.style import PAGE
@@ -104,6 +104,17 @@ class Plots:
     def time(self, ax: Axes | None = None) -> Axes:
         """Draw means of residuals over the run, by tenths of the rows: what drifts leaves ±2."""
         return residual_charts.over_time(_axes_of(ax, 6.4, 3.6), self.result)
+
+    def images(self, ax: Axes | None = None) -> Axes:
+        """Draw residuals as arrows over the images of cameras, magnified, with their scale.
+
+        Of instruments with an ``image`` (``pincal.Image``), side by side: from each point as seen
+        towards where it is predicted, coloured by the residual over its standard deviation.
+
+        Raises:
+            MeasurementError: no camera measured.
+        """
+        return image_charts.over_images(_axes_of(ax, 6.4, 3.6), self.result)
 
     def singular(self, ax: Axes | None = None) -> Axes:
         """Draw singular values of the identification Jacobian, and name the weakest direction."""

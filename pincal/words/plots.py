@@ -20,6 +20,10 @@ SINGULAR = "singular value (columns scaled)"
 BED = f"z, true less commanded [{SMALL['m']}]"
 EXPECTED = f"expected error of position [{SMALL['m']}]"
 MOVED = f"moves the platform by [{SMALL['m']}]"
+IMAGES = (
+    "What cameras saw: arrows from each point as seen towards where it is predicted, magnified "
+    "alike in all images. Where arrows of a region point one way, the lens is other than its model."
+)
 CLEAR, WITHIN = "changed by more than its ±", "by less"
 
 
@@ -31,6 +35,11 @@ def residual(*, standardised: bool) -> str:
 def largest(*, standardised: bool) -> str:
     """Return the same of the largest residual of a row."""
     return f"largest {residual(standardised=standardised)} of the row"
+
+
+def of_point(*, standardised: bool) -> str:
+    """Return the same of the larger residual of a point."""
+    return f"larger {residual(standardised=standardised)} of the point"
 
 
 def along(axis: str) -> str:
@@ -136,8 +145,8 @@ def no_images(machine: str) -> str:
 
 
 def key(pixels: float) -> str:
-    """Return what an arrow beside images stands for."""
-    return f"arrow of this length: {pixels:g} px"
+    """Return what the length of a line beside images stands for."""
+    return f"{pixels:g} px of residual, predicted less seen"
 
 
 def points(count: int, rms: float) -> str:
