@@ -26,7 +26,7 @@ from pincal.show.pictures.sheet import LEVELS, colour_of
 from pincal.show.plots import Plots
 from pincal.show.style import NOMINAL
 from pincal.show.view.scene import scene
-from pincal.words.numbers import measured
+from pincal.words.numbers import measured, minus
 
 NOISE = pincal.Noise(1e-4, 1e-4)
 
@@ -281,8 +281,10 @@ def test_drawing_holds_every_value(result: pincal.CalibrationResult) -> None:
     texts = [text.get_text() for one in axes.figure.axes for text in one.texts]
     for leg in result.legs:
         for p in leg.parameters:
-            assert p.text in texts
-            assert any(measured(p.nominal, 0.0, p.unit) in text for text in texts)
+            assert minus(p.text) in texts
+            assert any(minus(measured(p.nominal, 0.0, p.unit)) in text for text in texts)
+    feet = [" ".join(text.get_text().split()) for text in axes.figure.texts]
+    assert any("95 % interval" in text and "0.1 mm in position" in text for text in feet)
     drawn = {line.get_color() for line in axes.lines}
     assert {colour_of(p) for p in result.legs[0].parameters if p.nominal} <= drawn | {NOMINAL}
     assert drawn & {colour for _, colour, _ in LEVELS}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from pincal.words.numbers import SMALL, STORED, amount
+from pincal.words.numbers import SMALL, STORED, amount, minus
 
 NORMAL = "95 of 100"
 """Between which levels, or below which, what is drawn lies if noise alone makes it."""
@@ -66,8 +66,7 @@ def unchecked(count: int) -> str:
 
 def weakest(parts: Sequence[tuple[float, str]]) -> str:
     """Return the weakest direction, by shares of parameters."""
-    terms = [f"{share:+.2f}\u00a0{name}".replace("-", "−") for share, name in parts]
-    return "weakest: " + " ".join(terms)
+    return "weakest: " + " ".join(f"{minus(f'{share:+.2f}')}\u00a0{name}" for share, name in parts)
 
 
 def directions(fixed: int) -> str:
@@ -152,3 +151,26 @@ def key(pixels: float) -> str:
 def points(count: int, rms: float) -> str:
     """Return how many points an image holds, and how far these are off."""
     return f"{count} points, {rms:.2g} px"
+
+
+SHEET = {
+    "parameter": "parameter",
+    "nominal": "nominal",
+    "beneath": "beneath",
+    "fixed": "held fixed",
+    "several": "one of these legs; values of all below",
+    "alone": "values below",
+}
+"""What stands in a drawing's table."""
+CHANGED = ("changed by less than its ±", "by 1 to 5 times its ±", "by more than 5 times its ±")
+
+
+def was(value: str) -> str:
+    """Return a nominal value that stands beneath an identified one."""
+    return f"nominal {value}"
+
+
+def foot(noise: str, date: str) -> str:
+    """Return what values of a drawing are worth, and when it was made if that is said."""
+    made = f" Drawn {date}." if date else ""
+    return f"±: half of the 95 % interval. Noise: {noise}. ◆ zero on the drawing.{made}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -77,7 +78,7 @@ def plot(
         raise typer.BadParameter("--width is for other kinds: a drawing is a page of A4")
     with working("drawing"):
         if kind is Kind.drawing:
-            figure = sheet(found, leg)
+            figure = sheet(found, leg, datetime.now().astimezone().strftime("%Y-%m-%d"))
         else:
             inches = float(width or Width.page) / 25.4
             height = max(0.62 * inches, 3.6 if kind is Kind.platform else 2.4)

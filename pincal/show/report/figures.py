@@ -151,7 +151,7 @@ def drawing_figure(found: Findings) -> Drawn:
     alike = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
     return drawn, (
         f"Where the parameters of {leg} are{alike}: lines in the colours of their changes. Values "
-        "stand in the table above; parameters that are zero have no line."
+        "stand in the table above; diamonds are parameters that are zero."
     )
 
 
