@@ -25,6 +25,8 @@ from pincal.words.plots import along
 Array = NDArray[np.float64]
 #: Standard deviations within which 95 of 100 normal numbers lie.
 NORMAL = 1.96
+#: Of lines over a map, which is as light on dark ground: no colour that pages change there.
+_LINES = "#101010"
 #: Entries of a legend from which it is set closely.
 _LONG = 8
 #: Of a figure, that its axes are wide beside a legend.
@@ -64,7 +66,7 @@ def draw_map(
     levels = np.quantile(known, (0.25, 0.5, 0.75)) if known.size else np.zeros(3)
     if (np.diff(levels) > 1e-6 * levels[-1]).all():
         masked = np.ma.masked_invalid(values)
-        lines = axes.contour(x, y, masked, levels, colors="black", linewidths=0.7)
+        lines = axes.contour(x, y, masked, levels, colors=_LINES, linewidths=0.7)
         axes.clabel(lines, fmt=f"%.{_places(np.diff(levels).min())}f", fontsize=7)
     return image
 

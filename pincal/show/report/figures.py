@@ -228,7 +228,8 @@ def _legend_outside(axes: Axes) -> None:
 def residuals_figure(found: Findings) -> Drawn:
     """Return residuals before and after against the row, one line of panels for each series."""
     series = noisy_series(found.result)
-    drawn = _figure(0.7 + 1.25 * len(series), left=0.8)
+    high = min(1.25 * len(series), max(6.4, 0.75 * len(series)))  # a table and these fill a page
+    drawn = _figure(0.7 + high, left=0.8)
     panels = drawn.subplots(len(series), 2, sharex=True, squeeze=False)
     alike: dict[tuple[str, bool], tuple[Axes, Axes]] = {}
     for index, (one, (left, right)) in enumerate(zip(series, panels, strict=True)):
