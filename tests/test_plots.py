@@ -316,6 +316,10 @@ def test_command_draws_in_the_width_asked_for(
     wrong = run("plot", tmp_path / "result", "nothing", "-o", tmp_path / "n.svg")
     assert wrong.code == 2
     assert "residuals" in wrong.err
+    assert "Value error" not in wrong.err
+    page = run("plot", tmp_path / "result", "drawing", "-o", tmp_path / "n.svg", "--width", "80")
+    assert page.code == 2
+    assert "a page of A4" in page.err
     assert not (tmp_path / "n.svg").exists()
 
 
