@@ -80,6 +80,10 @@ class PageStyle:
     """Around a figure's panels, [inch]."""
     letter: float = 0.075
     """Width of a letter in a legend, [inch]."""
+    small: float = 0.065
+    """Width of a letter of labels, [inch]."""
+    line_small: float = 0.115
+    """Height of a line of names along an axis, [inch]."""
     line: float = 0.2
     """Height of a line of a legend, [inch]."""
     many: int = 1500
@@ -149,6 +153,11 @@ def look(index: int) -> Look:
 def dark_variables() -> str:
     """Return the colours of figures on dark ground, as variables of CSS."""
     return " ".join(f"--c{light[1:]}: {dark};" for light, dark in DARK_OF.items())
+
+
+def other_look(index: int) -> Look:
+    """Return the look of a coordinate or a run by its number: no colour of a leg, but a marker."""
+    return Look(DIMENSION, MARKERS[index % len(MARKERS)], HATCHES[index % len(HATCHES)])
 
 
 def shades(shares: NDArray[np.float64]) -> NDArray[np.float64]:

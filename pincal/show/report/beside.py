@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pincal.show.report.findings import Findings
 
 #: Figures that follow from the fits alone, and those that wait for the checks of a result.
-OF_FITS = ("changes", "drawing", "residuals", "histogram", "observability")
+OF_FITS = ("images", "changes", "drawing", "residuals", "histogram", "observability")
 OF_CHECKS = ("poses", "rms", "maps")
 #: What the process runs: modules are found where this process finds them.
 _RUN = (

@@ -17,7 +17,6 @@ from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
 from pincal.show.pictures.parts import (
     Drawn,
-    along,
     before_after,
     draw_bars,
     draw_map,
@@ -25,7 +24,6 @@ from pincal.show.pictures.parts import (
     draw_poses,
     draw_strokes,
     height_of_names,
-    height_said,
     label,
     name_places,
     page_figure,
@@ -33,10 +31,12 @@ from pincal.show.pictures.parts import (
 from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.pictures.svg import SvgFigure
 from pincal.show.report.findings import Findings
+from pincal.show.report.image_figure import images_figure
 from pincal.show.report.residual_figures import histogram_figure, residuals_figure
 from pincal.show.results import noisy_series, parameters, whose
 from pincal.show.style import PAGE, look
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
+from pincal.words.plots import along, height
 
 Array = NDArray[np.float64]
 
@@ -137,7 +137,7 @@ def drawing_figure(found: Findings) -> Drawn:
     alike = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
     return drawn, (
         f"Where the parameters of {leg} are{alike}: lines in the colours of their changes. Values "
-        "stand in the table above; parameters that are zero have no line."
+        "stand in the table above; diamonds are parameters that are zero."
     )
 
 
@@ -240,9 +240,9 @@ def maps_figure(found: Findings) -> Drawn:
         beside = [*beside, *own]
         alike = np.concatenate([own.ravel() for _, other, own in rows if other == unit])
         limits = float(np.nanmin(alike)), float(np.nanmax(alike))
-        for axes, error, height in zip(own, values, maps.heights, strict=True):
+        for axes, error, level in zip(own, values, maps.heights, strict=True):
             draw_map(axes, (maps.x, maps.y), error, limits, decades=True)
-            axes.set_title(height_said(height))
+            axes.set_title(height(level))
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
         if paired and len(beside) < 2:
             continue
@@ -265,6 +265,7 @@ def maps_figure(found: Findings) -> Drawn:
 #: By what a report calls them.
 FIGURES: dict[str, Callable[[Findings], SvgFigure | None]] = {
     "poses": poses_figure,
+    "images": images_figure,
     "changes": changes_figure,
     "drawing": drawing_figure,
     "residuals": residuals_figure,

@@ -11,10 +11,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from pincal.show.pictures.files import on_page
-from pincal.show.pictures.parts import Drawn, draw_strokes, page_figure
+from pincal.show.pictures.parts import NORMAL, Drawn, draw_strokes, page_figure
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, whose
-from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look
+from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look, other_look
 from pincal.words.numbers import SMALL, per_si
 
 Array = NDArray[np.float64]
@@ -61,17 +61,18 @@ def _lanes(series: list[Series], shown: list[Array]) -> list[_Lane]:
 def residuals_figure(found: Findings) -> Drawn:
     """Return residuals before and after against the row, a lane for each series."""
     series = noisy_series(found.result)
-    drawn = page_figure(0.7 + 1.25 * len(series), left=0.95)
+    high = min(1.25 * len(series), max(6.4, 0.75 * len(series)))  # a table and these fill a page
+    drawn = page_figure(0.7 + high, left=0.95)
     left, right = drawn.subplots(1, 2, sharex=True)
     factors = [per_si(one.unit) for one in series]
     before = [factor * one.before for one, factor in zip(series, factors, strict=True)]
     after = [factor * one.after for one, factor in zip(series, factors, strict=True)]
-    bounds = [1.96 * factor * one.sigma for one, factor in zip(series, factors, strict=True)]
+    bounds = [NORMAL * factor * one.spread for one, factor in zip(series, factors, strict=True)]
     wide = [np.concatenate((a, b, -b)) for a, b in zip(after, bounds, strict=True)]
     lanes = _lanes(series, before), _lanes(series, wide)
     for index, one in enumerate(series):
         rows, many = one.rows + 1.0, len(one.rows) > PAGE.many
-        colour, marker, _ = look(index)
+        colour, marker, _ = look(index) if one.of_leg else other_look(index)
         style: dict[str, Any] = {"color": colour, "rasterized": many, "ms": 3}
         left.plot(rows, lanes[0][index].at(before[index]), marker, mfc="none", **style)
         lane = lanes[1][index]
@@ -89,8 +90,9 @@ def residuals_figure(found: Findings) -> Drawn:
         axes.set_xlabel("data row")
     return drawn, (
         f"Residuals of each {whose(series)} against the row of the measurements, before and "
-        "after; the scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: "
-        "rows that do not fit the others; crosses at the upper edge: rows that were rejected."
+        "after; the scales differ. Grey bars: where 95 of 100 are expected, the noise less what "
+        "the fit takes up of it, ±1.96 σ√(1−h). Rings: rows that do not fit the "
+        "others; crosses at the upper edge: rows that were rejected."
     )
 
 
@@ -141,8 +143,7 @@ def histogram_figure(found: Findings) -> Drawn:
 
     None if all that was measured is exact.
     """
-    parts = [(one.after[one.sigma > 0.0], one.sigma) for one in noisy_series(found.result)]
-    white = np.concatenate([after / sigma[sigma > 0.0] for after, sigma in parts])
+    white = np.concatenate([one.standardised for one in noisy_series(found.result)])
     if not len(white := white[np.isfinite(white)]):
         return None
     drawn = page_figure(2.6)
@@ -160,9 +161,9 @@ def histogram_figure(found: Findings) -> Drawn:
     axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
     axes.set(xlabel="residual [standard deviations]", ylabel="density")
     axes.legend(frameon=False)
-    outside = 100 * float((np.abs(white) > 1.96).mean())
+    outside = 100 * float((np.abs(white) > NORMAL).mean())
     return drawn, (
-        "Distribution of the residuals after the calibration, each over its standard "
-        f"deviation; {outside:.0f} % are larger than 1.96. Expected are 5 %, or less: the fit "
-        "makes residuals smaller."
+        "Distribution of the residuals after the calibration, each over its own standard "
+        "deviation: the noise, less what the fit takes up of it. "
+        f"{outside:.0f} % are larger than 1.96; expected are 5 %."
     )
