@@ -75,9 +75,8 @@ def test_figures_of_fits_wait_for_no_check(table: Path) -> None:
     late = Findings(result.validated(3, whole=fits), None)
     for name in OF_FITS:
         one, other = FIGURES[name](early), FIGURES[name](late)
-        assert one is not None
-        assert other is not None
-        assert one.svg == other.svg
+        assert (one is None) == (other is None)
+        assert one is None or one.svg == other.svg
 
 
 @pytest.mark.parametrize(
