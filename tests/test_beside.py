@@ -104,14 +104,14 @@ def test_without_processes_figures_are_drawn_here(monkeypatch: pytest.MonkeyPatc
         raise PermissionError
 
     monkeypatch.setattr(beside.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
-    monkeypatch.setattr(beside.os, "getloadavg", lambda: (0.5, 9.0, 9.0), raising=False)
+    monkeypatch.setattr(beside, "_others", lambda: 0.0)
     monkeypatch.setattr(beside.subprocess, "Popen", refused)
     with drawing_beside() as found:
         assert found is None
     monkeypatch.setattr(beside.subprocess, "Popen", None)
-    for cores, busy in (({0}, 0.5), ({0, 1}, 2.5)):
+    for cores, busy in (({0}, 0.0), ({0, 1}, 1.0)):
         monkeypatch.setattr(beside.os, "sched_getaffinity", lambda _, own=cores: own, raising=False)
-        monkeypatch.setattr(beside.os, "getloadavg", lambda own=busy: (own,) * 3, raising=False)
+        monkeypatch.setattr(beside, "_others", lambda own=busy: own)
         with drawing_beside() as found:
             assert found is None
 
