@@ -118,7 +118,7 @@ class Linear:
         for begin in range(0, len(self.value), CHUNK):
             yield slice(begin, min(begin + CHUNK, len(self.value)))
 
-    @property
+    @cached_property
     def triangle(self) -> Array:
         """R of J = Q R over all poses, shape (n, n): the same columns but for a rotation."""
         R = np.zeros((0, 0))

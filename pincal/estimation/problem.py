@@ -216,12 +216,12 @@ class Problem:
             value[:, n_legs:], pose[:, n_legs:] = seen.value, seen.pose
         by_outside = np.zeros((count, r, outside)) if seen is None else seen.external
         blocks.append(Block(slice(n_legs, n_legs + r), slice(n, n + outside), by_outside))
-        noise = self._noise(demands)
+        noise = self.noise(demands)
         return Stack(
             state, found, value, tuple(blocks), pose if self.latent else pose[:, :, :0], noise
         )
 
-    def _noise(self, demands: Sequence[Demand]) -> Array:
+    def noise(self, demands: Sequence[Demand]) -> Array:
         """Return S at what the legs demand, shape (N, k, s)."""
         n_legs, n_readings = self.leg_rows[-1].stop, self.reading_columns[-1].stop
         r = self.sigma_observed.shape[1] if self.latent else 0
@@ -259,7 +259,7 @@ class Problem:
         Raises:
             MeasurementError: conditions without noise.
         """
-        return self.whitened(replace(linear.stack, noise=self._noise(linear.stack.demands)))
+        return self.whitened(replace(linear.stack, noise=self.noise(linear.stack.demands)))
 
     def whitened(self, stack: Stack) -> Linear:
         """Return conditions freed of the poses and whitened.
