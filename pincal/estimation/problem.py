@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.estimation.conditions.covariances import RowNoise
-from pincal.estimation.conditions.leg_condition import LegCondition
+from pincal.estimation.conditions.leg_condition import LegCondition, Met, evaluated
 from pincal.estimation.conditions.observation import Observation
-from pincal.estimation.linear import Block, Linear, Stack, State
+from pincal.estimation.linear import Block, Follow, Linear, Stack, State
 from pincal.estimation.rows import NoNoiseError, white_rows
+from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.nearest_closure import arm_poses
@@ -80,6 +81,15 @@ class Problem:
     def weighted(self) -> bool:
         """Whether white residuals are minimised, or, as the papers have it, plain joint ones."""
         return self.conditions[0].kind == "closure"
+
+    @cached_property
+    def alike(self) -> list[list[int]]:
+        """Places of legs that may be evaluated in one call; each alone where rows are many."""
+        groups: dict[object, list[int]] = {}
+        for place, one in enumerate(self.conditions):
+            form = one.form if len(self.used) <= CHUNK else place
+            groups.setdefault(form, []).append(place)
+        return list(groups.values())
 
     @cached_property
     def columns(self) -> list[slice]:
@@ -188,12 +198,7 @@ class Problem:
         Raises:
             MeasurementError: a residual that does not exist.
         """
-        found = tuple(
-            condition(state.parameters[columns], state.matrices, joints)
-            for condition, columns, joints in zip(
-                self.conditions, self.columns, state.joints, strict=True
-            )
-        )
+        found, follow = self._met(state)
         demands = [one.demand for one in found]
         state = replace(state, joints=tuple(one.joints for one in found))
         n_legs, outside = self.leg_rows[-1].stop, len(self.observation.external)
@@ -217,9 +222,27 @@ class Problem:
         by_outside = np.zeros((count, r, outside)) if seen is None else seen.external
         blocks.append(Block(slice(n_legs, n_legs + r), slice(n, n + outside), by_outside))
         noise = self.noise(demands)
-        return Stack(
-            state, found, value, tuple(blocks), pose if self.latent else pose[:, :, :0], noise
-        )
+        pose = pose if self.latent else pose[:, :, :0]
+        return Stack(state, found, follow, value, tuple(blocks), pose, noise)
+
+    def _met(self, state: State) -> tuple[tuple[Met, ...], Follow]:
+        """Return what the legs demand, alike ones evaluated in one call, and how joints follow."""
+        groups = []
+        for places in self.alike:
+            own = [state.parameters[self.columns[place]] for place in places]
+            conditions = [self.conditions[place] for place in places]
+            joints = [state.joints[place] for place in places]
+            groups.append(evaluated(conditions, own, state.matrices, joints))
+        order = np.argsort([place for places in self.alike for place in places])
+        met = [one for group in groups for one in group.legs]
+
+        def after(step: Array, twists: Array) -> tuple[Array, ...]:
+            joints: list[Array] = []
+            for places, group in zip(self.alike, groups, strict=True):
+                joints += group.after([step[self.columns[place]] for place in places], twists)
+            return tuple(joints[i] for i in order)
+
+        return tuple(met[i] for i in order), after
 
     def noise(self, demands: Sequence[Demand]) -> Array:
         """Return S at what the legs demand, shape (N, k, s)."""
@@ -330,8 +353,7 @@ class Problem:
             twists = linear.white.pose_step(stack.after(step))
             there = self._carried(stack, step, twists, parameters)
             matrices = self.platform.displaced(matrices, twists) if there is None else there
-        own = zip(stack.legs, self.columns, strict=True)
-        joints = tuple(leg.after(step[columns], twists) for leg, columns in own)
+        joints = stack.follow(step, twists)
         return State(parameters, matrices, joints, external)
 
     def _carried(self, stack: Stack, step: Array, twists: Array, parameters: Array) -> Array | None:

@@ -66,7 +66,9 @@ class Chain:
             if not s and not self.first:
                 return values, None
             base = self.still.begin(values[:s], self._rates[:, :s])
-            first = pin.SE3(np.array(self.first).reshape(4, 4)) if self.first else pin.SE3.Identity()
+            first = (
+                pin.SE3(np.array(self.first).reshape(4, 4)) if self.first else pin.SE3.Identity()
+            )
             return values[s:], Base(base.placement * first, base.twists)
 
         return found
@@ -238,6 +240,23 @@ def _point(leg: Leg, own: bytes) -> PlatformPoint:
         many.speeds[:, :, 0],
         many.turn[0],
         many.turning[0],
+    )
+
+
+def alike_points(points: Sequence[PlatformPoint], count: int) -> PlatformPoint:
+    """Return the platform points of alike legs, so many rows of each below the one before.
+
+    Of points that stand still and are no frames.
+    """
+
+    def rows(vectors: Sequence[Array]) -> Array:
+        return np.repeat(np.stack(vectors, axis=2), count, axis=2)
+
+    return replace(
+        points[0],
+        place=rows([one.place for one in points]),
+        arm=rows([one.arm for one in points]),
+        speeds=rows([one.speeds for one in points]),
     )
 
 

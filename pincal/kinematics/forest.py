@@ -122,10 +122,9 @@ class Forest:
         rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]
         with self._turn:
             columns = self._columns(configurations, bases)
-        kept = np.empty((len(rows), self.width, legs, count))
+        kept = np.empty((len(rows), self.width, legs * count))
         for target, row in zip(kept, rows, strict=True):  # across z the others are zero
-            target[:] = columns[row].transpose(2, 0, 1)
-        kept = kept.reshape(len(rows), self.width, legs * count)
+            target.reshape(self.width, legs, count)[:] = columns[row].transpose(2, 0, 1)
         tips, turns = (_tips_in_space if self.spatial else _tips_in_plane)(kept[:, n:])
         begun = None
         if any(base is not None and base.twists.any() for base in bases):
@@ -164,7 +163,8 @@ class Forest:
 class Motion:
     """Tips of chains at N configurations, and their velocities in k motions; base frame.
 
-    Of L alike chains, rows of each stand below those of the one before. In the plane across z positions and velocities have two rows, and turning one.
+    Of L alike chains, rows of each stand below those of the one before. In the plane across z
+    positions and velocities have two rows, and turning one.
     """
 
     tips: Array
