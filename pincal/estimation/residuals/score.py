@@ -110,17 +110,22 @@ class Residuals:
             errors: Each with its courses b, by which it is larger or less, shape (n_used, f).
             common: Whether amplitudes are the same in all of them, not each one's own.
         """
-        squares = [
-            [(a.T * np.einsum("nm,nm->n", one.white, other.white)) @ b for other, b in errors]
-            for one, a in errors
-        ]
-        taken, along = [one.taken.T @ b for one, b in errors], [one.along @ b for one, b in errors]
+        W = np.stack([error.white for error, _ in errors], axis=1)
+        squares = W @ W.transpose(0, 2, 1)
+        B = np.concatenate([b for _, b in errors], axis=1)
+        owner = np.repeat(np.arange(len(errors)), [b.shape[1] for _, b in errors])
+        whole = np.concatenate(
+            [b.T @ (squares[:, k, owner] * B) for k, (_, b) in enumerate(errors)]
+        )
+        hidden = np.concatenate([error.taken.T @ b for error, b in errors], axis=1)
+        inside = np.concatenate([error.along @ b for error, b in errors])
         if common:
-            inside, hidden = np.sum(along, axis=0), np.sum(taken, axis=0)
-            whole = np.sum(squares, axis=(0, 1))
-        else:
-            inside, hidden = np.concatenate(along), np.concatenate(taken, axis=1)
-            whole = np.block(squares)
+            k = len(errors)
+            whole = whole.reshape(k, -1, k, whole.shape[1] // k).sum(axis=(0, 2))
+            hidden, inside = (
+                hidden.reshape(len(hidden), k, -1).sum(axis=1),
+                inside.reshape(k, -1).sum(axis=0),
+            )
         values = np.asarray(np.linalg.eigvalsh(whole - hidden.T @ hidden), np.float64)
         return Form(values, float(inside @ inside), float(np.trace(whole)))
 
