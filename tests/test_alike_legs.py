@@ -8,7 +8,7 @@ from measured import workspace
 
 import pincal
 from pincal.calibration.calibration import Calibration
-from pincal.estimation.conditions.leg_condition import evaluated
+from pincal.estimation.conditions.alike_legs import evaluated
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
 

@@ -21,7 +21,7 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import every_pair, said
 from pincal.calibration.terms.screen import screen
 from pincal.errors import MeasurementError, MechanismError, SymmetryError
-from pincal.estimation.conditions.leg_condition import evaluated
+from pincal.estimation.conditions.alike_legs import evaluated
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.influences.loads import gravity_loads

@@ -19,7 +19,8 @@ from scipy.stats import chi2
 
 import pincal
 from pincal.calibration.result_files import read_result
-from pincal.estimation.conditions.leg_condition import LegCondition, evaluated
+from pincal.estimation.conditions.alike_legs import evaluated
+from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure

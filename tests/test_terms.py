@@ -18,7 +18,7 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError, MechanismError
-from pincal.estimation.conditions.leg_condition import evaluated
+from pincal.estimation.conditions.alike_legs import evaluated
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.estimation.conditions.alike_legs import alike_legs, all_met
 from pincal.estimation.conditions.covariances import RowNoise
-from pincal.estimation.conditions.leg_condition import LegCondition, Met, evaluated
+from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
-from pincal.estimation.linear import Block, Follow, Linear, Stack, State
+from pincal.estimation.linear import Block, Linear, Stack, State
 from pincal.estimation.rows import NoNoiseError, white_rows
 from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.closure import LegClosure
@@ -33,7 +34,6 @@ from pincal.model.platform import Platform
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
-_UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
 NO_NOISE = (
     "some measurements carry no noise at all; give standard deviations above zero for what is "
     "measured, and for readings (--noise-reading) where there are more of them than freedoms"
@@ -85,11 +85,9 @@ class Problem:
     @cached_property
     def alike(self) -> list[list[int]]:
         """Places of legs that may be evaluated in one call; each alone where rows are many."""
-        groups: dict[object, list[int]] = {}
-        for place, one in enumerate(self.conditions):
-            form = one.form if len(self.used) <= CHUNK else place
-            groups.setdefault(form, []).append(place)
-        return list(groups.values())
+        if len(self.used) > CHUNK:
+            return [[place] for place in range(len(self.conditions))]
+        return alike_legs(self.conditions)
 
     @cached_property
     def columns(self) -> list[slice]:
@@ -198,7 +196,7 @@ class Problem:
         Raises:
             MeasurementError: a residual that does not exist.
         """
-        found, follow = self._met(state)
+        found, follow = all_met(self.conditions, self.alike, self.columns, state)
         demands = [one.demand for one in found]
         state = replace(state, joints=tuple(one.joints for one in found))
         n_legs, outside = self.leg_rows[-1].stop, len(self.observation.external)
@@ -224,25 +222,6 @@ class Problem:
         noise = self.noise(demands)
         pose = pose if self.latent else pose[:, :, :0]
         return Stack(state, found, follow, value, tuple(blocks), pose, noise)
-
-    def _met(self, state: State) -> tuple[tuple[Met, ...], Follow]:
-        """Return what the legs demand, alike ones evaluated in one call, and how joints follow."""
-        groups = []
-        for places in self.alike:
-            own = [state.parameters[self.columns[place]] for place in places]
-            conditions = [self.conditions[place] for place in places]
-            joints = [state.joints[place] for place in places]
-            groups.append(evaluated(conditions, own, state.matrices, joints))
-        order = np.argsort([place for places in self.alike for place in places])
-        met = [one for group in groups for one in group.legs]
-
-        def after(step: Array, twists: Array) -> tuple[Array, ...]:
-            joints: list[Array] = []
-            for places, group in zip(self.alike, groups, strict=True):
-                joints += group.after([step[self.columns[place]] for place in places], twists)
-            return tuple(joints[i] for i in order)
-
-        return tuple(met[i] for i in order), after
 
     def noise(self, demands: Sequence[Demand]) -> Array:
         """Return S at what the legs demand, shape (N, k, s)."""
@@ -312,36 +291,6 @@ class Problem:
         columns = idle.any(axis=0)
         own = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)[:, :, columns]
         return np.concatenate((noise, own), axis=2)
-
-    def evened(self, stack: Stack) -> Problem | None:
-        """Return the problem with every quantity at least as uncertain as is typical.
-
-        Its optimum is nearby and has no narrow valleys: where readings are exact, a pose near a
-        singularity of the nominal machine goes far astray. None where nothing changes, or where an
-        arm carries the platform.
-
-        Args:
-            stack: Conditions at some state.
-        """
-        if not self.latent or any(leg.is_arm for leg in self.legs):
-            return None
-        lengths = np.array([unit == "m" for unit in self.observation.units], dtype=bool)
-        size = max(leg.size for leg in self.legs)
-        rows = np.linalg.norm(stack.noise[:, : self.leg_rows[-1].stop], axis=2)
-        seen = self.sigma_observed * np.where(lengths, 1.0, size)
-        seen = seen[self.observation.measured]
-        noisy = next((one for one in (seen[seen > 0.0], rows[rows > 0.0]) if len(one)), None)
-        if noisy is None:
-            return None
-        typical = float(np.median(noisy))
-        observed = np.maximum(self.sigma_observed, np.where(lengths, typical, typical / size))
-        follow = [np.median(np.linalg.norm(one.reading, axis=1), axis=0) for one in stack.demands]
-        floors = typical / np.maximum(np.concatenate(follow), 1e-300)
-        readings = np.maximum(self.sigma_readings, np.where(np.isfinite(floors), floors, 0.0))
-        even = (observed <= _UNEVEN * self.sigma_observed) | ~self.observation.measured
-        if even.all() and (readings <= _UNEVEN * self.sigma_readings).all():
-            return None
-        return replace(self, sigma_observed=observed, sigma_readings=readings)
 
     def moved(self, linear: Linear, step: Array) -> State:
         """Return the state after a step of all unknowns, shape (n,), the poses following."""

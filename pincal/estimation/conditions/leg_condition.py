@@ -8,7 +8,6 @@ reading (3-RRR paper, Eq. 24) and exists within reach only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,8 +17,7 @@ from numpy.typing import NDArray
 from pincal.errors import MeasurementError
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import Demand, demand, demands
-from pincal.kinematics.nearest_closure import begun, followed, nearest_closures
+from pincal.kinematics.derivatives import Demand, demand
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
@@ -35,16 +33,6 @@ class Met:
     demand: Demand
     joints: Array
     """Positions, with deformations behind them if there are any, shape (N, n_joints …)."""
-
-
-@dataclass(frozen=True)
-class AlikeMet:
-    """What some alike legs demand at a state."""
-
-    legs: tuple[Met, ...]
-    after: Callable[[Sequence[Array], Array], list[Array]]
-    """Returns joints of each near those after changes of its parameters, (n_params,), and twists
-    of the poses, (N, dof)."""
 
 
 @dataclass(frozen=True)
@@ -133,44 +121,3 @@ class LegCondition:
         difference = reading - self.readings
         found = Demand(difference, rows.parameter, rows.pose, rows.reading)
         return Met(found, closed.joints)
-
-
-def evaluated(
-    alike: Sequence[LegCondition],
-    parameters: Sequence[Array],
-    matrices: Array,
-    joints: Sequence[Array | None],
-) -> AlikeMet:
-    """Return the values and derivatives of the conditions of alike legs, evaluated in one call.
-
-    Args:
-        alike: Conditions of one form, at the same N rows.
-        parameters: Of each leg its parameter values, shape (n_params,).
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        joints: Of each leg where the search for passive joints starts, shape (N, n_joints
-            [+ n_deformed]); None if that is not known.
-
-    Raises:
-        MeasurementError: joint residual, and a pose out of reach.
-        MechanismError: a homed sensor, and a home pose out of reach.
-    """
-    legs = [
-        LegClosure(one.leg, one.platform, own) for one, own in zip(alike, parameters, strict=True)
-    ]
-    if alike[0].kind == "joint":
-        each_ = zip(alike, legs, strict=True)
-        predicted = tuple(one.predicted(leg, matrices) for one, leg in each_)
-        return AlikeMet(predicted, lambda *_: [one.joints for one in predicted])
-    known = [one.known for one in alike]
-    each = zip(legs, known, joints, strict=True)
-    start = np.concatenate([begun(leg, matrices, own, near) for leg, own, near in each])
-    closed, found = nearest_closures(legs, np.tile(matrices, (len(legs), 1, 1)), start)
-    settled = found.reshape(len(legs), len(matrices), -1)
-
-    def after(changes: Sequence[Array], twists: Array) -> list[Array]:
-        there = found.copy()
-        there[:, legs[0].leg.passive] += followed(legs, closed, known, changes, twists)
-        return list(there.reshape(settled.shape))
-
-    met = zip(demands(legs, closed, known), settled, strict=True)
-    return AlikeMet(tuple(Met(*pair) for pair in met), after)
