@@ -124,6 +124,7 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
   // Dragging the platform, in the plane that faces the viewer
 
   const ray = new THREE.Raycaster();
+  ray.layers.enableAll();
   const plane = new THREE.Plane();
   const canvas = viewer.renderer.domElement;
   let held = null;

@@ -12,8 +12,7 @@
   const node = (path) => viewer.scene_tree.find(path.split("/"));
   const poses = data.set.length;
   let pose = -1;
-  let timer = null;
-  let frame = 0;
+  let frame = 0; // of the animation that plays
 
   // meshcat's scene is in a world whose y points up
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
@@ -27,6 +26,7 @@
 
   const setVisible = (path, visible) => {
     node(path).set_property("visible", visible);
+    pace.changed();
     viewer.set_dirty();
   };
 
@@ -38,6 +38,11 @@
     body.nodes = body.paths.map(node);
     body.share = 1; // of what differs from the nominal machine that is drawn
   }
+
+  const jog = Jog({ data, viewer, pane, node, move, element, bytes, halt: () => play(false) });
+  const moving = [...data.bodies.map(({ name }) => name), "shadow", "base axes"];
+  const [movingNodes, heavyNodes] = [moving, ["cloud", "errors"]].map((names) => names.map((name) => node(`meshcat/${name}`).object));
+  const pace = Pace({ viewer, pane, moving: movingNodes, heavy: heavyNodes });
 
   function move(part, m, k) { // m: columns of 3, from k on; sheared parts have no quaternion
     const { object } = part;
@@ -66,8 +71,8 @@
 
   function paint() {
     const ground = night.matches ? data.paper[1] : data.paper[0];
-    const rgb = [1, 3, 5].map((i) => parseInt(ground.slice(i, i + 2), 16) / 255);
-    for (const key of ["top_color", "bottom_color"]) viewer.set_property(["Background"], key, rgb);
+    viewer.scene.background = new THREE.Color(ground);
+    pace.changed();
     viewer.scene.traverse(({ material, geometry }) => {
       if (!material || !material.color) return;
       if (material.vertexColors) {
@@ -167,29 +172,28 @@
   // From pose to pose in the order of the plan, as the mechanism moves
 
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  const [PAUSE, MOTION] = calm ? [500, 0] : [120, 480]; // milliseconds
+  const LASTS = 600; // milliseconds from pose to pose, slow at both
 
   function play(on) {
-    clearTimeout(timer);
     cancelAnimationFrame(frame);
-    const moving = timer !== null;
-    timer = on ? setTimeout(step, PAUSE) : null;
-    if (!on && moving) show(pose);
+    if (!on && frame) show(pose);
+    frame = 0;
+    if (on) step(performance.now());
     find("play").textContent = on ? "pause" : "play";
   }
 
-  function step() {
+  function step(begin) {
     const next = (pose + 1) % poses;
-    const begin = performance.now();
     const tick = (now) => {
-      const part = Math.min(Math.max((now - begin) / (MOTION || 1), 0), 1);
-      if (part < 1 && next > 0 && jog.between(pose, next, part * part * (3 - 2 * part))) {
-        data.bodies.slice(1).forEach((body) => blend(body, pose, next, part));
-        frame = requestAnimationFrame(tick);
+      const part = (now - begin) / LASTS;
+      if (part >= 1) {
+        show(next);
+        step(now);
         return;
       }
-      show(next);
-      timer = setTimeout(step, PAUSE);
+      const eased = part * part * (3 - 2 * part);
+      if (!calm && next > 0 && jog.between(pose, next, eased)) data.bodies.slice(1).forEach((body) => blend(body, pose, next, eased));
+      frame = requestAnimationFrame(tick);
     };
     frame = requestAnimationFrame(tick);
   }
@@ -401,9 +405,11 @@
     viewer.set_3d_pane_size();
   }
 
-  const render = viewer.render.bind(viewer);
   viewer.render = () => {
-    render();
+    viewer.controls.update();
+    viewer.camera.updateProjectionMatrix();
+    viewer.needs_render = false;
+    pace.draw();
     placeTags();
     placeLetters();
   };
@@ -421,7 +427,7 @@
     ArrowDown: () => show(pose - 1),
     Home: () => show(0),
     End: () => show(poses - 1),
-    " ": () => play(timer === null),
+    " ": () => play(!frame),
   };
   document.addEventListener("keydown", (event) => {
     const typing = event.key === " " && ["BUTTON", "INPUT"].includes(event.target.tagName) && event.target.id !== "slider";
@@ -435,12 +441,11 @@
   find("slider").addEventListener("input", (event) => show(event.target.valueAsNumber - 1));
   find("back").addEventListener("click", () => show(pose - 1));
   find("forth").addEventListener("click", () => show(pose + 1));
-  find("play").addEventListener("click", () => play(timer === null));
+  find("play").addEventListener("click", () => play(!frame));
   find("fit").addEventListener("click", fit);
-  const jog = Jog({ data, viewer, pane, node, move, element, bytes, halt: () => play(false) });
   fit();
   show(0);
   paint();
   night.addEventListener("change", paint);
-  window.pincal = { viewer, show, jog, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
+  window.pincal = { viewer, show, jog, pace, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();

@@ -62,8 +62,6 @@ def commands(scene: Scene) -> list[bytes]:
     draw = meshcat.Visualizer(window=recorder)
     for path in ("/Grid", "/Axes"):
         draw[path].set_property("visible", False)
-    for key in ("top_color", "bottom_color"):
-        draw["/Background"].set_property(key, [1.0, 1.0, 1.0])
     _lines(draw["grid"], ground(scene), GROUND)
     axes = frame_axes(scene)
     _axes(draw["base axes"], axes)
@@ -124,6 +122,8 @@ def _body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None
     for part in body.parts:
         for number, shape in enumerate(part.shapes, 1):
             material = _matt(colour or shape.colour, opacity)
+            if opacity < 1.0:
+                material.side = 0  # its backs are not seen through it, which are drawn apart
             node = draw[f"{part.path}/shape {number}"]
             node.set_object(_geometry(shape), material)
             node.set_transform(shape.T_link_shape @ (_UPRIGHT if shape.kind == "cylinder" else _I))
