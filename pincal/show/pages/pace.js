@@ -9,8 +9,9 @@ function Pace({ viewer, pane, moving, heavy }) {
   const { THREE } = MeshCat;
   const full = viewer.renderer;
   const STILL = 0, MOVES = 1, COARSE = 2, HEAVY = 3, THIN = 4; // layers of three.js
-  const LONG = 30, SLOW = 24, REST = 250; // milliseconds: all in full, from frame to frame, until it rests
-  const LEAST = 0.4, MOST_POINTS = 1500, MOST_TRIANGLES = 150;
+  // Milliseconds: all in full, from frame to frame, until all rests, until the view does
+  const LONG = 30, SLOW = 24, REST = 250, TURNS = 120;
+  const LEAST = 0.5, MOST_POINTS = 1500, MOST_TRIANGLES = 150;
   let quick = null; // the second renderer
   let machines = []; // what it draws
   let needed = false; // whether it draws what moves
@@ -23,6 +24,7 @@ function Pace({ viewer, pane, moving, heavy }) {
   let owed = false; // whether something was drawn since all was weighed
   let under = ""; // the view in which the first canvas shows what rests
   let seen = ""; // the view of the last frame
+  let turned = 0; // when that was another one
   let version = 0;
 
   const layer = (root, from, to) => root.traverse((one) => one.layers.mask === 1 << from && one.layers.set(to));
@@ -90,6 +92,7 @@ function Pace({ viewer, pane, moving, heavy }) {
       geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(triangles), 1));
       const own = material.clone();
       own.vertexColors = true;
+      own.side = THREE.FrontSide; // backs would be lit and filled too
       own.color.set(0xffffff);
       this.mesh = new THREE.Mesh(geometry, own);
       this.mesh.frustumCulled = this.mesh.matrixAutoUpdate = false;
@@ -171,15 +174,13 @@ function Pace({ viewer, pane, moving, heavy }) {
     const pixels = ratio * full.getPixelRatio();
     if (quick.getPixelRatio() !== pixels) quick.setPixelRatio(pixels);
     if (size.x !== width || size.y !== height) quick.setSize(width, height);
-    const view = [version, width, height, ...viewer.camera.matrixWorld.elements, ...viewer.camera.projectionMatrix.elements].join();
     viewer.scene.updateMatrixWorld();
     machines.forEach((one) => one.follow());
-    if (view === seen && view !== under) { // the camera rests, the machine does not
+    if (seen !== under && last - turned > TURNS) {
       picture(full, [STILL, HEAVY], true);
-      under = view;
+      under = seen;
     }
-    picture(quick, view === under ? [COARSE] : [STILL, COARSE, THIN], view !== under);
-    seen = view;
+    picture(quick, seen === under ? [COARSE] : [STILL, COARSE, THIN], seen !== under);
     quick.domElement.style.visibility = "visible";
   }
 
@@ -214,6 +215,10 @@ function Pace({ viewer, pane, moving, heavy }) {
   function draw() {
     last = performance.now();
     owed = true;
+    viewer.camera.updateMatrixWorld();
+    const view = [version, pane.clientWidth, pane.clientHeight, ...viewer.camera.matrixWorld.elements, ...viewer.camera.projectionMatrix.elements].join();
+    if (view !== seen) turned = last;
+    seen = view;
     if (needed) swift();
     else whole();
   }

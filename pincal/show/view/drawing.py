@@ -71,7 +71,9 @@ def commands(scene: Scene) -> list[bytes]:
         _body(draw["identified"], scene.identified.body, IDENTIFIED, opacity=0.45)
     if scene.cloud:
         colours = np.where(scene.cloud.domain[:, None], _rgb(DOMAIN), _rgb(CARRIED))
-        _dots(draw["cloud"], scene.cloud.positions, colours, 2)
+        # in no order, so that the first are an even sample: the page may draw no more
+        mixed = np.random.default_rng(0).permutation(len(colours))
+        _dots(draw["cloud"], scene.cloud.positions[mixed], colours[mixed], 2)
     for number, (_, colour, positions, lines) in enumerate(scene.by_set(), 1):
         _dots(draw[f"sets/{number}"], positions, _rgb(colour), 7)
         _lines(draw[f"ghosts/{number}"], lines, colour, opacity=0.45)
