@@ -342,7 +342,8 @@ _BOXES = """() => {
       const corners = geometry.attributes.position;
       const count = merged ? geometry.drawRange.count : corners.count;
       for (let i = 0; i < count; i++) {
-        const at = new MeshCat.THREE.Vector3().fromBufferAttribute(corners, merged ? geometry.index.getX(i) : i);
+        const at = new MeshCat.THREE.Vector3();
+        at.fromBufferAttribute(corners, merged ? geometry.index.getX(i) : i);
         found.expandByPoint(at.applyMatrix4(one.matrixWorld));
       }
     });
@@ -440,7 +441,7 @@ def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
         ("poses, as ghosts", "ghosts", False),
         ("poses, as dots", "sets", True),
         ("identified, errors × 30", "identified", True),
-        ("workspace, 100 positions; dark: fundamental domain of C3", "cloud", True),
+        ("workspace, 100 positions; strong colour: fundamental domain of C3", "cloud", True),
         ("leg_1, 3 poses", "sets/1", True),
     ):
         box = window.page.get_by_label(label)

@@ -345,7 +345,8 @@
     const { clientWidth: width, clientHeight: height } = pane;
     const feet = tags.map(({ foot }) => foot.clone().project(viewer.camera));
     const middle = feet.reduce((sum, at) => sum + at.x, 0) / feet.length;
-    const taken = [];
+    const bar = find("scale");
+    const taken = [0, bar.offsetHeight / 2].map((down) => ({ x: bar.offsetLeft, y: bar.offsetTop + down, w: bar.offsetWidth }));
     for (const [index, { tag }] of tags.entries()) {
       const at = feet[index];
       const beside = at.x < middle - 1e-6 ? -12 - tag.offsetWidth : 12; // away from the mechanism
@@ -382,6 +383,9 @@
   }
 
   function fit() {
+    data.sets.forEach((_, index) => node(`meshcat/sets/${index + 1}`).object.traverse(({ isPoints, material }) => {
+      if (isPoints) material.size = pane.clientWidth < 500 ? 4 : 7; // pixels
+    }));
     const aspect = (pane.clientWidth - 2 * beside()) / pane.clientHeight;
     viewer.controls.target.copy(centre);
     if (data.planar) {

@@ -14,10 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from pincal.show.style import CARRIED, DOMAIN, GROUND, IDENTIFIED, NOMINAL, OUTLIER, shades
+from pincal.show.style import (
+    CARRIED,
+    DIMENSION,
+    DOMAIN,
+    GROUND,
+    IDENTIFIED,
+    NOMINAL,
+    OUTLIER,
+    shades,
+)
 from pincal.show.view.bodies import Body
 from pincal.show.view.found import Found
-from pincal.show.view.marks import arrows, stand
+from pincal.show.view.marks import arrows, frustum, stand
 from pincal.show.view.scene import Scene, frame_axes, ground
 from pincal.show.view.solids import Shape
 
@@ -29,6 +38,7 @@ import umsgpack
 
 Array = NDArray[np.float64]
 _I = np.eye(4)
+_DEPTH = 0.3  # of what a camera sees, of the scene's size
 #: Turns three.js' cylinders, which lie along y, to lie along z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
@@ -56,7 +66,7 @@ def commands(scene: Scene) -> list[bytes]:
     Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``bodies.Part``);
     ``sets/1`` and ``ghosts/1`` for the first set and so on; ``cloud``, ``base axes``, ``grid``;
     of a calibration ``misses``, ``outlying``, ``errors/before``, ``errors/after``, ``weakest`` with
-    its parts, ``instrument``.
+    its parts, ``instrument``, ``stations/1`` and so on.
     """
     recorder = _Recorder()
     draw = meshcat.Visualizer(window=recorder)
@@ -112,6 +122,12 @@ def _found(draw: Any, found: Found, scene: Scene) -> None:
             node.set_transform(place @ turned)
         _axes(draw["instrument/frame"], frame_axes(scene))
         draw["instrument/frame"].set_transform(found.instrument.T_base_frame)
+    for number, station in enumerate(found.stations, 1):
+        node = draw[f"stations/{number}"]
+        node.set_transform(station.T_base_station)
+        _axes(node["frame"], frame_axes(scene))
+        if station.sees:
+            _lines(node["sees"], frustum(station.sees, _DEPTH * size), DIMENSION)
 
 
 def viewer_script() -> str:

@@ -27,7 +27,7 @@ from pincal.show.style import (
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
 from pincal.show.view.found import Found
-from pincal.show.view.marks import cut
+from pincal.show.view.marks import cut, tips
 from pincal.show.view.motion import motion
 from pincal.show.view.scene import Scene, frame_axes, grid_step, set_colour
 from pincal.show.view.solids import GREY
@@ -71,7 +71,7 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         "source": source,
         "planar": scene.planar,
         "towards": TOWARDS_VIEWER,
-        "bounds": scene.bounds().tolist(),
+        "bounds": _bounds(scene).tolist(),
         "grid": f"grid {1e3 * grid_step(scene):.6g} mm",
         "commands": [base64.b64encode(command).decode() for command in commands(scene)],
         "bodies": [_body(root, body) for root, body in bodies.items()],
@@ -94,6 +94,26 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         "dark": DARK | SOLIDS_DARK,
         "paper": PAPER,
     }
+
+
+def _bounds(scene: Scene) -> Array:
+    """Return least and largest coordinates of what is looked at first, shape (2, 3), [m].
+
+    The scene, the arrows of misses, and what stands no further from it than it is large.
+    """
+    bounds = scene.bounds()
+    if not scene.found:
+        return bounds
+    size = float(np.linalg.norm(np.ptp(bounds, axis=0)))
+    points = [bounds]
+    if scene.found.misses:
+        points.append(tips(scene.found.misses, size))
+    stands = [one.T_base_station[:3, 3] for one in scene.found.stations]
+    if scene.found.instrument:
+        stands.append(scene.found.instrument.at)
+    near = [p for p in stands if np.linalg.norm(p - np.clip(p, *bounds)) < size]
+    every = np.concatenate([*points, np.reshape(near, (-1, 3))])
+    return np.stack((every.min(axis=0), every.max(axis=0)))
 
 
 def _body(root: str, body: Body) -> dict[str, Any]:
@@ -145,7 +165,11 @@ def _layers(scene: Scene) -> list[dict[str, Any]]:
         count = f"{len(cloud.positions):,}"
         if cloud.given > len(cloud.positions):
             count += f" of {cloud.given:,}"
-        share = f"; dark: fundamental domain of {cloud.group}" if not cloud.domain.all() else ""
+        share = (
+            f"; strong colour: fundamental domain of {cloud.group}"
+            if not cloud.domain.all()
+            else ""
+        )
         layers.append(("cloud", f"workspace, {count} positions{share}", True))
     if scene.found:
         layers += _found(scene, scene.found)
@@ -177,6 +201,10 @@ def _found(scene: Scene, found: Found) -> list[tuple[str, str, bool]]:
     if found.instrument:
         far = float(np.linalg.norm(found.instrument.at))
         layers.append(("instrument", f"tracker, {far:.3g} m from the base frame", True))
+    for number, station in enumerate(found.stations, 1):
+        far = float(np.linalg.norm(station.T_base_station[:3, 3]))
+        said = f"{station.name}, {far:.3g} m from the base frame"
+        layers.append((f"stations/{number}", said, True))
     return layers
 
 
