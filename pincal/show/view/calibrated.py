@@ -15,6 +15,7 @@ from pincal.show.results import directions, parameters
 from pincal.show.view.found import Errors, Found, Instrument, Misses, Station, Weakest
 from pincal.show.view.scene import Scene, driven, rounded_down
 from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
+from pincal.words.views import FRAME
 
 Array = NDArray[np.float64]
 #: Of the scene's size: a long arrow, and how far a parameter moves along the weakest direction.
@@ -165,7 +166,7 @@ def stations(result: CalibrationResult) -> tuple[Station, ...]:
     """
     setup, T_base_frame, found = result.options.setup, _base_frame(result), []
     if setup.unknown_frame and setup.tracker is None:
-        found.append(Station("frame of the measurements", T_base_frame))
+        found.append(Station(FRAME, T_base_frame))
     for one in setup.instruments:
         if (stand := getattr(one, "stand", None)) is None:
             continue

@@ -31,6 +31,7 @@ from pincal.show.view.marks import cut, tips
 from pincal.show.view.motion import motion
 from pincal.show.view.scene import Scene, frame_axes, grid_step, set_colour
 from pincal.show.view.solids import GREY
+from pincal.words import views
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.pages import rendered
 
@@ -155,25 +156,16 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
 
 def _layers(scene: Scene) -> list[dict[str, Any]]:
     """Return what can be shown or hidden: paths, names, and what to say about them."""
-    layers: list[tuple[str, str, bool]] = [("mechanism", "mechanism", True)]
+    layers: list[tuple[str, str, bool]] = [("mechanism", views.MECHANISM, True)]
     if scene.identified:
-        factor = f"{scene.identified.magnify:g}"
-        layers.append(("identified", f"identified, errors × {factor}", True))
-    layers += [("sets", "poses, as dots", True), ("ghosts", "poses, as ghosts", False)]
-    if scene.cloud:
-        cloud = scene.cloud
-        count = f"{len(cloud.positions):,}"
-        if cloud.given > len(cloud.positions):
-            count += f" of {cloud.given:,}"
-        share = (
-            f"; strong colour: fundamental domain of {cloud.group}"
-            if not cloud.domain.all()
-            else ""
-        )
-        layers.append(("cloud", f"workspace, {count} positions{share}", True))
+        layers.append(("identified", views.identified(scene.identified.magnify), True))
+    layers += [("sets", views.SETS, True), ("ghosts", views.GHOSTS, False)]
+    if cloud := scene.cloud:
+        group = "" if cloud.domain.all() else cloud.group
+        layers.append(("cloud", views.cloud(len(cloud.positions), cloud.given, group), True))
     if scene.found:
         layers += _found(scene, scene.found)
-    layers += [("base axes", "base frame", True), ("grid", "grid", True)]
+    layers += [("base axes", views.BASE, True), ("grid", views.GRID, True)]
     colours = {"identified": IDENTIFIED, "cloud": DOMAIN}
     colours |= {"misses": IDENTIFIED, "outlying": OUTLIER, "weakest": NOMINAL}
     return [
@@ -187,24 +179,22 @@ def _found(scene: Scene, found: Found) -> list[tuple[str, str, bool]]:
     layers = []
     if misses := found.misses:
         size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
-        short, factor = cut(misses, size), f"errors × {misses.magnify:,.12g}"
+        short = cut(misses, size)
         for path, who, own in (
-            ("misses", "measured → predicted", ~misses.outlying),
-            ("outlying", "outliers", misses.outlying),
+            ("misses", views.MEASURED, ~misses.outlying),
+            ("outlying", views.OUTLIERS, misses.outlying),
         ):
-            count = int((own & short).sum())
-            more = f", {count} longer than drawn" if count else ""
-            layers += [(path, f"{who}, {factor}{more}", True)] if own.any() else []
+            if own.any():
+                said = views.misses(who, misses.magnify, int((own & short).sum()))
+                layers.append((path, said, True))
     if weakest := found.weakest:
-        said = f"weakest direction, ±{weakest.magnify:.3g} of its standard errors"
-        layers.append(("weakest", f"{said}: {weakest.named}", False))
-    if found.instrument:
-        far = float(np.linalg.norm(found.instrument.at))
-        layers.append(("instrument", f"tracker, {far:.3g} m from the base frame", True))
-    for number, station in enumerate(found.stations, 1):
-        far = float(np.linalg.norm(station.T_base_station[:3, 3]))
-        said = f"{station.name}, {far:.3g} m from the base frame"
-        layers.append((f"stations/{number}", said, True))
+        layers.append(("weakest", views.weakest(weakest.magnify, weakest.named), False))
+    stands = [("instrument", views.TRACKER, found.instrument.at)] if found.instrument else []
+    stands += [
+        (f"stations/{number}", station.name, station.T_base_station[:3, 3])
+        for number, station in enumerate(found.stations, 1)
+    ]
+    layers += [(p, views.stands(who, float(np.linalg.norm(at))), True) for p, who, at in stands]
     return layers
 
 
