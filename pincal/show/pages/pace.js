@@ -38,7 +38,7 @@ function Pace({ viewer, pane, moving, heavy }) {
     const { position } = attributes;
     const box = new THREE.Box3().setFromBufferAttribute(position);
     const side = box.getSize(new THREE.Vector3());
-    const cell = Math.max(side.x, side.y, side.z) / 6 || 1;
+    const cell = Math.max(side.x, side.y, side.z) / 10 || 1;
     const cells = new Map();
     const at = new THREE.Vector3();
     const own = Array.from({ length: index ? index.count : position.count }, (_, i) => {
