@@ -299,67 +299,8 @@
     change();
   }
 
-  const tags = data.legs.map((leg) => {
-    const tag = element("div", leg.name, pane);
-    tag.className = "tag";
-    coloured(tag, leg.colour);
-    return { tag, foot: turned(leg.foot) };
-  });
-  checkbox(find("layers"), "names of legs", true, (on) => tags.forEach(({ tag }) => (tag.hidden = !on)));
-
-  // Letters of the axes, of the base and of the platform; a scale
-
-  const letters = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].flatMap((axis, place) => [false, true].map((moves) => {
-    const tag = element("div", "xyz"[place], pane);
-    tag.className = "letter";
-    tag.setAttribute("aria-hidden", "true");
-    return { tag, moves, end: axis.map((one) => 1.25 * data.axis * one) };
-  }));
-  const world = new THREE.Vector3();
-
-  function placeLetters() {
-    const shown = { false: node("meshcat/base axes").object.visible, true: true };
-    for (const { tag, moves, end } of letters) {
-      const { object } = node(moves ? "meshcat/mechanism/platform/body" : "meshcat/base axes");
-      world.set(...end).applyMatrix4(object.matrixWorld);
-      const middle = world.clone().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
-      world.project(viewer.camera);
-      const flat = Math.hypot((world.x - middle.x) * pane.clientWidth, (world.y - middle.y) * pane.clientHeight) < 12;
-      tag.hidden = flat || !shown[moves] || !object.visible;
-      const x = ((world.x + 1) / 2) * pane.clientWidth - 4;
-      const y = ((1 - world.y) / 2) * pane.clientHeight - 9;
-      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
-    }
-    const { target } = viewer.controls;
-    const right = new THREE.Vector3().setFromMatrixColumn(viewer.camera.matrixWorld, 0);
-    const [one, two] = [target.clone(), target.clone().add(right)].map((at) => at.project(viewer.camera).x);
-    const pixels = (Math.abs(two - one) / 2) * pane.clientWidth; // of a metre, where the view turns about
-    const decade = 10 ** Math.floor(Math.log10(140 / pixels));
-    const length = decade * ([5, 2].find((factor) => factor * decade * pixels < 140) || 1);
-    find("scale").querySelector("i").style.width = `${(length * pixels).toFixed(1)}px`;
-    const said = length >= 1 ? `${+length.toPrecision(3)} m` : `${+(1e3 * length).toPrecision(3)} mm`;
-    find("scale").querySelector("span").textContent = said;
-  }
-
-  function placeTags() {
-    const { clientWidth: width, clientHeight: height } = pane;
-    const feet = tags.map(({ foot }) => foot.clone().project(viewer.camera));
-    const middle = feet.reduce((sum, at) => sum + at.x, 0) / feet.length;
-    const bar = find("scale");
-    const taken = [0, bar.offsetHeight / 2].map((down) => ({ x: bar.offsetLeft, y: bar.offsetTop + down, w: bar.offsetWidth }));
-    for (const [index, { tag }] of tags.entries()) {
-      const at = feet[index];
-      const beside = at.x < middle - 1e-6 ? -12 - tag.offsetWidth : 12; // away from the mechanism
-      const x = Math.min(Math.max(((at.x + 1) / 2) * width + beside, 2), width - tag.offsetWidth - 2);
-      const low = Math.min(Math.max(((1 - at.y) / 2) * height + 8, 2), height - tag.offsetHeight - 2);
-      const [w, h] = [tag.offsetWidth, tag.offsetHeight];
-      const over = (there) => taken.some((one) => Math.abs(one.y - there) < h && x < one.x + one.w && one.x < x + w);
-      const shifts = [0, 1, -1, 2, -2, 3, -3].map((n) => low + n * h).filter((there) => there > 0 && there + h < height);
-      const y = shifts.find((there) => !over(there)) ?? low;
-      if (!tag.hidden) taken.push({ x, y, w });
-      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
-    }
-  }
+  const labels = Labels({ data, viewer, pane, node, element, coloured, turned });
+  checkbox(find("layers"), "names of legs", true, labels.show);
 
   // The camera: from above where all is in a plane, else from the side
 
@@ -372,11 +313,6 @@
   viewer.set_camera(camera);
   viewer.set_object(["Cameras", "default", "rotated"], camera);
 
-  function beside() { // room for the names of legs, in pixels
-    const widest = Math.max(0, ...tags.map(({ tag }) => (tag.hidden ? 0 : tag.offsetWidth)));
-    return Math.min(widest + 12, pane.clientWidth / 5);
-  }
-
   function widen() {
     camera.right = (camera.top * pane.clientWidth) / pane.clientHeight;
     camera.left = -camera.right;
@@ -386,7 +322,7 @@
     data.sets.forEach((_, index) => node(`meshcat/sets/${index + 1}`).object.traverse(({ isPoints, material }) => {
       if (isPoints) material.size = pane.clientWidth < 500 ? 4 : 7; // pixels
     }));
-    const aspect = (pane.clientWidth - 2 * beside()) / pane.clientHeight;
+    const aspect = (pane.clientWidth - 2 * labels.beside()) / pane.clientHeight;
     viewer.controls.target.copy(centre);
     if (data.planar) {
       const half = 0.57 * Math.max(high[1] - low[1], (high[0] - low[0]) / aspect, 0.1 * size);
@@ -414,8 +350,7 @@
     viewer.camera.updateProjectionMatrix();
     viewer.needs_render = false;
     pace.draw();
-    placeTags();
-    placeLetters();
+    labels.place();
   };
   window.addEventListener("resize", () => {
     if (data.planar) widen();
