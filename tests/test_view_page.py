@@ -590,8 +590,9 @@ def test_dark_ground_has_its_own_colours(opened: Any) -> None:
     colours = """() => [...document.querySelectorAll(".tag")].map(
       (tag) => getComputedStyle(tag).borderLeftColor)"""
     light = page.evaluate(colours)
+    first = f"(own) => ({colours})()[0] !== own"
     page.emulate_media(color_scheme="dark")
-    page.wait_for_timeout(300)
+    page.wait_for_function(first, arg=light[0])
     dark = page.evaluate(colours)
     said = [f"rgb({', '.join(str(int(c[i : i + 2], 16)) for i in (1, 3, 5))})" for c in LEGS[:3]]
     night = [
@@ -600,7 +601,7 @@ def test_dark_ground_has_its_own_colours(opened: Any) -> None:
     assert light == said
     assert dark == night
     page.emulate_media(color_scheme="light")
-    page.wait_for_timeout(300)
+    page.wait_for_function(first, arg=dark[0])
     assert page.evaluate(colours) == light
     assert window.clean(), window.said
 
