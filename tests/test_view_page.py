@@ -548,6 +548,15 @@ def test_a_telephone_shows_all_of_the_mechanism(name: str, opened: Any) -> None:
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 390
     assert not page.get_by_text("Open Controls").is_visible()
+    for one in page.locator("button:visible, input[type=range]:visible").all():
+        assert one.bounding_box()["height"] >= 36  # for thumbs
+    scale = page.locator("#scale").bounding_box()
+    for tag in page.locator(".tag").all():
+        box = tag.bounding_box()
+        beside = box["x"] >= scale["x"] + scale["width"] or box["x"] + box["width"] <= scale["x"]
+        assert beside or box["y"] + box["height"] <= scale["y"] + 1
+    panel = page.locator("aside")
+    assert panel.evaluate("(one) => one.scrollWidth <= one.clientWidth")
 
 
 AXE = Path(__file__).parents[1] / "node_modules" / "axe-core" / "axe.min.js"
