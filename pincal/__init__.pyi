@@ -31,6 +31,7 @@ from .kinematics.readers import free_of_collision
 from .kinematics.singularity import margins
 from .model.joint import Joint
 from .model.leg import Leg
+from .model.measuring.image import Image
 from .model.measuring.instrument import Condition, Instrument
 from .model.measuring.measurements import Measurements, Noise, Plan
 from .model.measuring.setup import Distance, Setup, Target
@@ -66,6 +67,7 @@ __all__ = [
     "FileError",
     "Grid",
     "Harmonic",
+    "Image",
     "Inscribed",
     "Instrument",
     "Joint",

@@ -12,7 +12,7 @@ GROUPS = {
     "Symmetry": "symmetry_group articular_symmetry Element cyclic dihedral",
     "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
     "Measurements": "Measurements Noise Setup Target Distance Tracker Systematic Instrument "
-    "Condition",
+    "Condition Image",
     "Calibration": "calibrate Options Loss CalibrationResult load_result validate explain "
     "Explanation corrections Corrections",
     "Simulation": "disturb simulate accuracy",

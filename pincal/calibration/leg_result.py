@@ -88,6 +88,9 @@ class LegResult:
     """Residuals with identified parameters, shape (n_residuals,)."""
     quantity: str = "closure"
     """What residuals are of: ``"closure"``, or ``"reading"``."""
+    redundancy: Array | None = None
+    """Variance of each residual over that of its noise, 1 − h of its leverage h: what the fit does
+    not take up, shape (n_residuals,). None of results saved by version 0.2.0 and before."""
 
     def __repr__(self) -> str:
         return (
@@ -144,6 +147,8 @@ class Observed:
     """Predicted less measured where the search started, shape (count,)."""
     residuals: Array
     """Predicted less measured, shape (count,)."""
+    redundancy: Array | None = None
+    """As of a leg's residuals, shape (count,)."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ such rows give on average; an outlier gives its own ψψᵀ, for nobody knows wh
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,18 +72,33 @@ class Spread:
             np.where(counts & far, factor * weights / np.sqrt(unit), 0.0),
         )
 
-    @property
-    def bread(self) -> Array:
-        """B⁻¹, shape (n_free, n_free): (RᵀR − GᵀG)⁻¹, G what outliers' slopes fall by."""
+    @cached_property
+    def root(self) -> Array:
+        """Root of B⁻¹, shape (n_free, n_free): that of (RᵀR − GᵀG)⁻¹, G what outliers' slopes fall.
+
+        Of least squares R⁻¹.
+        """
         normal = Normal.of(self.system.triangle(self.linear, self.slopes))
+        half = np.asarray(np.linalg.inv(normal.R)) / normal.lengths[:, None]
         if not self.falls.any():
-            return normal.covariance
-        half = np.linalg.inv(normal.R) / normal.lengths[:, None]
+            return half
         along = self._along / np.sqrt(np.maximum(self.linear.squares, 1e-300))[:, None]
         C = np.sqrt(np.maximum(self.falls, 0.0))[:, None] * along @ self.system.unknowns.map @ half
         share, V = np.linalg.eigh(C.T @ C)
-        half = half @ (V / np.sqrt(1.0 - np.minimum(share, _FALLEN)))
-        return np.asarray(half @ half.T)
+        return np.asarray(half @ (V / np.sqrt(1.0 - np.minimum(share, _FALLEN))))
+
+    @property
+    def bread(self) -> Array:
+        """B⁻¹, shape (n_free, n_free)."""
+        return np.asarray(self.root @ self.root.T)
+
+    @property
+    def meat_in_root(self) -> Array:
+        """Root of B⁻¹, transposed, M, root of B⁻¹: 1 of least squares, shape (n_free, n_free)."""
+        if (rows := self._meat) is None:
+            return np.eye(len(self.root))
+        half = rows @ self.root
+        return np.asarray(half.T @ half)
 
     @property
     def covariance(self) -> Array:
@@ -90,20 +106,27 @@ class Spread:
 
         Of unweighted residuals with the covariance V = S Sᵀ of each row, M = Σ Jᵀ V J.
         """
+        T, bread = self.system.unknowns.map, self.bread
+        if (rows := self._meat) is None:
+            return np.asarray(T @ bread @ T.T)
+        half = rows @ bread
+        return np.asarray(T @ (half.T @ half) @ T.T)
+
+    @property
+    def _meat(self) -> Array | None:
+        """Rows whose squares are M, shape (k, n_free); None of least squares, where M = B."""
         system, linear, T = self.system, self.linear, self.system.unknowns.map
-        bread = self.bread
         if system.problem.weighted:
             if system.loss is None:
-                return np.asarray(T @ bread @ T.T)
-            n = len(bread)
-            M = [system.triangle(linear, self.noises**2)[:n, :n]]
+                return None
+            n = T.shape[1]
+            rows = [system.triangle(linear, self.noises**2)[:n, :n]]
         else:
             J = system.derivatives(linear) @ T
             meat = linear.white.noise.transpose(0, 2, 1) / system.unit @ J
             fits = self.noises > 0.0
-            M = [(self.noises[:, None, None] * meat)[fits].reshape(-1, T.shape[1])]
-        half = np.concatenate((*M, self._pulled[self.pulls > 0.0] @ T)) @ bread
-        return np.asarray(T @ (half.T @ half) @ T.T)
+            rows = [(self.noises[:, None, None] * meat)[fits].reshape(-1, T.shape[1])]
+        return np.concatenate((*rows, self._pulled[self.pulls > 0.0] @ T))
 
     @property
     def _along(self) -> Array:

@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import WorkspaceError
-from pincal.show.pictures import charts
-from pincal.show.pictures.parts import along, draw_bars, draw_map, height_said, label, outside
-from pincal.show.results import noisy_series, parameters
-from pincal.show.style import look
+from pincal.show.pictures import charts, image_charts, residual_charts
+from pincal.show.pictures.parts import draw_bars, draw_map, room, wrapped
+from pincal.show.results import parameters
+from pincal.show.style import PAGE
 from pincal.show.workspace_errors import error_maps
-from pincal.words.numbers import SMALL, per_si
+from pincal.words import plots as words
+from pincal.words.numbers import per_si
 
 Array = NDArray[np.float64]
-#: Names along an axis of a figure across a page.
-_MANY = 30
 
 
 @dataclass(frozen=True)
@@ -36,21 +35,12 @@ class Plots:
     def residuals(self, ax: Axes | None = None) -> Axes:
         """Draw residuals after the calibration in standard deviations, against the row.
 
-        Those of the legs or, if their readings are exact, of the platform as measured. Dashed
-        lines: 1.96 standard deviations of the noise; residuals that share what is missed with
-        others stay well within. Rows that were rejected are named.
+        Those of the legs or, if their readings are exact, of the platform as measured. A residual's
+        standard deviation is that of its noise less what the fit takes up of it, σ√(1−h) of its
+        leverage h: one that shares what is missed with others is judged as hard as any. Dashed
+        lines: between which 95 of 100 are. Rows that were rejected are named.
         """
-        axes = _axes_of(ax, 6.4, 3.6)
-        for index, one in enumerate(noisy_series(self.result)):
-            noisy = one.sigma > 0.0
-            rows, values = one.rows[noisy] + 1, one.after[noisy] / one.sigma[noisy]
-            own = look(index)
-            axes.plot(rows, values, own.marker, color=own.colour, ms=3, label=label(one.name))
-        _levels(axes, 1.96)
-        axes.set(xlabel="data row", ylabel="residual [σ]")
-        charts.say_rejected(axes, self.result)
-        outside(axes)
-        return axes
+        return residual_charts.over_rows(_axes_of(ax, 6.4, 3.6), self.result)
 
     def parameters(self, ax: Axes | None = None) -> Axes:
         """Draw the change of each parameter from nominal over its 95 % half width.
@@ -62,8 +52,8 @@ class Plots:
             if p.high > p.low:
                 values[leg.name][p.name] = p.change / p.half
         axes = draw_bars(_axes_of(ax, 6.4, 3.6), values)
-        _levels(axes, 1.0)
-        axes.set_ylabel("change / half width of 95 % interval")
+        residual_charts.levels(axes, 1.0, "±")
+        axes.set_ylabel(wrapped(words.CHANGE, room(axes)[1]))
         return axes
 
     def error_map(self, ax: Axes | None = None) -> Axes:
@@ -78,15 +68,12 @@ class Plots:
         name = self.result.nominal.name
         charts.refuse_unexplained(self.result)
         if (maps := error_maps(self.result)) is None:
-            why = "no workspace was found to draw errors over x and y"
-            if self.result.nominal.by_readings:
-                why = "its poses follow from readings: errors over x and y are not drawn"
-            raise WorkspaceError(f"{name}: {why}")
+            raise WorkspaceError(words.no_map(name, by_readings=self.result.nominal.by_readings))
         axes, middle = _axes_of(ax, 5.0, 4.2), len(maps.heights) // 2
         image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[middle, ..., 0])
-        axes.figure.colorbar(image, ax=axes, label=f"expected error of position [{SMALL['m']}]")
+        axes.figure.colorbar(image, ax=axes, label=wrapped(words.EXPECTED, room(axes)[1]))
         height = maps.heights[middle]
-        axes.set(xlabel=along("x"), ylabel=along("y"), title=height_said(height))
+        axes.set(xlabel=words.along("x"), ylabel=words.along("y"), title=words.height(height))
         return axes
 
     def correlation(self, ax: Axes | None = None) -> Axes:
@@ -96,23 +83,38 @@ class Plots:
         free = np.flatnonzero(np.isfinite(std) & (std > 0.0))
         rho = covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
         image = axes.imshow(rho, vmin=-1.0, vmax=1.0, cmap="RdBu_r")
-        axes.figure.colorbar(image, ax=axes, label="correlation")
+        axes.figure.colorbar(image, ax=axes, label=words.CORRELATION)
         ids = [p.id for _, p in parameters(self.result)]
         places, names = list(range(len(free))), [ids[i] for i in free]
-        if len(free) > _MANY and len(self.result.legs) > 1:  # legs alone: letters stay large
+        fit = int(min(room(axes)) / PAGE.line_small)  # letters stay large
+        if len(free) > fit and len(self.result.legs) > 1:  # legs alone
             begin = [i for i in places if i == 0 or _owner(names[i]) != _owner(names[i - 1])]
             places, names = begin, [_owner(names[i]) for i in begin]
+        elif len(free) > fit:
+            step = -(-len(free) // fit)
+            places, names = places[::step], names[::step]
         axes.set_xticks(places, names, rotation=90, fontsize=7)
         axes.set_yticks(places, names, fontsize=7)
         return axes
 
     def workspace(self, ax: Axes | None = None) -> Axes:
         """Draw each row's largest residual where it was measured; outliers are ringed."""
-        return charts.over_workspace(_axes_of(ax, 5.0, 4.2), self.result)
+        return residual_charts.over_workspace(_axes_of(ax, 5.0, 4.2), self.result)
 
     def time(self, ax: Axes | None = None) -> Axes:
         """Draw means of residuals over the run, by tenths of the rows: what drifts leaves ±2."""
-        return charts.over_time(_axes_of(ax, 6.4, 3.6), self.result)
+        return residual_charts.over_time(_axes_of(ax, 6.4, 3.6), self.result)
+
+    def images(self, ax: Axes | None = None) -> Axes:
+        """Draw residuals as arrows over the images of cameras, magnified, with their scale.
+
+        Of instruments with an ``image`` (``pincal.Image``), side by side: from each point as seen
+        towards where it is predicted, coloured by the residual over its standard deviation.
+
+        Raises:
+            MeasurementError: no camera measured.
+        """
+        return image_charts.over_images(_axes_of(ax, 6.4, 3.6), self.result)
 
     def singular(self, ax: Axes | None = None) -> Axes:
         """Draw singular values of the identification Jacobian, and name the weakest direction."""
@@ -162,8 +164,8 @@ class Plots:
         most = float(np.nanmax(np.abs(off)))
         image = draw_map(axes, (x, y), off, (-most, most))
         image.set_cmap("RdBu_r")
-        axes.figure.colorbar(image, ax=axes, label=f"z, true less commanded [{SMALL['m']}]")
-        axes.set(xlabel=along("x"), ylabel=along("y"))
+        axes.figure.colorbar(image, ax=axes, label=wrapped(words.BED, room(axes)[1]))
+        axes.set(xlabel=words.along("x"), ylabel=words.along("y"))
         return axes
 
     def drawing(self, ax: Axes | None = None, leg: str = "") -> Axes:
@@ -189,14 +191,9 @@ class Plots:
 
 def _axes_of(ax: Axes | None, width: float, height: float) -> Axes:
     """Return axes to draw into, of a new figure if none are given, [inch]."""
-    return ax or Figure(figsize=(width, height), layout="constrained").subplots()
+    return ax or Figure(figsize=(width, height), layout="compressed").subplots()
 
 
 def _owner(identity: str) -> str:
     """Return whose a parameter is, of its id."""
     return identity.rpartition(".")[0]
-
-
-def _levels(axes: Axes, size: float) -> None:
-    for level in (-size, 0.0, size):
-        axes.axhline(level, color="0.5", lw=0.8, ls="--" if level else "-", zorder=0)

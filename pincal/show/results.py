@@ -17,6 +17,8 @@ from pincal.words.results import noise
 from pincal.words.sentences import WORDINGS, sentence
 
 Array = NDArray[np.float64]
+#: Redundancy up to which a residual is what the fit made of it, and says nothing of the noise.
+CONTROLLED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,23 @@ class Series:
     """With nominal parameters, at the poses that suit these best where poses are unknowns."""
     after: Array
     sigma: Array
+    """Of the noise."""
     of_leg: bool
+    redundancy: Array | None = None
+    """Variance after the fit over that of the noise, 1 − h; None of results saved before that was
+    kept."""
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviation after the fit, σ√(1−h); that of the noise if h is not known."""
+        return self.sigma if self.redundancy is None else self.sigma * np.sqrt(self.redundancy)
+
+    @property
+    def standardised(self) -> Array:
+        """Residuals after the fit over their standard deviations; NaN where nothing checks one."""
+        least = np.sqrt(CONTROLLED) * self.sigma
+        checked = (self.spread > least) & (self.sigma > 0.0)
+        return np.where(checked, self.after, np.nan) / np.where(checked, self.spread, 1.0)
 
     @property
     def rms(self) -> tuple[float, float, float]:
@@ -53,7 +71,7 @@ def observed_series(result: CalibrationResult) -> list[Series]:
 
 def _series(one: LegResult | Observed, sigma: Array) -> Series:
     own = one.rows, one.residuals_before, one.residuals, sigma
-    return Series(one.name, one.unit, *own, of_leg=isinstance(one, LegResult))
+    return Series(one.name, one.unit, *own, isinstance(one, LegResult), one.redundancy)
 
 
 def noisy_series(result: CalibrationResult) -> list[Series]:

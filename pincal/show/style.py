@@ -78,6 +78,10 @@ class PageStyle:
     """Around a figure's panels, [inch]."""
     letter: float = 0.075
     """Width of a letter in a legend, [inch]."""
+    small: float = 0.065
+    """Width of a letter of labels, [inch]."""
+    line_small: float = 0.115
+    """Height of a line of names along an axis, [inch]."""
     line: float = 0.2
     """Height of a line of a legend, [inch]."""
     many: int = 1500
@@ -142,6 +146,11 @@ class Look(NamedTuple):
 def look(index: int) -> Look:
     """Return the look of a leg or set by its number."""
     return Look(*(own[index % len(own)] for own in (LEGS, MARKERS, HATCHES)))
+
+
+def other_look(index: int) -> Look:
+    """Return the look of a coordinate or a run by its number: no colour of a leg, but a marker."""
+    return Look(DIMENSION, MARKERS[index % len(MARKERS)], HATCHES[index % len(HATCHES)])
 
 
 def shades(shares: NDArray[np.float64]) -> NDArray[np.float64]:

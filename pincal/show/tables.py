@@ -15,7 +15,7 @@ from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
-from pincal.show.summary import drift_lines, forecast_lines, scale_line
+from pincal.show.forecast_summary import drift_lines, forecast_lines, scale_line
 from pincal.words.numbers import STORED
 from pincal.words.selection import mapped_diagonals
 from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty, UnitOf, Value, columns

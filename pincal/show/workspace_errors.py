@@ -18,6 +18,7 @@ from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.kinematics.configurations import as_plan
 from pincal.model.measuring.measurements import Plan
+from pincal.model.mechanism import Mechanism
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
@@ -148,11 +149,19 @@ def errors_at(
     result: CalibrationResult, planned: Plan | Array, *, sampled: bool = True
 ) -> WorkspaceErrors:
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
-    nominal, plan = result.begun, as_plan(result.nominal, planned)
-    moved = platform_errors(nominal, result.identified, plan)
+    plan = as_plan(result.nominal, planned)
+    before = sizes(result.nominal.platform.units, moved_apart(result, result.begun, plan))
+    return WorkspaceErrors(plan.poses, before, result.expected_error(plan), sampled)
+
+
+def moved_apart(result: CalibrationResult, machine: Mechanism, plan: Plan) -> Array:
+    """Return where the identified machine goes less where another sends it, shape (N, dof).
+
+    Less what motions of frames explain that were fixed by choice; NaN out of reach.
+    """
+    moved = platform_errors(machine, result.identified, plan)
     both = np.isfinite(moved).all(axis=1)
     moved[both] = without_frames(
         result.identified, plan.poses[both], moved[both, :, None], result.frames_moved
     )[:, :, 0]
-    before = sizes(nominal.platform.units, moved)
-    return WorkspaceErrors(plan.poses, before, result.expected_error(plan), sampled)
+    return moved

@@ -167,6 +167,11 @@ def measured(value: float, half: float, unit: str = "1", units: Mapping[str, str
     return f"{fixed(value, half, unit, units)}{sure} {units[unit]}".strip()
 
 
+def minus(text: str) -> str:
+    """Return numbers with signs as they are printed: a minus, not a hyphen."""
+    return text.replace("-", "−")
+
+
 def uneven(down: float, up: float) -> bool:
     """Return whether an interval goes farther to one side than to the other, by what is shown."""
     return not (isfinite(down) and isfinite(up) and abs(up - down) <= _EVEN * (up + down))

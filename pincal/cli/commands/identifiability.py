@@ -15,7 +15,7 @@ from pincal.design.forecast import forecast
 from pincal.design.instrument_scale import scale_effect
 from pincal.files.tables.measurements import read_poses
 from pincal.kinematics.configurations import as_plan, check_reached
-from pincal.show.summary import drift_answer, poses_line, scale_answer
+from pincal.show.forecast_summary import drift_answer, poses_line, scale_answer
 from pincal.show.tables import forecast_table
 from pincal.words.numbers import reading_in
 from pincal.workspace.sampling import sample_configurations

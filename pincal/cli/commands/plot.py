@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,7 @@ import typer
 from pincal.calibration.result_files import load_result
 from pincal.cli.app import Force, command, output_option, working, wrote
 from pincal.files.output import refuse_existing
+from pincal.show.style import COLUMN, PAGE_WIDTH
 
 
 class Kind(StrEnum):
@@ -34,8 +36,8 @@ class Kind(StrEnum):
 class Width(StrEnum):
     """Width of a figure, [mm]."""
 
-    column = "80"
-    page = "170"
+    column = f"{COLUMN:g}"
+    page = f"{PAGE_WIDTH:g}"
 
 
 @command()
@@ -46,8 +48,9 @@ def plot(
     kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(Kind)}.")],
     output: Annotated[Path, output_option("FILE.svg|pdf|png", "The figure.")],
     width: Annotated[
-        Width, typer.Option(help="In mm: one column, or across the page.")
-    ] = Width.page,
+        Width | None,
+        typer.Option(help="In mm: one column, or across the page, as if not given."),
+    ] = None,
     leg: Annotated[
         str, typer.Option(metavar="LEG", help="Whose drawing; the first leg's if not given.")
     ] = "",
@@ -71,14 +74,16 @@ def plot(
     found = load_result(result)
     if leg and kind is not Kind.drawing:
         raise typer.BadParameter("--leg is for the kind 'drawing'")
+    if width and kind is Kind.drawing:
+        raise typer.BadParameter("--width is for other kinds: a drawing is a page of A4")
     with working("drawing"):
         if kind is Kind.drawing:
-            figure = sheet(found, leg)
+            figure = sheet(found, leg, datetime.now().astimezone().strftime("%Y-%m-%d"))
         else:
-            inches = float(width) / 25.4
-            height = max(0.62 * inches, 2.4)
+            inches = float(width or Width.page) / 25.4
+            height = max(0.62 * inches, 3.6 if kind is Kind.platform else 2.4)
             with drawing():
-                figure = Figure(figsize=(inches, height), layout="constrained")
+                figure = Figure(figsize=(inches, height), layout="compressed")
                 getattr(found.plot, kind)(figure.subplots())
         save_figure(figure, output, force=force, whole=True)
     wrote(output)

@@ -35,7 +35,7 @@ from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.summary import drift_answer, drift_lines
+from pincal.show.forecast_summary import drift_answer, drift_lines
 from pincal.show.tables import choice_table, selection_table
 from pincal.words.table import Table
 from pincal.workspace.sampling import sample_configurations, sample_workspace

@@ -25,6 +25,8 @@ class LegResiduals:
     """m of closures, that of the readings otherwise."""
     quantity: str
     """``"closure"`` or ``"reading"``."""
+    follows: Array
+    """Derivatives by the conditions at each pose, shape (N, k, n_conditions)."""
 
 
 def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
@@ -37,13 +39,18 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     demand = linear.stack.demands[index]
     condition, own = problem.conditions[index], problem.reading_columns[index]
     by_reading = demand.reading * problem.sigma_readings[:, None, own]
+    rows = problem.leg_rows[index]
+    follows = np.zeros((len(demand.value), demand.value.shape[1], linear.stack.value.shape[1]))
+    follows[:, :, rows] = np.eye(demand.value.shape[1])
     if problem.pose_roots is not None:
         noise = np.concatenate((by_reading, demand.pose @ problem.pose_roots), axis=2)
         what = ("m", "closure") if problem.weighted else (condition.reading_unit, "reading")
-        return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), *what)
+        return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), *what, follows)
     if problem.sigma_readings[:, own].any() and demand.value.shape[1] == 1:
         sigma = problem.sigma_readings[:, own]
-        return LegResiduals(demand.as_joint().value, sigma, condition.reading_unit, "reading")
+        follows[:, :, rows] = 1.0 / demand.reading
+        value = demand.as_joint().value
+        return LegResiduals(value, sigma, condition.reading_unit, "reading", follows)
     n_legs = problem.leg_rows[-1].stop
     h, B = linear.stack.value[:, n_legs:], linear.stack.pose[:, n_legs:]
     whole = problem.observation.measured.sum(axis=1) >= problem.platform.dof
@@ -51,4 +58,5 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     moved = demand.pose @ back  # from what was measured to the estimated pose
     noise = np.concatenate((by_reading, moved @ problem.observed_roots), axis=2)
     value = demand.value - (moved @ h[:, :, None])[:, :, 0]
-    return LegResiduals(value, np.linalg.norm(noise, axis=2), "m", "closure")
+    follows[:, :, n_legs:] = -moved
+    return LegResiduals(value, np.linalg.norm(noise, axis=2), "m", "closure", follows)

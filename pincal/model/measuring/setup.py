@@ -14,6 +14,7 @@ from typing import Any
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import array_of, must_be
+from pincal.model.measuring.image import Camera
 from pincal.model.measuring.instrument import Instrument
 from pincal.model.measuring.uncertainty import POLAR, Systematic, Tracker
 from pincal.model.mechanism import Mechanism
@@ -130,6 +131,13 @@ class Setup:
                     raise MeasurementError(
                         f"column {column!r} of instrument {one.name!r} is in {unit!r}; expected m "
                         "or rad"
+                    )
+            if isinstance(one, Camera):
+                seen = {c for pair in one.image.points.values() for c in pair}
+                if unknown := sorted(seen - set(one.columns)):
+                    raise MeasurementError(
+                        f"the image of instrument {one.name!r} has a column {unknown[0]!r}; "
+                        f"expected its own: {listed(one.columns)}"
                     )
             for parameter in one.parameters:
                 if parameter.owner != one.name:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
@@ -12,34 +13,26 @@ from pincal.calibration.result import CalibrationResult
 from pincal.design.information import information_rows
 from pincal.design.platform_error import without_frames
 from pincal.design.selection.accuracy_bound import accurate_design
-from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.kinematics.configurations import legs_at
 from pincal.model.measuring.measurements import Noise, Plan
-from pincal.show.results import directions, noisy_series, parameters
-from pincal.show.style import EVERY, IDENTIFIED, MARKERS, NOMINAL, OUTLIER, look
-from pincal.words.numbers import SMALL, STORED, per_si
+from pincal.show.pictures.parts import NORMAL, label, marks, name_places, outside, room, wrapped
+from pincal.show.results import directions, parameters
+from pincal.show.style import EVERY, IDENTIFIED, MARKERS, NOMINAL
+from pincal.show.workspace_errors import moved_apart
+from pincal.words import plots as words
+from pincal.words.numbers import per_si
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
 Array = NDArray[np.float64]
 _SAMPLES = 300  # of the workspace
 _STEPS = 12  # numbers of poses
-_ROWS = 12  # that are named
 _NAMED = 3  # parameters of a direction
 _ACROSS = 31  # cells of a bed
 _SAME = 0.02  # by which the error of all rows may differ from the result's own
-_BARS = 25  # parameters beside each other
-
-
-def worst_of_rows(result: CalibrationResult) -> Array:
-    """Return the largest residual of each row in standard deviations, NaN where none is noisy."""
-    worst = np.full(len(result.measurements), np.nan)
-    for one in noisy_series(result):
-        noisy = one.sigma > 0.0
-        np.fmax.at(worst, one.rows[noisy], np.abs(one.after[noisy] / one.sigma[noisy]))
-    return worst
+_BAR = 0.125  # height of a bar with its name, [inch]
 
 
 def refuse_unexplained(result: CalibrationResult) -> None:
@@ -49,63 +42,7 @@ def refuse_unexplained(result: CalibrationResult) -> None:
         MeasurementError: residuals contradict the noise given.
     """
     if not result.explained:
-        raise MeasurementError(
-            f"{result.nominal.name}: residuals are {result.excess:.3g} times as large as the noise "
-            "given makes them, so no accuracy can be promised and none is drawn"
-        )
-
-
-def say_rejected(axes: Axes, result: CalibrationResult) -> None:
-    """Name the rows that were rejected, of which no residual is drawn."""
-    worst = worst_of_rows(result)
-    rows = [one.row for one in result.outliers if not np.isfinite(worst[one.row])]
-    if rows:
-        some = ", ".join(str(row + 1) for row in sorted(set(rows))[:_ROWS])
-        more = " …" if len(set(rows)) > _ROWS else ""
-        axes.set_title(f"rejected, not drawn: rows {some}{more}", fontsize=8)
-
-
-def over_workspace(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw the largest residual of each row where it was measured, x and y; outliers ringed."""
-    worst, at = worst_of_rows(result), per_si("m", STORED) * result.poses[:, :2]
-    known = np.isfinite(worst) & np.isfinite(at).all(axis=1)
-    x, y = at[known].T
-    drawn = axes.scatter(x, y, c=worst[known], s=26, cmap="cividis_r", vmin=0.0, vmax=4.0, lw=0)
-    bar = axes.figure.colorbar(drawn, ax=axes, extend="max")
-    bar.set_label("largest residual of the row [σ]")
-    own = [one.row for one in result.outliers if one.row < len(at)]
-    if own:
-        axes.plot(*at[own].T, "o", ms=9, mfc="none", mec=OUTLIER, mew=1.3, label="outlier")
-        axes.legend()
-    say_rejected(axes, result)
-    axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]", aspect="equal")
-    return axes
-
-
-def over_time(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw the means of residuals over the run, in their standard errors, by tenths of the rows.
-
-    Within ±2 nothing drifts. Over the column ``time`` if measurements have one.
-    """
-    rows = np.arange(len(result.measurements), dtype=np.float64)
-    column = dict(result.measurements.influences or {}).get("time")
-    when = rows + 1.0 if column is None else np.asarray(column, dtype=np.float64)
-    for index, one in enumerate(noisy_series(result)):
-        noisy = one.sigma > 0.0
-        order = np.argsort(when[one.rows[noisy]], kind="stable")
-        white = (one.after[noisy] / one.sigma[noisy])[order]
-        at = when[one.rows[noisy]][order]
-        parts = [part for part in np.array_split(np.arange(len(white)), 10) if len(part)]
-        own = look(index)
-        means = [white[part].sum() / np.sqrt(len(part)) for part in parts]
-        middle = [at[part].mean() for part in parts]
-        axes.plot(middle, means, own.marker + "-", color=own.colour, ms=4, lw=1, label=one.name)
-    axes.axhspan(-1.96, 1.96, color="0.92", zorder=0)
-    axes.axhline(0.0, color="0.5", lw=0.8)
-    axes.set(xlabel="data row" if column is None else "time", ylabel="mean residual / its σ")
-    say_rejected(axes, result)
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
-    return axes
+        raise MeasurementError(words.unexplained(result.nominal.name, result.excess))
 
 
 def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
@@ -116,11 +53,11 @@ def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
     _plain(axes.yaxis)
     weakest = found.vectors[:, -1]
     most = np.argsort(-np.abs(weakest), kind="stable")[:_NAMED]
-    terms = [f"{weakest[i]:+.2f} {found.ids[i]}".replace("-", "−") for i in most]
-    axes.set_title("weakest: " + "  ".join(terms), fontsize=7)
+    said = words.weakest([(float(weakest[i]), found.ids[i]) for i in most])
+    axes.set_title(wrapped(said, room(axes)[0]), fontsize=7)
     lost = len(found.ids) - len(found.values)
-    more = f" ({lost} more are fixed by choice)" if lost else ""
-    axes.set(xlabel=f"direction{more}", ylabel="singular value (columns scaled)")
+    axes.set(xlabel=words.directions(lost), ylabel=wrapped(words.SINGULAR, room(axes)[1]))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     return axes
 
 
@@ -133,25 +70,22 @@ def step_by_step(axes: Axes, result: CalibrationResult) -> Axes:
         MeasurementError: a result that was saved before steps were kept.
     """
     if not result.costs:
-        raise MeasurementError(
-            f"{result.nominal.name}: this result does not hold the steps of its search; calibrate "
-            "again"
-        )
+        raise MeasurementError(words.no_steps(result.nominal.name))
     alone = len(result.costs) == 1
     names = [leg.name for leg in result.legs]
-    if len(names) != len(result.costs):
-        names = [f"fit {number}" for number in range(1, len(result.costs) + 1)]
+    of_leg = len(names) == len(result.costs)
+    if not of_leg:
+        names = [words.fit(number) for number in range(1, len(result.costs) + 1)]
     for index, (name, costs) in enumerate(zip(names, result.costs, strict=True)):
-        own = look(index)
-        colour, steps = (IDENTIFIED if alone else own.colour), np.arange(len(costs))
-        axes.plot(steps, np.sqrt(costs), own.marker + "-", color=colour, ms=4, lw=1, label=name)
+        own = marks(index, of_leg=of_leg) | ({"color": IDENTIFIED} if alone else {})
+        axes.plot(np.arange(len(costs)), np.sqrt(costs), **own, ms=4, lw=1, label=label(name))
     axes.set_yscale("log")
     axes.axhline(1.0, color="0.5", lw=0.8, ls="--", zorder=0)
     _plain(axes.yaxis)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axes.set(xlabel="step of the search", ylabel="residuals, root mean square [σ]")
+    axes.set(xlabel=words.STEP, ylabel=wrapped(words.COST, room(axes)[1]))
     if not alone:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+        outside(axes)
     return axes
 
 
@@ -176,21 +110,16 @@ def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
             numbers.append(count)
             errors.append(float(np.sqrt((half * C).sum())))
     if not errors or abs(errors[-1] / own - 1.0) > _SAME:
-        raise MeasurementError(
-            f"{result.nominal.name}: more than the rows and their noise made this result (priors, "
-            "legs alone, a loss), so what fewer rows would give is not drawn"
-        )
+        raise MeasurementError(words.not_rows_alone(result.nominal.name))
     scale = per_si("m")
     least = np.sqrt(accurate_design(rows, C).least / counts)
     first = numbers[0] - 1
-    axes.loglog(
-        numbers, scale * np.array(errors), "o-", color=IDENTIFIED, ms=4, label="first n rows"
-    )
-    axes.loglog(counts[first:], scale * least[first:], "--", color=EVERY, lw=1, label="bound")
+    axes.loglog(numbers, scale * np.array(errors), "o-", color=IDENTIFIED, ms=4, label=words.FIRST)
+    axes.loglog(counts[first:], scale * least[first:], "--", color=EVERY, lw=1, label=words.BOUND)
     _plain(axes.yaxis)
     axes.set_xticks([one for one in numbers if one >= 1.25 * numbers[0] or one == numbers[0]][::3])
     _plain(axes.xaxis)
-    axes.set(xlabel="poses n", ylabel=f"expected error of position [{SMALL['m']}]")
+    axes.set(xlabel=words.POSES, ylabel=wrapped(words.EXPECTED, room(axes)[1]))
     axes.legend()
     return axes
 
@@ -210,9 +139,7 @@ def _information(result: CalibrationResult) -> tuple[Array, Array, float]:
     """
     machine, noise = result.identified, result.noise
     if not isinstance(noise, Noise):
-        raise MeasurementError(
-            f"{machine.name}: noise differs between rows; expected one noise for all of them"
-        )
+        raise MeasurementError(words.uneven_noise(machine.name))
     readings = result.measurements.readings if machine.by_readings else None
     found = legs_at(machine, Plan(result.poses, readings=readings))
     rows = information_rows(machine, found, noise, None, result.options.setup).rows
@@ -248,7 +175,8 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     every = [p for _, p in parameters(result)]
     own = [(p, one) for p, one in zip(every, per.tolist(), strict=True) if p.high > p.low]
     own.sort(key=lambda one: abs(one[0].change) * one[1])
-    count, own = len(own), own[-_BARS:]
+    count, most = len(own), int(room(axes)[1] / _BAR)
+    own = own[-most:]
     places, scale = np.arange(len(own)), per_si("m")
     changes = np.array([scale * one * abs(p.change) for p, one in own])
     halves = np.array([scale * one * p.half for p, one in own])
@@ -258,10 +186,12 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     ends = np.minimum(halves, changes), halves
     axes.errorbar(changes, places, xerr=ends, fmt="none", ecolor=EVERY, elinewidth=0.8, capsize=2)
     axes.set_yticks(places, [p.id for p, _ in own], fontsize=7)
-    axes.set_xlabel(f"moves the platform by [{SMALL['m']}]; grey: change within its ±")
+    axes.set_xlabel(words.MOVED)
+    keys = ((IDENTIFIED, words.CLEAR), (NOMINAL, words.WITHIN))
+    axes.legend(handles=[Patch(color=one, label=said) for one, said in keys], loc="lower right")
     axes.set_xlim(left=0.0)
     if count > len(own):
-        axes.set_title(f"the {len(own)} largest of {count}", fontsize=8)
+        axes.set_title(words.some_of(len(own), count), fontsize=8)
     return axes
 
 
@@ -272,38 +202,34 @@ def runs_compared(axes: Axes, result: CalibrationResult) -> Axes:
         MeasurementError: runs were not compared.
     """
     if (runs := result.runs) is None:
-        raise MeasurementError(
-            f"{result.nominal.name}: no runs were compared; measurements need "
-            "several runs, and result.compared() compares them"
-        )
+        raise MeasurementError(words.no_runs(result.nominal.name))
     known = runs.predicted > 0.0
     share = np.sqrt(1.0 - 1.0 / len(runs.values))  # a run is in the mean, too
     off = (runs.values - runs.values.mean(axis=0))[:, known] / (share * runs.predicted[known])
     places = np.arange(off.shape[1])
     for index, (name, own) in enumerate(zip(runs.runs, off, strict=True)):
-        mark = look(index)
-        axes.plot(places, own, mark.marker, color=mark.colour, ms=4, label=name)
-    axes.axhspan(-1.96, 1.96, color="0.92", zorder=0)
-    names = [name for name, one in zip(runs.names, known, strict=True) if one]
-    axes.set_xticks(places, names, rotation=90, fontsize=7)
-    axes.set_ylabel("run less mean [its σ]")
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+        axes.plot(places, own, **marks(index, of_leg=False), ls="", ms=4, label=label(name))
+    axes.axhspan(-NORMAL, NORMAL, color="0.92", zorder=0, label=words.NORMAL)
+    name_places(axes, [name for name, one in zip(runs.names, known, strict=True) if one])
+    axes.set_ylabel(wrapped(words.RUN, room(axes)[1]))
+    outside(axes)
     return axes
 
 
 def bed_heights(result: CalibrationResult) -> tuple[Array, Array, Array]:
     """Return x, y and by how much the nominal model misses z over the bed, (n,), (n,), (n, n), [m].
 
-    NaN outside of the workspace. The height is home's, that at which printers probe.
+    NaN outside of the workspace. The height is home's, that at which printers probe. Where frames
+    were fixed by choice, less what motions of these explain.
 
     Raises:
         WorkspaceError: a machine without x, y and z, or no workspace at that height.
     """
     machine, platform = result.begun, result.nominal.platform
     if platform.coordinates[:3] != ("x", "y", "z"):
-        raise WorkspaceError(f"{machine.name}: a bed needs a platform that moves in x, y and z")
+        raise WorkspaceError(words.no_bed(machine.name, "axes"))
     if machine.by_readings:
-        raise WorkspaceError(f"{machine.name}: its poses follow from readings, so no bed is drawn")
+        raise WorkspaceError(words.no_bed(machine.name, "readings"))
     samples = sample_configurations(result.nominal, 1000).poses
     low, high = samples.min(axis=0), samples.max(axis=0)
     x, y = (np.linspace(low[i], high[i], _ACROSS) for i in (0, 1))
@@ -312,7 +238,7 @@ def bed_heights(result: CalibrationResult) -> tuple[Array, Array, Array]:
     flat = poses.reshape(-1, platform.dof)
     inside = in_workspace(result.nominal, flat)
     if not inside.any():
-        raise WorkspaceError(f"{machine.name}: no workspace at the height of home")
+        raise WorkspaceError(words.no_bed(machine.name, "height"))
     heights = np.full(len(flat), np.nan)
-    heights[inside] = platform_errors(machine, result.identified, Plan(flat[inside]))[:, 2]
+    heights[inside] = moved_apart(result, machine, Plan(flat[inside]))[:, 2]
     return x, y, heights.reshape(_ACROSS, _ACROSS)

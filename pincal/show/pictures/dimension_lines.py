@@ -18,6 +18,7 @@ from pincal.words.pages import clean
 Array = NDArray[np.float64]
 #: Before a parameter's name in the id of its line.
 MARK = "dimension-"
+_TOGETHER = 3  # names of one place that are written out
 _GREEK = re.compile(
     "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|pi|rho|sigma|tau|phi|chi"
     "|psi|omega"
@@ -63,14 +64,19 @@ def draw_dimensions(
     middle = hidden.mean(axis=0)
     lines = [
         _drawn(axes, one, V, (height, colour), middle)
+        if one.kind != "zero"
+        else _marked(axes, one, V, colours or {})
         for (_, one), colour in zip(found, own, strict=True)
     ]
     seen = np.concatenate([hidden, *map(_sampled, lines)])
     boxes = [text_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
     for (leg, one), line in zip(found, lines, strict=True):
-        text = ", ".join(symbol(name, leg) for name in one.names)
+        names = [symbol(name, leg) for name in one.names]
+        names = [names[0], "…", names[-1]] if len(names) > _TOGETHER else names
+        text = ", ".join(names)
         if one.kind == "reading":
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
+        text += " = 0" * (one.kind == "zero")
         half = 0.5 * height * np.array((PICTURE.letter * (_letters(text) + 0.8), 1.4))
         where = _free(line, half, seen, boxes)
         room = half + 0.3 * height  # names that touch read as one
@@ -148,6 +154,17 @@ def _drawn(axes: Axes, one: Dimension, V: Array, look: tuple[float, str], middle
         _arrow(axes, line[-1], line[-2], look)
         if one.corner is None:
             _arrow(axes, line[0], line[1], look)
+    return line
+
+
+def _marked(axes: Axes, one: Dimension, V: Array, colours: Mapping[str, str]) -> Array:
+    """Draw where parameters are that are zero, one mark in the other; return it as a line."""
+    line = one.line @ V[:2].T
+    for rank, name in enumerate(one.names):
+        colour, size = colours.get(name, DIMENSION), 4.0 + 2.5 * (len(one.names) - 1 - rank)
+        (mark,) = axes.plot(*line[0], "D", ms=size, color=colour, mec="white", mew=0.6, zorder=8)
+        if name in colours:
+            mark.set_gid(MARK + name)  # found by linked pages
     return line
 
 

@@ -33,7 +33,8 @@ class Dimension:
 
     names: tuple[str, ...]
     """Of the parameter; of a reading that of its gain, if it has one."""
-    kind: Literal["length", "angle", "reading", "offset"]
+    kind: Literal["length", "angle", "reading", "offset", "zero"]
+    """``"zero"``: lengths and angles of one place that have no extent."""
     line: Array
     """Points along it, from where it is measured, shape (n, 3), base frame, [m]."""
     corner: Array | None = None

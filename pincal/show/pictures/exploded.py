@@ -51,7 +51,9 @@ def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> 
         colours: Of dimensions, by the names of parameters.
     """
     V, apart = axes_of_view(scene.planar), shifts(scene, leg)
-    found = [(index, _moved(one, apart)) for index, one in dimensions_at(scene, 0, [leg])]
+    found = [
+        (index, _moved(one, apart)) for index, one in dimensions_at(scene, 0, [leg], zeros=True)
+    ]
     faint, own = _shapes(scene, leg, apart)
     frames = [(shape, np.eye(4)) for shape in frame_axes(scene)]
     corners = [_corners(shape, place) for shape, place in (*faint, *own, *frames)]

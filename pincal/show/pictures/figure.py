@@ -38,7 +38,7 @@ from pincal.show.view.found import Instrument
 from pincal.show.view.marks import stand
 from pincal.show.view.scene import Scene, frame_axes, grid_step, ground
 from pincal.show.view.solids import Shape
-from pincal.words.numbers import amount, counted
+from pincal.words.numbers import amount, counted, minus
 from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
@@ -138,8 +138,13 @@ def _instrument(axes: Axes, scene: Scene, instrument: Instrument, V: Array, edge
     return _dot(DIMENSION, "tracker, and its frame")
 
 
-def dimensions_at(scene: Scene, row: int, legs: Sequence[str]) -> list[tuple[str, Dimension]]:
-    """Return the parameters of legs as dimensions, each with its leg where they are several."""
+def dimensions_at(
+    scene: Scene, row: int, legs: Sequence[str], *, zeros: bool = False
+) -> list[tuple[str, Dimension]]:
+    """Return the parameters of legs as dimensions, each with its leg where they are several.
+
+    Those that are zero only if asked for, of one place together.
+    """
     mechanism, poses = scene.mechanism, scene.plan.poses[[row]]
     if not legs:
         return []
@@ -154,7 +159,22 @@ def dimensions_at(scene: Scene, row: int, legs: Sequence[str]) -> list[tuple[str
         own = dimensions_of(closure, joints[name][0], T_base_platform, size)
         index = name if len(legs) > 1 else ""
         found += [(index, one) for one in own if one.extent > EXACT * size]
+        if zeros:
+            found += [(index, one) for one in _together(own, EXACT * size)]
     return found
+
+
+def _together(dimensions: Sequence[Dimension], least: float) -> list[Dimension]:
+    """Return parameters without extent, those that are of one part and place as one."""
+    places: dict[tuple[str, bytes], Dimension] = {}
+    for one in dimensions:
+        if one.extent <= least and one.names and one.kind in ("length", "angle"):
+            place = one.line[:1] if one.corner is None else one.corner[None]
+            at = (one.part, (place / least).round(-3).tobytes())
+            before = places.get(at)
+            names = (*before.names, *one.names) if before else one.names
+            places[at] = Dimension(names, "zero", np.repeat(place, 2, axis=0), part=one.part)
+    return list(places.values())
 
 
 def _dimension(
@@ -187,7 +207,7 @@ def _dimension(
 def _drawn(value: float, unit: str) -> str:
     """Return a dimension as drawings give it, in mm or degrees."""
     text = f"{np.degrees(value):.5g}°" if unit == "rad" else amount(value, unit, 6)
-    return text.replace("-", "−")
+    return minus(text)
 
 
 def _dot(colour: str, label: str, marker: str = "o") -> Line2D:

@@ -199,6 +199,10 @@ def _inline(svg: bytes) -> Any:
                 name != "id" or value in used or value.startswith("dimension-")
             ):
                 element.set(name, "".join(value.split()) if value[:5] == "data:" else value)
+        if (ground := element.attrib.pop("fill", "")) and ground != "none":  # behind a hatch
+            element.set("style", f"fill: {ground}; {element.get('style', '')}")
+        elif ground:
+            element.set("fill", ground)
         if "style" in element.attrib:
             element.set("style", _COLOUR.sub(_themed, element.get("style", "")))
     etree.cleanup_namespaces(root)

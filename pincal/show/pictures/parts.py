@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,19 @@ from pincal.kinematics.inverse import inverse
 from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look
-from pincal.words.numbers import STORED, amount, per_si
+from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look, other_look
+from pincal.words.numbers import STORED, per_si
+from pincal.words.plots import along
 
 Array = NDArray[np.float64]
+#: Standard deviations within which 95 of 100 normal numbers lie.
+NORMAL = 1.96
+#: Of lines over a map, which is as light on dark ground: no colour that pages change there.
+_LINES = "#101010"
+#: Entries of a legend from which it is set closely.
+_LONG = 8
+#: Of a figure, that its axes are wide beside a legend.
+_BESIDE = 0.75
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 
@@ -56,9 +66,14 @@ def draw_map(
     levels = np.quantile(known, (0.25, 0.5, 0.75)) if known.size else np.zeros(3)
     if (np.diff(levels) > 1e-6 * levels[-1]).all():
         masked = np.ma.masked_invalid(values)
-        lines = axes.contour(x, y, masked, levels, colors="black", linewidths=0.7)
-        axes.clabel(lines, fmt="%.2g", fontsize=7)
+        lines = axes.contour(x, y, masked, levels, colors=_LINES, linewidths=0.7)
+        axes.clabel(lines, fmt=f"%.{_places(np.diff(levels).min())}f", fontsize=7)
     return image
+
+
+def _places(step: float) -> int:
+    """Return how many decimal places numbers need to differ that are a step apart."""
+    return max(0, int(np.ceil(-np.log10(step))))
 
 
 def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
@@ -115,14 +130,11 @@ def draw_poses(
     axes.set(xlabel=along("xyz"[seen[0]]), ylabel=along("xyz"[seen[1]]))
 
 
-def along(axis: str) -> str:
-    """Return what names an axis of the base frame, with its unit."""
-    return f"{axis} [{STORED['m']}]"
-
-
-def height_said(height: float | None) -> str:
-    """Return at which z something is drawn, [m]; nothing where there is no z."""
-    return "" if height is None else f"z = {amount(height, 'm', 3, STORED)}"
+def marks(index: int, *, of_leg: bool) -> dict[str, Any]:
+    """Return the marker of a series of points: of a leg by its colour, of others by filling."""
+    own = look(index) if of_leg else other_look(index)
+    filled: dict[str, Any] = {} if of_leg or index % 2 == 0 else {"mfc": "none"}
+    return {"marker": own.marker, "color": own.colour, **filled}
 
 
 def draw_bars(
@@ -151,30 +163,50 @@ def draw_bars(
 
 
 def outside(axes: Axes) -> None:
-    """Put the legend beside the axes, where it hides nothing."""
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=8)
+    """Put the legend beside the axes, where it hides nothing, closely set where it is long."""
+    many = len(axes.get_legend_handles_labels()[1]) > _LONG
+    close: dict[str, Any] = {"fontsize": 7, "labelspacing": 0.15} if many else {"fontsize": 8}
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, **close)
+
+
+def room(axes: Axes) -> tuple[float, float]:
+    """Return about how wide and high axes will be beside their labels, [inch]."""
+    figure, place = axes.get_figure(root=True), axes.get_position()
+    size = figure.get_size_inches() if figure else (PAGE.width, PAGE.height)
+    return float(size[0] * place.width), float(size[1] * place.height)
+
+
+def wrapped(text: str, inches: float) -> str:
+    """Return a label in as many lines as it needs in a length; no-break spaces stay whole."""
+    line = max(int(inches / PAGE.small), 12)
+    return "\n".join(wrap(text, line, break_long_words=False, break_on_hyphens=False))
 
 
 def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> None:
     """Write names below places 0, 1, … of an axis, upright where they are many."""
-    axes.set_xticks(range(len(names)), _named(names, units))
-    if _upright(names):
+    figure = axes.get_figure(root=True)
+    width = min(PAGE.width, figure.get_figwidth() if figure else PAGE.width)
+    step = int(np.ceil(len(names) * PAGE.line_small / (_BESIDE * width)))  # letters stay large
+    axes.set_xticks(range(0, len(names), step), _named(names, units, width)[::step])
+    if _upright(names, width):
         axes.tick_params(axis="x", labelrotation=90, labelsize=7)
 
 
 def height_of_names(names: Sequence[str], units: Sequence[str] = ()) -> float:
-    """Return how much room ``name_places`` takes below an axis, [inch]."""
-    if not _upright(names):
+    """Return how much room ``name_places`` takes below an axis across a page, [inch]."""
+    if not _upright(names, PAGE.width):
         return PAGE.margins["bottom"]
-    return 0.2 + 0.7 * PAGE.letter * max(map(len, _named(names, units)))
+    return 0.2 + 0.7 * PAGE.letter * max(map(len, _named(names, units, PAGE.width)))
 
 
-def _upright(names: Sequence[str]) -> bool:
-    return len(names) > 2 * PAGE.width  # less than half an inch for each
+def _upright(names: Sequence[str], width: float) -> bool:
+    """Return whether names side by side would touch, in a figure of a width, [inch]."""
+    side_by_side = len(names) * PAGE.small * (1 + max(map(len, names), default=0))
+    return len(names) > 2 * width or side_by_side > _BESIDE * width
 
 
-def _named(names: Sequence[str], units: Sequence[str]) -> list[str]:
-    between = " " if _upright(names) else "\n"
+def _named(names: Sequence[str], units: Sequence[str], width: float) -> list[str]:
+    between = " " if _upright(names, width) else "\n"
     labels = [f"{name}{between}[{unit}]" for name, unit in zip(names, units, strict=False)]
     return labels or list(names)
 

@@ -21,9 +21,12 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.pictures.dimension_lines import symbol
 from pincal.show.pictures.exploded import draw_leg
 from pincal.show.pictures.files import drawing
+from pincal.show.pictures.parts import wrapped
+from pincal.show.report import facts
 from pincal.show.style import IDENTIFIED, INK, NOMINAL, PAGE_WIDTH
 from pincal.show.view.scene import scene
-from pincal.words.numbers import measured
+from pincal.words import plots as words
+from pincal.words.numbers import measured, minus
 from pincal.words.pages import clean
 
 Array = NDArray[np.float64]
@@ -31,11 +34,13 @@ Array = NDArray[np.float64]
 _SIZE = (PAGE_WIDTH / 25.4, 257.0 / 25.4)
 _LEGS = 3  # columns of a table, at most
 _LINE = 0.165  # height of a line of a table, [inch]
+_NOMINAL = 0.345  # where the column of nominal values ends, of the width
+_LABEL = 23  # letters of a label
 #: Changes over ± from which a colour is used, with what it says.
 LEVELS = (
-    (0.0, NOMINAL, "changed by less than its ±"),
-    (1.0, "#7352e8", "by 1 to 5 times its ±"),
-    (5.0, IDENTIFIED, "by more than 5 times its ±"),
+    (0.0, NOMINAL, words.CHANGED[0]),
+    (1.0, "#7352e8", words.CHANGED[1]),
+    (5.0, IDENTIFIED, words.CHANGED[2]),
 )
 
 
@@ -54,12 +59,13 @@ def kinds_of_legs(result: CalibrationResult) -> list[list[LegResult]]:
     return list(kinds.values())
 
 
-def sheet(result: CalibrationResult, name: str = "") -> Figure:
+def sheet(result: CalibrationResult, name: str = "", date: str = "") -> Figure:
     """Return the drawing of a leg, and a table of the parameters of all legs like it.
 
     Args:
         result: The calibration.
         name: Of the leg; the first if not given.
+        date: When it is drawn, if that is to be said.
 
     Raises:
         MechanismError: no such leg.
@@ -74,13 +80,18 @@ def sheet(result: CalibrationResult, name: str = "") -> Figure:
         figure = Figure(figsize=_SIZE)
         draw_dimensioned(figure.add_axes((0.02, table + 0.06, 0.96, 0.88 - table)), result, leg)
         figure.text(0.02, 0.975, f"{clean(mechanism.name)}: {clean(leg)}", size=9, weight="bold")
-        about = "one of these legs; values of all below" if len(legs) > 1 else "values below"
+        about = words.SHEET["several" if len(legs) > 1 else "alone"]
         figure.text(0.98, 0.975, about, size=8, ha="right")
-        below = figure.add_axes((0.02, 0.05, 0.96, table))
+        below = figure.add_axes((0.02, 0.06, 0.96, table))
         _table(below, result, blocks, lines)
         keys = [Line2D([], [], color=colour, lw=3, label=said) for _, colour, said in LEVELS]
-        keys.append(Line2D([], [], color=INK[0], lw=3, label="held fixed"))
+        keys.append(Line2D([], [], color=INK[0], lw=3, label=words.SHEET["fixed"]))
         figure.legend(handles=keys, loc="lower center", ncols=4, frameon=False, fontsize=7)
+        noise = (
+            f"{facts.SOURCES.get(result.noise_source, result.noise_source)}, {facts.noise(result)}"
+        )
+        foot = wrapped(words.foot(noise, date), 0.96 * _SIZE[0])
+        figure.text(0.02, 0.045, foot, size=7, va="center")
     return figure
 
 
@@ -100,8 +111,11 @@ def _table(
     axes.set_axis_off()
     line = 0.6
     for legs in blocks:
-        places = [0.36 + 0.62 * (i + 1) / len(legs) for i in range(len(legs))]
-        head = [(0.0, "left", "parameter"), (0.36, "right", "nominal")]
+        places = [_NOMINAL + (0.985 - _NOMINAL) * (i + 1) / len(legs) for i in range(len(legs))]
+        head = [
+            (0.0, "left", words.SHEET["parameter"]),
+            (_NOMINAL, "right", words.SHEET["nominal"]),
+        ]
         head += [(at, "right", clean(leg.name)) for at, leg in zip(places, legs, strict=True)]
         for at, side, text in head:
             axes.text(at, line, text, size=7.5, weight="bold", ha=side, va="center")
@@ -137,19 +151,19 @@ def _row(
     """Write a parameter of several legs: nominal values, then identified ones at places."""
     legs, places = where
     own = [next(p for p in leg.parameters if p.name == name) for leg in legs]
-    label = clean(mechanism.label(legs[0].name, name)).replace("$", r"\$")
-    said = symbol(name) + f"  {label[:30]}" * bool(label)
+    label = clean(mechanism.label(legs[0].name, name))
+    label = label if len(label) <= _LABEL else f"{label[: _LABEL - 1]}…"
+    said = symbol(name) + f"  {label}".replace("$", r"\$") * bool(label)
     axes.text(0.0, line, said, size=7, va="center", parse_math=True)
     alike = _alike(legs, name)
-    nominal = measured(own[0].nominal, 0.0, own[0].unit) if alike else "beneath"
-    axes.text(0.36, line, nominal, size=7, ha="right", va="center")
+    nominal = measured(own[0].nominal, 0.0, own[0].unit) if alike else words.SHEET["beneath"]
+    axes.text(_NOMINAL, line, minus(nominal), size=7, ha="right", va="center")
     for p, at in zip(own, places, strict=True):
         if not alike:
-            was = measured(p.nominal, 0.0, p.unit)
+            was = words.was(minus(measured(p.nominal, 0.0, p.unit)))
             axes.text(at, line + 0.8, was, size=7, ha="right", va="center")
-        text = p.text
         shown = colour_of(p) if colour_of(p) != NOMINAL else "#6B6B6B"  # text needs more contrast
-        axes.text(at, line, text, size=7, ha="right", va="center", color=shown)
+        axes.text(at, line, minus(p.text), size=7, ha="right", va="center", color=shown)
 
 
 def _links(

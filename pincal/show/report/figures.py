@@ -19,22 +19,22 @@ from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
 from pincal.show.pictures.parts import (
-    along,
+    NORMAL,
     before_after,
     draw_bars,
     draw_map,
     draw_mechanism,
     draw_poses,
     height_of_names,
-    height_said,
     label,
     name_places,
 )
 from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, parameters, whose
-from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look
+from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look, other_look
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
+from pincal.words.plots import along, height
 
 Array = NDArray[np.float64]
 Drawn = tuple[Figure, str] | None
@@ -151,7 +151,7 @@ def drawing_figure(found: Findings) -> Drawn:
     alike = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
     return drawn, (
         f"Where the parameters of {leg} are{alike}: lines in the colours of their changes. Values "
-        "stand in the table above; parameters that are zero have no line."
+        "stand in the table above; diamonds are parameters that are zero."
     )
 
 
@@ -228,7 +228,8 @@ def _legend_outside(axes: Axes) -> None:
 def residuals_figure(found: Findings) -> Drawn:
     """Return residuals before and after against the row, one line of panels for each series."""
     series = noisy_series(found.result)
-    drawn = _figure(0.7 + 1.25 * len(series), left=0.8)
+    high = min(1.25 * len(series), max(6.4, 0.75 * len(series)))  # a table and these fill a page
+    drawn = _figure(0.7 + high, left=0.8)
     panels = drawn.subplots(len(series), 2, sharex=True, squeeze=False)
     alike: dict[tuple[str, bool], tuple[Axes, Axes]] = {}
     for index, (one, (left, right)) in enumerate(zip(series, panels, strict=True)):
@@ -238,11 +239,11 @@ def residuals_figure(found: Findings) -> Drawn:
             right.sharey(first[1])
         unit = SMALL[one.unit]
         factor, rows, many = per_si(one.unit), one.rows + 1, len(one.rows) > PAGE.many
-        colour, marker, _ = look(index)
+        colour, marker, _ = look(index) if one.of_leg else other_look(index)
         style = {"color": colour, "rasterized": many, "ms": 3}
         left.plot(rows, factor * one.before, marker, mfc="none", **style)
         right.plot(rows, factor * one.after, marker, **style)
-        bound = 1.96 * factor * one.sigma
+        bound = NORMAL * factor * one.spread
         ends = np.stack((np.stack((rows, -bound), 1), np.stack((rows, bound), 1)), 1)
         bars = LineCollection(list(ends), colors="0.8", lw=3, zorder=0, rasterized=many)
         right.add_collection(bars)
@@ -259,8 +260,9 @@ def residuals_figure(found: Findings) -> Drawn:
         axes.tick_params(axis="x", bottom=False)
     return drawn, (
         f"Residuals of each {whose(series)} against the row of the measurements, before and "
-        "after; the scales differ. Grey bars: where 95 of 100 are expected by the noise. Rings: "
-        "rows that do not fit the others; crosses at the upper edge: rows that were rejected."
+        "after; the scales differ. Grey bars: where 95 of 100 are expected, the noise less what "
+        "the fit takes up of it, ±1.96 σ√(1−h). Rings: rows that do not fit the "
+        "others; crosses at the upper edge: rows that were rejected."
     )
 
 
@@ -287,8 +289,7 @@ def histogram_figure(found: Findings) -> Drawn:
 
     None if all that was measured is exact.
     """
-    parts = [(one.after[one.sigma > 0.0], one.sigma) for one in noisy_series(found.result)]
-    white = np.concatenate([after / sigma[sigma > 0.0] for after, sigma in parts])
+    white = np.concatenate([one.standardised for one in noisy_series(found.result)])
     if not len(white := white[np.isfinite(white)]):
         return None
     drawn = _figure(2.6)
@@ -306,11 +307,11 @@ def histogram_figure(found: Findings) -> Drawn:
     axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
     axes.set(xlabel="residual [standard deviations]", ylabel="density")
     axes.legend(frameon=False)
-    outside = 100 * float((np.abs(white) > 1.96).mean())
+    outside = 100 * float((np.abs(white) > NORMAL).mean())
     return drawn, (
-        "Distribution of the residuals after the calibration, each over its standard "
-        f"deviation; {outside:.0f} % are larger than 1.96. Expected are 5 %, or less: the fit "
-        "makes residuals smaller."
+        "Distribution of the residuals after the calibration, each over its own standard "
+        "deviation: the noise, less what the fit takes up of it. "
+        f"{outside:.0f} % are larger than 1.96; expected are 5 %."
     )
 
 
@@ -340,9 +341,9 @@ def maps_figure(found: Findings) -> Drawn:
         own = [next(panels) for _ in maps.heights]
         alike = np.concatenate([own.ravel() for _, other, own in rows if other == unit])
         limits = float(np.nanmin(alike)), float(np.nanmax(alike))
-        for axes, error, height in zip(own, values, maps.heights, strict=True):
+        for axes, error, level in zip(own, values, maps.heights, strict=True):
             draw_map(axes, (maps.x, maps.y), error, limits, decades=True)
-            axes.set_title(height_said(height))
+            axes.set_title(height(level))
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
         bar = drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -46,7 +46,7 @@ class Report(Page):
     def _page(self) -> str:
         from pincal.show import result_tables, results, summary
         from pincal.show.pictures.files import dark_variables
-        from pincal.show.report import facts, figures  # imports matplotlib: slow
+        from pincal.show.report import facts, figures, image_figure  # imports matplotlib: slow
         from pincal.show.report.answers import Answers, warning_lines
         from pincal.words.pages import rendered
 
@@ -60,6 +60,7 @@ class Report(Page):
                 origin=origin,
                 facts=facts,
                 figures=figures,
+                images_figure=image_figure.images_figure,
                 results=results,
                 summary=summary,
                 tables=result_tables,

@@ -1,0 +1,90 @@
+"""Residuals over the images of cameras: where points were seen, and how far they are off."""
+
+from __future__ import annotations
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import Normalize
+from matplotlib.quiver import Quiver
+from measured import machine
+
+import pincal
+from pincal.show.pictures.image_charts import seen_in
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "23_camera_images.py"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return what the example holds: two cameras, three marks, one of them mistaken once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("images"))
+        return runpy.run_path(str(EXAMPLE))
+
+
+def test_arrows_lead_from_what_was_seen_to_what_is_predicted(made: dict[str, Any]) -> None:
+    """In pixels, all magnified by one factor; the mistaken mark is the longest and the darkest."""
+    result, data = made["result"], made["data"]
+    axes = result.plot.images()
+    front, side = (one for one in axes.collections if isinstance(one, Quiver))
+    seen = np.concatenate([800 + 1500 * data.extra[f"front_{m}_u"] for m in "abc"])
+    np.testing.assert_allclose(front.XY[:, 0], seen)
+    own = {one.name: one.residuals for one in result.observed}
+    off = np.concatenate([1500 * own[f"front_{m}_u"] for m in "abc"])
+    factor = front.U / off
+    np.testing.assert_allclose(factor, factor[0])
+    worst = int(np.hypot(side.U, side.V).argmax())
+    assert worst == 50 + 8  # mark b, row 9
+    assert side.get_array().argmax() == worst
+    assert side.U[worst] / factor[0] == pytest.approx(-3.0, rel=0.4)  # predicted less seen
+    assert isinstance(side.norm, Normalize)
+    assert any("px of residual" in text.get_text() for text in axes.texts)
+
+
+@pytest.mark.slow
+def test_marks_that_a_camera_did_not_see_have_no_arrow(made: dict[str, Any]) -> None:
+    """Rows in which either column is missing are left out; the other camera keeps all."""
+    data = made["data"]
+    column = data.extra["front_a_v"].copy()
+    column[:20] = np.nan
+    other = replace(data, extra=dict(data.extra) | {"front_a_v": column})
+    setup = pincal.Setup(instruments=(made["front"], made["side"]))
+    front, side = seen_in(pincal.calibrate("6UPS", other, setup=setup))
+    assert len(front.at) == 130
+    assert len(side.at) == 150
+
+
+@pytest.mark.slow
+def test_the_report_shows_them(made: dict[str, Any]) -> None:
+    """A figure with its caption, and none where no camera measured."""
+    page = made["result"].report(date="").html()
+    assert 'id="figure-images"' in page
+    assert "front: 150 points" in page
+
+
+def test_images_that_are_none_are_refused(made: dict[str, Any]) -> None:
+    """Sizes, scales and columns that are no image's; a result that no camera measured."""
+    for wrong in (
+        {"size": (0, 5)},
+        {"size": (5,)},
+        {"scale": 0.0},
+        {"points": {"a": ("u",)}},
+        {"points": {"a": "uv"}},
+    ):
+        with pytest.raises(pincal.MeasurementError, match="image"):
+            pincal.Image(**({"size": (9, 9), "points": {"a": ("u", "v")}, "scale": 1.0} | wrong))
+    camera = made["front"]
+    own = dict(vars(camera)) | {"image": pincal.Image((9, 9), {"a": ("u", "v")}, 1.0)}
+    other = type(camera).__new__(type(camera))
+    vars(other).update(own)
+    with pytest.raises(pincal.MeasurementError, match="the image of instrument 'front'"):
+        pincal.Setup(instruments=(other,))
+    mechanism, _, data = machine("3RRR")
+    result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 1e-4))
+    with pytest.raises(pincal.MeasurementError, match="no camera measured"):
+        result.plot.images()

@@ -1,0 +1,143 @@
+"""What a fit leaves of residuals: leverages of the dense hat matrix, variances of many draws."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+import pincal
+from pincal.calibration.fits import fitted
+from pincal.estimation.fit import Fit
+from pincal.estimation.residuals.leg_residuals import leg_residuals
+from pincal.estimation.residuals.redundancy import Left
+from pincal.show.results import noisy_series
+
+EXACT, NOISY = pincal.Noise(1e-4, 1e-4), pincal.Noise(1e-4, 1e-4, 1e-4)
+#: Noise, and how it is calibrated.
+CASES: dict[str, tuple[pincal.Noise, dict[str, Any]]] = {
+    "exact readings": (EXACT, {}),
+    "noisy readings": (NOISY, {}),
+    "per-leg": (NOISY, {"method": "per-leg"}),
+    "joint": (NOISY, {"method": "per-leg", "residual": "joint"}),
+    "priors": (NOISY, {"tolerance": {"m": 1e-4, "rad": 1e-3}}),
+}
+
+
+def measured(noise: pincal.Noise, seed: int) -> tuple[pincal.Mechanism, pincal.Measurements]:
+    """Return a five-bar and measurements of it at fourteen poses, always the same ones."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.3, 0.3, (14, 2))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    return mechanism, pincal.simulate(mechanism, truth, plan, noise, seed).measurements
+
+
+def dense_covariance(fit: Fit, follows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariance of residuals c e, pose by pose, from all conditions as one problem.
+
+    Σ − M (Mᵀ Σ⁻¹ M)⁻¹ Mᵀ of M = [A T, B], every pose an unknown; exact readings nearly so.
+    """
+    stack, T = fit.last.stack, fit.unknowns.map
+    A = np.concatenate(list(stack.parameter())) @ T
+    M = np.column_stack((A, block_diag(*stack.pose))) if fit.problem.latent else A
+    most = np.abs(stack.noise).max()
+    noise = [S @ S.T + (1e-4 * most) ** 2 * np.eye(len(S)) for S in stack.noise]
+    sigma = block_diag(*noise)
+    weight = np.linalg.inv(sigma) if fit.problem.weighted else np.eye(len(sigma))
+    _, prior = fit.unknowns.prior_rows(fit.unknowns.start)
+    normal = M.T @ weight @ M
+    n = T.shape[1]
+    normal[:n, :n] += prior.T @ prior
+    P = np.eye(len(M)) - M @ np.linalg.solve(normal, M.T @ weight)
+    covariance = P @ sigma @ P.T
+    if len(prior):
+        gain = M @ np.linalg.solve(normal, np.eye(M.shape[1])[:, :n] @ prior.T)
+        covariance += gain @ gain.T
+    C = block_diag(*follows)
+    return C @ covariance @ C.T
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_left_is_that_of_the_dense_hat_matrix(case: str) -> None:
+    """Variances of residuals of legs and of the platform, poses unknown or as measured."""
+    noise, options = CASES[case]
+    mechanism, data = measured(noise, 3)
+    result = pincal.calibrate(mechanism, data, noise=noise, **options)
+    for one in fitted(result.calibration).fits:
+        fit = one.fit
+        rows = fit.last.stack.value.shape[1]
+        every = [leg_residuals(fit.problem, fit.last, i) for i in range(len(fit.problem.legs))]
+        legs = np.concatenate([leg.follows for leg in every], axis=1)
+        identity = np.broadcast_to(np.eye(rows), (len(data), rows, rows))
+        follows = np.concatenate((legs, identity), axis=1)
+        left, dense = Left.of(fit, follows), dense_covariance(fit, follows)
+        own = np.diagonal(dense).reshape(left.variances.shape)
+        np.testing.assert_allclose(left.variances, own, rtol=1e-3, atol=1e-6 * own.max())
+        noisy = own > 1e-6 * own.max()  # exact readings close their legs
+        factors = np.random.default_rng(0).standard_normal(own.shape) * noisy
+        expected = factors.ravel() @ dense @ factors.ravel()
+        assert left.of_sum(factors) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["exact readings", "noisy readings", "per-leg"])
+def test_standardised_residuals_have_unit_variance(case: str) -> None:
+    """Over 30 data sets mean squares are 1, of tenths of a run, too; over the noise far below."""
+    noise, options = CASES[case]
+    standard, over_noise, tenths = [], [], []
+    for seed in range(30):
+        mechanism, data = measured(noise, seed)
+        result = pincal.calibrate(mechanism, data, noise=noise, **options)
+        series = noisy_series(result)
+        standard.append(np.concatenate([one.standardised for one in series]))
+        over_noise.append(np.concatenate([one.after / one.sigma for one in series]))
+        lines = result.plot.time().lines[: len(series)]
+        tenths.append(np.concatenate([line.get_ydata() for line in lines]))
+    means = np.nanmean(np.square(tenths), axis=1)
+    assert means.mean() == pytest.approx(1.0, abs=4.0 * means.std() / np.sqrt(30))
+    known = np.isfinite(standard[0])
+    assert known.mean() > 0.9
+    squares = np.square(standard)[:, known].mean(axis=1)
+    assert squares.mean() == pytest.approx(1.0, abs=4.0 * squares.std() / np.sqrt(30))
+    assert np.square(over_noise).mean() < 0.75
+
+
+def test_redundancy_is_the_share_that_shows() -> None:
+    """The share of an error of a reading that its own residual shows is its redundancy."""
+    noise, options = CASES["noisy readings"]
+    mechanism, data = measured(noise, 3)
+    before = pincal.calibrate(mechanism, data, noise=noise, **options)
+    readings = data.readings.copy()
+    row, error = 4, 3e-4
+    readings[row, 0] += error
+    after = pincal.calibrate(mechanism, replace(data, readings=readings), noise=noise, **options)
+    moved = after.legs[0].residuals[row] - before.legs[0].residuals[row]
+    share = before.legs[0].redundancy
+    assert share is not None
+    assert moved == pytest.approx(-share[row] * error, rel=0.05)
+
+
+def test_old_results_have_no_leverage_and_load(tmp_path: Path) -> None:
+    """Redundancies come back from a file; a file without them loads, and says what it draws."""
+    noise, options = CASES["exact readings"]
+    mechanism, data = measured(noise, 3)
+    result = pincal.calibrate(mechanism, data, noise=noise, **options)
+    folder = result.save(tmp_path / "result")
+    assert np.array_equal(pincal.load_result(folder).legs[0].redundancy, result.legs[0].redundancy)
+    path = folder / "result.json"
+    kept = json.loads(path.read_text("utf-8"))
+    for one in (*kept["data"]["legs"], *kept["data"]["observed"]):
+        del one["redundancy"]
+    path.write_text(json.dumps(kept), encoding="utf-8")
+    old = pincal.load_result(folder)
+    one = noisy_series(old)[0]
+    np.testing.assert_allclose(one.standardised, one.after / one.sigma)
+    assert "√(1−h)" in result.plot.residuals().get_ylabel()
+    assert "√(1−h)" not in old.plot.residuals().get_ylabel()
