@@ -218,7 +218,7 @@ class _Exchange:
             place = flat.argmax(axis=1)
             gain = np.log(np.maximum(flat[each[:, 0], place], ROUNDING))
         else:
-            slope = np.exp(np.minimum(self.criterion.slope(self.grams, inverse), _STEEP))
+            slope = np.exp(self.criterion.slope(self.grams, inverse).clip(0.0, _STEEP))
             first = slope[:, None] / slope[each, gone][:, :, None]
             place, gain = self._best_of(np.minimum(factor, first, out=factor), less, loss)
         which, into = np.divmod(place, len(self.pool))
