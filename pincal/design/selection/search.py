@@ -28,6 +28,7 @@ from pincal.workspace.chunks import check_jobs
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 _FIRST = 1000  # candidates that are asked first whether they are reached and determine all
+_FOREMOST = 250  # of those on which the bound rests, asked whether they are reached
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ class Search:
             ObservabilityError: too few poses or candidates, or some parameter undetermined.
         """
         where = rows.legs[0] if len(rows.legs) == 1 else self.mechanism.name
-        n, r = (sum(one.shape[axis] for one in rows(slice(0, 1))) for axis in (2, 1))
+        r, n = (sum(shape[axis] for shape in rows.shapes) for axis in (0, 1))
         if count * r < n:
             raise ObservabilityError(
                 f"{count} poses give {count * r} equations for the {n} parameters of {where}; "
@@ -175,7 +176,7 @@ class Search:
         design = self._bound(quick, rows.legs, places)
         usable = np.flatnonzero(np.isfinite(design.variance))
         if self._within is None and not self._all_reach(
-            usable[most_of(design.priority[usable], _FIRST)]
+            usable[most_of(design.priority[usable], _FOREMOST)]
         ):
             design = self._bound(quick, rows.legs, self._reached())
             usable = np.flatnonzero(np.isfinite(design.variance))
