@@ -34,6 +34,8 @@ class Effort:
     """Between two looks at all candidates, at most."""
     pool: int
     """Candidates that are looked at between two looks at all, and by which they grow."""
+    others: int = 0
+    """Any others that are looked at from the first."""
     rounds: int = 1
     """Looks at all, at most."""
     tolerance: float = 0.0
@@ -50,7 +52,7 @@ class Effort:
 
 _STEEP = 300.0  # slopes of sets that lack rank; those of their own are no more than their rows
 _LEAST = 1e-15  # of 1, that a set keeps of a direction which only one of it determines
-_EFFORT = Effort(exchanges=200, pool=200, rounds=100, tolerance=1e-9, at_once=2)
+_EFFORT = Effort(exchanges=200, pool=200, others=50, rounds=100, tolerance=1e-9, at_once=2)
 
 
 def exchange(
@@ -117,7 +119,7 @@ class _Exchange:
         self.places = places = np.flatnonzero(np.isfinite(priority))
         size = max(_EFFORT.pool, 2 * count)
         first = places[most_of(priority[places], size)]
-        others = places[rng.integers(len(places), size=size)] if len(places) else places
+        others = places[rng.integers(len(places), size=_EFFORT.others)] if len(places) else places
         self.pool = admitted(np.union1d(first, others))
         if len(self.pool) < count:
             self.pool = admitted(places)
