@@ -34,6 +34,8 @@ class Effort:
     """Between two looks at all candidates, at most."""
     pool: int
     """Candidates that are looked at between two looks at all, and by which they grow."""
+    times: int = 4
+    """Of those in a set, at least."""
     others: int = 0
     """Any others that are looked at from the first."""
     rounds: int = 1
@@ -52,7 +54,7 @@ class Effort:
 
 _STEEP = 300.0  # slopes of sets that lack rank; those of their own are no more than their rows
 _LEAST = 1e-15  # of 1, that a set keeps of a direction which only one of it determines
-_EFFORT = Effort(exchanges=200, pool=200, others=50, rounds=100, tolerance=1e-9, at_once=2)
+_EFFORT = Effort(exchanges=1000, pool=200, others=50, rounds=100, tolerance=1e-9, at_once=2)
 
 
 def exchange(
@@ -117,7 +119,7 @@ class _Exchange:
         """
         self.all_rows, self.admitted, self.count, self.rng = rows, admitted, count, rng
         self.places = places = np.flatnonzero(np.isfinite(priority))
-        size = max(_EFFORT.pool, 2 * count)
+        self.size = size = max(_EFFORT.pool, _EFFORT.times * count)
         first = places[most_of(priority[places], size)]
         others = places[rng.integers(len(places), size=_EFFORT.others)] if len(places) else places
         self.pool = admitted(np.union1d(first, others))
@@ -176,7 +178,7 @@ class _Exchange:
             gain = squares(self.all_rows, self.places, by)
             least = gain[np.searchsorted(self.places, self.pool[own])].min()
             better = np.flatnonzero(gain > least)
-            more.append(self.places[better[most_of(gain[better], _EFFORT.pool)]])
+            more.append(self.places[better[most_of(gain[better], self.size)]])
         others = np.setdiff1d(np.concatenate(more), self.pool)
         both = self.admitted(np.concatenate((self.pool, others)))  # of two alike the earlier stays
         others = both[len(self.pool) :]
