@@ -10,7 +10,6 @@ improve it, and no swap is overlooked by leaving it out.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,8 +68,7 @@ def exchange(
 
     The first start rounds the continuous design, the others are drawn by its weights. Swaps run in
     a pool; the best sets are then exchanged against all candidates, the pool growing by those that
-    would improve them, until none does. Whether candidates may be taken together is asked of the
-    set that is found; if they may not, of all that come into the pool.
+    would improve them, until none does.
 
     Args:
         given: Rows of candidates; or those that each contributes, of each part of the parameters,
@@ -86,18 +84,7 @@ def exchange(
         ObservabilityError: fewer candidates than the set is to have.
     """
     rows = Held(given) if isinstance(given, tuple) else given
-    seed = int(rng.integers(1 << 62))
-    for admitted in (_all, rows.admitted):
-        again = np.random.default_rng(seed)
-        search = _Exchange(rows, admitted, count, priority, again, criterion or Determinant())
-        chosen, value = search.best(starts)
-        if admitted is not _all or len(rows.admitted(chosen)) == count:
-            break
-    return chosen, value
-
-
-def _all(places: Index) -> Index:
-    return places
+    return _Exchange(rows, count, priority, rng, criterion or Determinant()).best(starts)
 
 
 class _Exchange:
@@ -106,7 +93,6 @@ class _Exchange:
     def __init__(
         self,
         rows: Rows,
-        admitted: Callable[[Index], Index],
         count: int,
         priority: Array,
         rng: np.random.Generator,
@@ -117,19 +103,17 @@ class _Exchange:
         Raises:
             ObservabilityError: fewer candidates than the set is to have.
         """
-        self.all_rows, self.admitted, self.count, self.rng = rows, admitted, count, rng
+        self.all_rows, self.count, self.rng = rows, count, rng
         self.places = places = np.flatnonzero(np.isfinite(priority))
-        self.size = size = max(_EFFORT.pool, _EFFORT.times * count)
-        first = places[most_of(priority[places], size)]
-        others = places[rng.integers(len(places), size=_EFFORT.others)] if len(places) else places
-        self.pool = admitted(np.union1d(first, others))
-        if len(self.pool) < count:
-            self.pool = admitted(places)
-        if len(self.pool) < count:
+        if len(places) < count:
             raise ObservabilityError(
-                f"{len(self.pool)} of {rows.total} candidates are in reach, no two of them alike; "
+                f"{len(places)} of {rows.total} candidates are in reach, no two of them alike; "
                 f"{count} are to be chosen"
             )
+        self.size = size = max(_EFFORT.pool, _EFFORT.times * count)
+        first = places[most_of(priority[places], size)]
+        others = places[rng.integers(len(places), size=_EFFORT.others)]
+        self.pool = np.union1d(first, others)
         self.priority = priority[self.pool]
         self.rows = rows(self.pool)
         self.scales = tuple(
@@ -180,10 +164,8 @@ class _Exchange:
             better = np.flatnonzero(gain > least)
             more.append(self.places[better[most_of(gain[better], self.size)]])
         others = np.setdiff1d(np.concatenate(more), self.pool)
-        both = self.admitted(np.concatenate((self.pool, others)))  # of two alike the earlier stays
-        others = both[len(self.pool) :]
         rows = self._scaled(self.all_rows(others))
-        self.pool = both
+        self.pool = np.concatenate((self.pool, others))
         self.rows = tuple(np.concatenate(pair) for pair in zip(self.rows, rows, strict=True))
         self.grams = tuple(
             np.concatenate((one, grams(more)), axis=1)

@@ -64,7 +64,8 @@ class LegRows:
         for leg in dict.fromkeys(self.legs):
             parts = [self._of(leg, matrices) for matrices in images]
             for part, counts in zip(parts, own, strict=True):
-                part[~counts] = 0.0
+                if not counts.all():
+                    part[~counts] = 0.0
             rows[leg] = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
         return tuple(rows[leg] for leg in self.legs)
 
@@ -73,7 +74,7 @@ class LegRows:
         return leg_rows(demand, self.mechanism, self.noise)
 
     def admitted(self, places: Index) -> Index:
-        """See ``Rows``: those of which no earlier one is the same pose, or one of its orbit."""
+        """Return those of some of which no earlier one is the same pose, or one of its orbit."""
         images, _ = orbit_of(self.elements, self.matrices(places))
         return places[~repeated(images)]
 
