@@ -47,8 +47,9 @@ class Effort:
     """Of a set, those that it would miss least, which are swapped."""
     few: int = 100
     """Swaps of candidates of several rows whose gains are looked at together."""
-    weighted: float = 0.9
-    """Share of weights by which starts are drawn; the rest is the same for all candidates."""
+    weighted: tuple[float, float] = (0.95, 0.3)
+    """Share of weights by which starts are drawn, of the first and the last of them; the rest is
+    the same for all candidates."""
 
 
 _STEEP = 300.0  # slopes of sets that lack rank; those of their own are no more than their rows
@@ -145,7 +146,8 @@ class _Exchange:
 
     def _starts(self, starts: int) -> Index:
         """Return the first sets, shape (starts, count): the foremost, and some drawn."""
-        weights, share = np.maximum(self.priority, 0.0), _EFFORT.weighted
+        weights = np.maximum(self.priority, 0.0)
+        share = np.linspace(*_EFFORT.weighted, starts)[:, None]
         even = 1.0 / len(weights)
         chances = share * weights / max(weights.sum(), ROUNDING) + (1.0 - share) * even
         keys = np.log(chances) + self.rng.gumbel(size=(starts, len(weights)))
