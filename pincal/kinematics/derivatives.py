@@ -166,7 +166,8 @@ def leg_demand_at(
         part = demand(closure, closed, known)
         for target, values in zip(vars(whole).values(), vars(part).values(), strict=True):
             target[rows] = values
-            target[rows][~reached] = np.nan
+            if not reached.all():
+                target[rows][~reached] = np.nan
     return whole
 
 
