@@ -14,7 +14,7 @@ from measured import workspace
 import pincal
 from pincal.design.selection.accuracy_bound import accurate_design
 from pincal.design.selection.certificate import continuous_design
-from pincal.design.selection.criteria import Determinant, MeanVariance
+from pincal.design.selection.criteria import Determinant, MeanVariance, grams
 from pincal.design.selection.exchange import exchange
 from pincal.design.selection.search import accurate
 
@@ -74,6 +74,32 @@ def test_changes_are_those_of_values(sign: float) -> None:
             others = np.delete(own, j, axis=0) if sign < 0 else np.concatenate((own, blocks[[j]]))
             expected = criterion.value((others.reshape(-1, 5),)) - criterion.value((rows,))
             assert found[j] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("r", [1, 2])
+def test_no_swap_gains_more_than_its_bounds(r: int) -> None:
+    """Of 9 of 30 candidates: by what adding gives at most, the gain itself of one row; by slopes.
+
+    Adding is bounded from the set without the one that goes, slopes from the set as it is.
+    """
+    blocks, C = random(30, r, 4, 3, r)
+    chosen, others = list(range(9)), list(range(9, 30))
+    squared = (grams(blocks),)
+    flat = blocks[chosen].reshape(-1, 4)
+    inverse = np.linalg.inv(flat.T @ flat)[None]
+    for criterion in (Determinant(), MeanVariance(C)):
+        now, slope = criterion.value((flat,)), criterion.slope(squared, (inverse,))[0]
+        for out in chosen:
+            kept = [i for i in chosen if i != out]
+            less = blocks[kept].reshape(-1, 4)
+            most = criterion.most(squared, (np.linalg.inv(less.T @ less)[None],), (r,))[0]
+            for into in others:
+                swapped = criterion.value((blocks[[*kept, into]].reshape(-1, 4),))
+                bound = criterion.value((less,)) + np.log(most[into])
+                assert swapped <= bound + 1e-9
+                assert swapped - now <= slope[into] - slope[out] + 1e-9
+                if r == 1:
+                    assert swapped == pytest.approx(bound, abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["3RRR", pytest.param("6UPS", marks=pytest.mark.slow)])

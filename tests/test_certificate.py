@@ -10,11 +10,13 @@ import pytest
 from measured import workspace
 
 import pincal
+from pincal.design.information import leg_rows as leg_rows_of
 from pincal.design.selection import candidates, certificate, leg_rows
 from pincal.design.selection.candidates import squares
 from pincal.design.selection.certificate import continuous_design, least_share
 from pincal.design.selection.exchange import exchange
 from pincal.design.selection.leg_rows import LegRows, held
+from pincal.kinematics.derivatives import leg_demand
 
 
 @pytest.mark.parametrize("rows", [1, 3])
@@ -47,6 +49,34 @@ def test_the_bound_is_that_of_an_optimiser_of_all_candidates() -> None:
     log_det = np.linalg.slogdet(M)[1]
     assert design.log_det - 1e-9 <= log_det <= design.log_det_bound + 1e-9
     assert design.log_det_bound - design.log_det <= 4 * 1e-4
+
+
+@pytest.mark.parametrize("r", [1, 3])
+def test_second_derivatives_are_those_of_the_first(r: int) -> None:
+    """Of log det M by weights, two parts of one shape: against central differences."""
+    rng = np.random.default_rng(r)
+    rows = rng.standard_normal((2, 12, r, 4))
+    weights, step = rng.dirichlet(np.ones(12)), 1e-6
+    hessian, _ = certificate._derivatives((rows,), weights)
+    for j, change in enumerate(step * np.eye(12)):
+        more, less = (certificate._derivatives((rows,), weights + d)[1] for d in (change, -change))
+        np.testing.assert_allclose(-(more - less) / (2 * step), hessian[j], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["3RRR", "3RPS"])
+def test_rows_of_a_leg_are_whitened(kind: str) -> None:
+    """One row of a 3-RRR's leg, two of a 3-RPS's: as by the root of the noise that they carry."""
+    mechanism, noise = pincal.load_mechanism(kind), pincal.Noise(1e-4, 2e-4, 5e-5)
+    demand = leg_demand(
+        mechanism, mechanism.leg_names[0], pincal.sample_workspace(kind, 40, seed=0)
+    )
+    found = leg_rows_of(demand, mechanism, noise)
+    by = np.concatenate(
+        (demand.pose * noise.of_poses(mechanism), demand.reading * noise.reading), axis=2
+    )
+    inverse = np.linalg.inv(by @ by.transpose(0, 2, 1))
+    expected = demand.parameter.transpose(0, 2, 1) @ inverse @ demand.parameter
+    np.testing.assert_allclose(found.transpose(0, 2, 1) @ found, expected, rtol=1e-9, atol=1e-3)
 
 
 def test_no_swap_of_two_improves_a_set() -> None:

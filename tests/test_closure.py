@@ -117,7 +117,7 @@ def test_forest_equals_one_chain_at_a_time(count: int) -> None:
     end = pin.SE3.Random()
     tree = forest(tuple(chain), tuple(end.homogeneous.ravel().tolist()), spatial=True)
     q = rng.uniform(-2, 2, (count, 7))
-    motion = tree.motion(q, np.eye(7))
+    motion = tree.motion(q[None], np.eye(7))
     tips, columns = motion.tips.T, motion.twists().transpose(0, 2, 1)
 
     model, parent = pin.Model(), 0

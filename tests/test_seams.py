@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 import pincal
 from pincal.calibration.result_files import read_result
+from pincal.estimation.conditions.alike_legs import evaluated
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
 from pincal.kinematics.closing import sensor_law
@@ -241,7 +242,8 @@ def test_terms_of_sensors_are_differentiated(name: str) -> None:
 
     def demand(step: Array, readings: Array) -> Demand:
         condition = LegCondition(leg, robot.platform, readings, "closure", np.arange(1))
-        return condition(leg.nominal + step, matrices).demand
+        (met,) = evaluated([condition], [leg.nominal + step], matrices, [None]).legs
+        return met.demand
 
     n = len(leg.nominal)
     here = demand(np.zeros(n), psi)

@@ -18,9 +18,11 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError, MechanismError
+from pincal.estimation.conditions.alike_legs import evaluated
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences
+from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.influences.columns import influences_of, sides
 from pincal.model.sensors.load import Load
 from pincal.model.sensors.monotonic import turning
@@ -124,16 +126,21 @@ def test_derivatives_by_amplitudes_are_differences(form: str) -> None:
     condition = Calibration(machine, data).condition(0, np.arange(len(data)))
     matrices = machine.platform.matrices(data.poses)
     values = machine.legs[0].nominal
-    exact = condition(values, matrices).demand
+
+    def demand(values: np.ndarray, by: float = 0.0) -> Demand:
+        moved = condition.corrected(np.full((len(data), 1), by))
+        (met,) = evaluated([moved], [values], matrices, [None]).legs
+        return met.demand
+
+    exact = demand(values)
     h = 1e-6
     for column in range(len(values)):
         step = h * np.eye(len(values))[column]
-        ends = [condition(values + side * step, matrices).demand.value for side in (1.0, -1.0)]
+        ends = [demand(values + side * step).value for side in (1.0, -1.0)]
         np.testing.assert_allclose(
             exact.parameter[:, :, column], (ends[0] - ends[1]) / (2 * h), atol=1e-7
         )
-    moved = [condition.corrected(np.full((len(data), 1), side * h)) for side in (1.0, -1.0)]
-    ends = [one(values, matrices).demand.value for one in moved]
+    ends = [demand(values, by=side * h).value for side in (1.0, -1.0)]
     np.testing.assert_allclose(exact.reading[:, :, 0], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
 
 

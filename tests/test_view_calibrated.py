@@ -16,10 +16,10 @@ from pincal.show.report.linked import LinkedPage
 from pincal.show.report.report import report
 from pincal.show.report.verdicts import verdicts
 from pincal.show.style import ERRORS, shades
-from pincal.show.view.calibrated import calibrated
+from pincal.show.view.calibrated import calibrated, stations
 from pincal.show.view.calibrated import misses as misses_of
 from pincal.show.view.found import Errors
-from pincal.show.view.marks import arrows, cut
+from pincal.show.view.marks import arrows, cut, frustum, tips
 from pincal.show.view.scene import Scene, scene
 
 NOISE = pincal.Noise(1e-5, 1e-5)
@@ -78,6 +78,8 @@ def test_drawn_arrows_are_magnified(drawn: Scene) -> None:
         whole = misses.magnify * np.linalg.norm(misses.shifts[row])
         assert reach == pytest.approx(min(whole, 0.5 * size))
         assert cut(misses, size)[row] == (whole > 0.5 * size)
+        tip = misses.measured[row] + reach * along
+        np.testing.assert_allclose(tips(misses, size)[row], tip, atol=1e-9)
     assert cut(misses, size)[4]
 
 
@@ -202,3 +204,90 @@ def test_positions_alone_have_arrows_too() -> None:
     assert result.outside is not None
     F = result.outside.frame
     np.testing.assert_allclose(misses.measured @ F[:3, :3].T + F[:3, 3], poses[:, :3], atol=1e-9)
+
+
+class Camera:
+    """Sees the platform's origin as two tangents, from a place that is to be found."""
+
+    name, columns = "camera", {"u": "m", "v": "m"}
+    sees = (0.5, 0.4)
+
+    def __init__(self, at: np.ndarray) -> None:
+        self.parameters = tuple(
+            pincal.Parameter("camera", axis, "m", value)
+            for axis, value in zip("xyz", at.tolist(), strict=True)
+        )
+
+    def condition(
+        self, poses: np.ndarray, values: np.ndarray, measured: np.ndarray
+    ) -> pincal.Condition:
+        """Return the tangents of the ray less those seen; it looks up along z."""
+        x, y, z = (poses[:, :3, 3] - values).T
+        zero = np.zeros_like(z)
+        by_point = np.stack(
+            [np.stack([1 / z, zero, -x / z**2], -1), np.stack([zero, 1 / z, -y / z**2], -1)], axis=1
+        )
+        by_twist = np.concatenate((by_point, np.zeros_like(by_point)), axis=2)
+        return pincal.Condition(np.column_stack((x / z, y / z)) - measured, by_twist, -by_point)
+
+    def stand(self, values: np.ndarray) -> np.ndarray:
+        """Return T_frame_camera."""
+        T = np.eye(4)
+        T[:3, 3] = values
+        return T
+
+
+def seen_by_a_camera() -> tuple[pincal.CalibrationResult, np.ndarray]:
+    """Return the calibration of a hexapod that a camera below it saw too, and where that stood."""
+    mechanism = pincal.load_mechanism("6UPS")
+    truth = pincal.disturb(mechanism, 1e-4, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.1, 0.1, (30, 6))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, pincal.Noise(1e-5, 1e-5), 3).measurements
+    at = np.array([0.2, -0.1, -1.0])
+    poses = mechanism.platform.matrices(data.poses)
+    read = Camera(at).condition(poses, at, np.zeros((30, 2))).value
+    noise = {"u": np.full(30, 1e-6), "v": np.full(30, 1e-6)}
+    both = replace(
+        data,
+        sigma_poses=np.full((30, 6), 1e-5),
+        extra={"u": read[:, 0], "v": read[:, 1]},
+        sigma_extra=noise,
+    )
+    setup = pincal.Setup(instruments=(Camera(at + 0.05),))
+    return pincal.calibrate(mechanism, both, setup=setup), at
+
+
+@pytest.mark.slow
+def test_a_camera_stands_where_it_was_found() -> None:
+    """An instrument that says where it stands is drawn there, with what it sees."""
+    result, at = seen_by_a_camera()
+    (station,) = stations(result)
+    np.testing.assert_allclose(station.T_base_station[:3, 3], at, atol=1e-3)
+    assert station.sees == (0.5, 0.4)
+    view = pincal.view(result.nominal, result.poses[:2]).with_result(result)
+    assert "camera, 1.02 m from the base frame" in view.html()
+    edges = frustum(station.sees, 2.0)
+    np.testing.assert_allclose(np.abs(edges[4:8]).max(axis=(0, 1)), [1.0, 0.8, 2.0])
+    assert not edges[:4, 0].any()
+
+
+@pytest.mark.slow
+def test_frame_of_the_measurements_is_where_it_was_found() -> None:
+    """Where it was unknown, as of a camera's poses, it is drawn; an odd place is refused."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, NOISE, 3).measurements
+    moved = replace(data, poses=data.poses + np.array([0.3, -0.2]))
+    result = pincal.calibrate(mechanism, moved, noise=NOISE, setup=pincal.Setup(unknown_frame=True))
+    (station,) = stations(result)
+    np.testing.assert_allclose(station.T_base_station[:3, 3], [-0.3, 0.2, 0.0], atol=0.1)
+    assert (station.name, station.sees) == ("frame of the measurements", None)
+    assert not stations(calibration())
+    found, _ = seen_by_a_camera()
+    camera = found.options.setup.instruments[0]
+    camera.stand = lambda _: np.ones((4, 4))  # type: ignore[attr-defined]
+    with pytest.raises(pincal.MeasurementError, match="instrument 'camera' stands at"):
+        stations(found)

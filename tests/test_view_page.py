@@ -298,6 +298,111 @@ def test_sliders_move_the_platform_and_loops_stay_closed(name: str, opened: Any)
     assert window.clean(), window.said
 
 
+def test_coordinates_that_follow_have_no_slider(opened: Any) -> None:
+    """A 3-RPS has sliders for height and two tilts; where they lead, forward kinematics agrees."""
+    mechanism = pincal.load_mechanism("3RPS")
+    view = pincal.view(mechanism)
+    window = opened(view)
+    assert window.page.locator("#jog label span").all_inner_texts() == ["z", "rx", "ry"]
+    for wanted in ([0.0, 0.1, 0.1], [0.05, 0.2, -0.1]):
+        reached, T, joints = window.page.evaluate(_GO, wanted)
+        assert reached
+        pose = mechanism.platform.from_matrices(np.reshape(T, (1, 4, 4)))
+        there = pincal.forward(mechanism, [[own[1] for own in joints]], pose)
+        assert np.allclose(there.poses, pose, atol=1e-8)
+        assert np.reshape(T, (4, 4))[2, 3] == pytest.approx(0.786 + wanted[0])
+        assert np.abs(pose[0, :2]).max() > 1e-3  # x and y followed
+    window.page.evaluate("() => window.pincal.show(0)")
+    assert window.page.evaluate("() => window.pincal.jog.between(0, 1, 0.4)")
+    matrices, own = window.matrices(view), view.scene.body
+    for number, chain in enumerate(own.chains, 1):
+        point = matrices[own.part(f"platform/point {number}"), :3, 3]
+        assert np.linalg.norm(matrices[chain[-1], :3, 3] - point) < 1e-6
+    assert window.clean(), window.said
+
+
+_DRAWN = """(quickly) => {
+  const { viewer, pace, show } = window.pincal;
+  pace.decide(quickly);
+  show(1);
+  viewer.render();
+  viewer.render();
+  const { quick } = pace.state();
+  const shown = quick && quick.domElement.style.visibility === "visible";
+  const { calls, triangles } = (shown ? quick : viewer.renderer).info.render;
+  return { shown, calls, triangles };
+}"""
+_BOXES = """() => {
+  const { viewer } = window.pincal;
+  const box = (root, merged) => {
+    const found = new MeshCat.THREE.Box3();
+    root.traverseVisible((one) => {
+      const { geometry } = one;
+      if (!one.isMesh || geometry.drawRange.count === 0) return;
+      const corners = geometry.attributes.position;
+      const count = merged ? geometry.drawRange.count : corners.count;
+      for (let i = 0; i < count; i++) {
+        const at = new MeshCat.THREE.Vector3();
+        at.fromBufferAttribute(corners, merged ? geometry.index.getX(i) : i);
+        found.expandByPoint(at.applyMatrix4(one.matrixWorld));
+      }
+    });
+    return [...found.min.toArray(), ...found.max.toArray()];
+  };
+  const merged = viewer.scene.children.filter((one) => one.isMesh && one.layers.mask === 4);
+  return [box(viewer.scene_tree.find(["meshcat", "mechanism"]).object), box(merged[0], true)];
+}"""
+
+
+def test_what_moves_is_one_coarse_mesh_where_full_frames_take_long(opened: Any) -> None:
+    """Then a machine is one call of few triangles in the same place, until all rests in full.
+
+    Where full frames are quick, there is no second canvas.
+    """
+    mechanism = pincal.load_mechanism("6UPS")
+    cloud = pincal.sample_workspace(mechanism, 500)
+    shift = np.random.default_rng(0).uniform(-0.1, 0.1, (3, 6))
+    poses = pincal.Plan(mechanism.platform.home + shift)
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    window = opened(pincal.view(mechanism, poses, workspace=cloud, identified=truth))
+    full = window.page.evaluate(_DRAWN, False)
+    assert not full["shown"]
+    window.page.wait_for_timeout(500)
+    quick = window.page.evaluate(_DRAWN, True)
+    assert quick["shown"]
+    assert quick["calls"] <= 12  # machines, shadow, axes, and what rests until the view has rested
+    assert quick["triangles"] < full["triangles"] / 4
+    whole, merged = map(np.array, window.page.evaluate(_BOXES))
+    assert np.allclose(whole, merged, atol=0.02 * np.ptp(whole.reshape(2, 3), axis=0).max())
+    window.page.wait_for_function("() => !window.pincal.pace.state().owed")
+    state = "() => window.pincal.pace.state().quick.domElement.style.visibility"
+    assert window.page.evaluate(state) == "hidden"
+    drag = """() => { const { viewer, jog } = window.pincal; jog.go([0.01, 0, 0, 0, 0, 0]);
+      return jog.state().T[3]; }"""
+    assert window.page.evaluate(drag) == pytest.approx(poses.poses[1, 0] + 0.01)
+    assert not [text for text in window.said if "ReadPixels" not in text], window.said
+
+
+def test_playing_moves_in_every_frame(opened: Any) -> None:
+    """Between poses the platform is elsewhere in every frame, and goes through the plan's poses."""
+    window = opened(pincal.view(*plan("5R")))
+    window.page.wait_for_timeout(600)
+    follow = """() => new Promise((done) => {
+      const places = [];
+      const tick = () => {
+        const { T } = window.pincal.jog.state();
+        places.push(T[3] + 1000 * T[7]);
+        if (places.length < 12) requestAnimationFrame(tick);
+        else done(places);
+      };
+      requestAnimationFrame(tick);
+    })"""
+    window.page.locator("#play").click()
+    places = window.page.evaluate(follow)
+    assert len(set(places[2:])) == len(places[2:])
+    window.page.wait_for_function("() => window.pincal.pose() >= 2")
+
+
 def test_the_platform_follows_the_pointer(opened: Any) -> None:
     """Dragging the platform moves it in x and y as the pointer goes, and does not turn the view."""
     mechanism = pincal.load_mechanism("3RRR")
@@ -336,7 +441,7 @@ def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
         ("poses, as ghosts", "ghosts", False),
         ("poses, as dots", "sets", True),
         ("identified, errors × 30", "identified", True),
-        ("workspace, 100 positions; dark: fundamental domain of C3", "cloud", True),
+        ("workspace, 100 positions; strong colour: fundamental domain of C3", "cloud", True),
         ("leg_1, 3 poses", "sets/1", True),
     ):
         box = window.page.get_by_label(label)
@@ -443,6 +548,15 @@ def test_a_telephone_shows_all_of_the_mechanism(name: str, opened: Any) -> None:
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 390
     assert not page.get_by_text("Open Controls").is_visible()
+    for one in page.locator("button:visible, input[type=range]:visible").all():
+        assert one.bounding_box()["height"] >= 36  # for thumbs
+    scale = page.locator("#scale").bounding_box()
+    for tag in page.locator(".tag").all():
+        box = tag.bounding_box()
+        beside = box["x"] >= scale["x"] + scale["width"] or box["x"] + box["width"] <= scale["x"]
+        assert beside or box["y"] + box["height"] <= scale["y"] + 1
+    panel = page.locator("aside")
+    assert panel.evaluate("(one) => one.scrollWidth <= one.clientWidth")
 
 
 AXE = Path(__file__).parents[1] / "node_modules" / "axe-core" / "axe.min.js"
@@ -485,8 +599,9 @@ def test_dark_ground_has_its_own_colours(opened: Any) -> None:
     colours = """() => [...document.querySelectorAll(".tag")].map(
       (tag) => getComputedStyle(tag).borderLeftColor)"""
     light = page.evaluate(colours)
+    first = f"(own) => ({colours})()[0] !== own"
     page.emulate_media(color_scheme="dark")
-    page.wait_for_timeout(300)
+    page.wait_for_function(first, arg=light[0])
     dark = page.evaluate(colours)
     said = [f"rgb({', '.join(str(int(c[i : i + 2], 16)) for i in (1, 3, 5))})" for c in LEGS[:3]]
     night = [
@@ -495,7 +610,7 @@ def test_dark_ground_has_its_own_colours(opened: Any) -> None:
     assert light == said
     assert dark == night
     page.emulate_media(color_scheme="light")
-    page.wait_for_timeout(300)
+    page.wait_for_function(first, arg=dark[0])
     assert page.evaluate(colours) == light
     assert window.clean(), window.said
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.fits import Fits
-from pincal.estimation.linear import Orthonormal
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
@@ -67,12 +66,9 @@ def chi2_freedoms(fits: Sequence[Robust]) -> float:
     for robust in fits:
         one = robust.fit
         used = np.flatnonzero(one.good)
-        J = one.last.jacobian[used] @ one.unknowns.map
-        _, prior = one.unknowns.prior_rows(one.unknowns.start)
-        Q = Orthonormal.of(J, prior)(J)
         last = one.problem.reading_columns[-1].stop
         W = one.last.white.by_noise[used, :, last : last + one.problem.platform.dof]
-        parts.append((robust.rows[used], Q, W))
+        parts.append((robust.rows[used], one.Q, W))
         total += one.degrees_of_freedom
     shared = 0.0
     for index, (rows, Q, W) in enumerate(parts):

@@ -72,6 +72,23 @@ def leg_whitener(demand: Demand, mechanism: Mechanism, noise: Noise) -> WhiteRow
         ) from error
 
 
+def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
+    """Return the whitened rows of a leg alone by its parameters, poses as measured, (N, k, n).
+
+    NaN where out of reach. See ``leg_whitener``: one row is only divided by the size of its noise.
+
+    Raises:
+        MeasurementError: a residual has no noise.
+    """
+    if demand.value.shape[1] == 1:
+        by_pose, by_reading = demand.pose[:, 0] * noise.of_poses(mechanism), demand.reading[:, 0]
+        square = np.einsum("ns,ns->n", by_pose, by_pose)
+        square += noise.reading**2 * np.einsum("ns,ns->n", by_reading, by_reading)
+        if not (square <= 0.0).any():
+            return np.asarray(demand.parameter / np.sqrt(square)[:, None, None])
+    return leg_whitener(demand, mechanism, noise)(demand.parameter)
+
+
 def information_rows(
     mechanism: Mechanism,
     legs: Legs,

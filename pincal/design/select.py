@@ -17,10 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
-from pincal.design.selection.leg_rows import LegRows
 from pincal.design.selection.orbits import (
     leg_orbits,
-    maps,
     merged,
     multiplicities,
     selection_group,
@@ -211,8 +209,7 @@ def _by_symmetry(
     """
     mechanism = search.mechanism
     group, platform = selection_group(mechanism), mechanism.platform
-    some = search.some(_SOME)
-    found = leg_orbits(group, some)
+    found = leg_orbits(group, search.some(_SOME), as_noise(search.options.noise))
     first = {leg: orbit.legs[0] for orbit in found for leg in orbit.legs}
     references = tuple(first[name] for name in mechanism.leg_names)
     if orbits:
@@ -225,18 +222,13 @@ def _by_symmetry(
         return Plan(poses, (EVERY_LEG,) * len(poses)), [efficiency] * len(first), references
     parts, wanted, efficiencies = [], [], {}
 
-    def white(leg: str, poses: Array) -> Array:
-        (rows,) = LegRows(mechanism, poses, (leg,), as_noise(search.options.noise))(slice(None))
-        return rows.reshape(-1, rows.shape[2])
-
     for orbit in found:
         chosen, efficiency = search.own(orbit.legs[0], count)
-        rows = white(orbit.legs[0], some)
-        for leg, element in zip(orbit.legs, orbit.carriers, strict=True):
-            parts.append(element.poses(platform, search.candidates[chosen]))
+        poses = search.candidates[chosen]
+        for leg, element, alike in zip(orbit.legs, orbit.carriers, orbit.alike, strict=True):
+            parts.append(element.poses(platform, poses))
             wanted += [leg] * count
-            same = maps(rows, white(leg, element.poses(platform, some)))
-            efficiencies[leg] = efficiency if same else search.efficiency(leg, element, chosen)
+            efficiencies[leg] = efficiency if alike else search.efficiency(leg, element, chosen)
     plan = merged(mechanism, np.concatenate(parts), wanted)
     return plan, [efficiencies[name] for name in mechanism.leg_names], references
 

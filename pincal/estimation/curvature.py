@@ -62,5 +62,6 @@ def _relative(
                 stack = solve_poses(problem, problem.whitened(stack), ~used)[0].stack
             ends.append(here.white(stack.value[:, :, None])[:, :, 0])
         bent += float(((0.5 * (ends[0] + ends[1]) - here.value)[used] ** 2).sum())
-        straight += float(((here.jacobian[used] @ step) ** 2).sum())
+        along = here.stack.after(step) - here.stack.value
+        straight += float((here.white(along[:, :, None])[used] ** 2).sum())
     return float(np.sqrt(bent / straight)) if straight > 0.0 else 0.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
 from pincal.estimation.adjusted import last_steps
-from pincal.estimation.linear import Linear, State
+from pincal.estimation.linear import Linear, Orthonormal, State
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.problem import Problem
@@ -77,6 +77,21 @@ class Fit:
     def good(self) -> NDArray[np.bool_]:
         """Which rows take part and are no outliers, shape (N,)."""
         return _good(self.system, self.last, self.weights, self.scale)
+
+    @cached_property
+    def orthonormal(self) -> Orthonormal:
+        """What makes the columns of good rows and priors orthonormal."""
+        _, prior = self.unknowns.prior_rows(self.unknowns.start)
+        return Orthonormal.of(self._good_rows, prior)
+
+    @cached_property
+    def Q(self) -> Array:
+        """Good rows in orthonormal columns: what the unknowns take up; (n_good, m, n_free)."""
+        return self.orthonormal(self._good_rows)
+
+    @property
+    def _good_rows(self) -> Array:
+        return self.last.jacobian[self.good] @ self.unknowns.map
 
     @cached_property
     def influence(self) -> Array:

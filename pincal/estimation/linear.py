@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,6 +17,8 @@ from pincal.kinematics.derivatives import Demand
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Follow = Callable[[Array, Array], tuple[Array, ...]]
+"""Returns joints of each leg, near those after a step of all unknowns and twists of the poses."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,9 @@ class Stack:
 
     state: State
     legs: tuple[Met, ...]
+    """What each leg demands."""
+    follow: Follow
+    """How their joints follow a step."""
     value: Array
     """e, shape (N, k), [m] and [rad]."""
     blocks: tuple[Block, ...]
@@ -118,7 +123,7 @@ class Linear:
         for begin in range(0, len(self.value), CHUNK):
             yield slice(begin, min(begin + CHUNK, len(self.value)))
 
-    @property
+    @cached_property
     def triangle(self) -> Array:
         """R of J = Q R over all poses, shape (n, n): the same columns but for a rotation."""
         R = np.zeros((0, 0))

@@ -18,11 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
+from pincal.estimation.conditions.alike_legs import alike_legs, all_met
 from pincal.estimation.conditions.covariances import RowNoise
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
 from pincal.estimation.linear import Block, Linear, Stack, State
 from pincal.estimation.rows import NoNoiseError, white_rows
+from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.nearest_closure import arm_poses
@@ -32,7 +34,6 @@ from pincal.model.platform import Platform
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
-_UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
 NO_NOISE = (
     "some measurements carry no noise at all; give standard deviations above zero for what is "
     "measured, and for readings (--noise-reading) where there are more of them than freedoms"
@@ -80,6 +81,13 @@ class Problem:
     def weighted(self) -> bool:
         """Whether white residuals are minimised, or, as the papers have it, plain joint ones."""
         return self.conditions[0].kind == "closure"
+
+    @cached_property
+    def alike(self) -> list[list[int]]:
+        """Places of legs that may be evaluated in one call; each alone where rows are many."""
+        if len(self.used) > CHUNK:
+            return [[place] for place in range(len(self.conditions))]
+        return alike_legs(self.conditions)
 
     @cached_property
     def columns(self) -> list[slice]:
@@ -188,12 +196,7 @@ class Problem:
         Raises:
             MeasurementError: a residual that does not exist.
         """
-        found = tuple(
-            condition(state.parameters[columns], state.matrices, joints)
-            for condition, columns, joints in zip(
-                self.conditions, self.columns, state.joints, strict=True
-            )
-        )
+        found, follow = all_met(self.conditions, self.alike, self.columns, state)
         demands = [one.demand for one in found]
         state = replace(state, joints=tuple(one.joints for one in found))
         n_legs, outside = self.leg_rows[-1].stop, len(self.observation.external)
@@ -216,12 +219,11 @@ class Problem:
             value[:, n_legs:], pose[:, n_legs:] = seen.value, seen.pose
         by_outside = np.zeros((count, r, outside)) if seen is None else seen.external
         blocks.append(Block(slice(n_legs, n_legs + r), slice(n, n + outside), by_outside))
-        noise = self._noise(demands)
-        return Stack(
-            state, found, value, tuple(blocks), pose if self.latent else pose[:, :, :0], noise
-        )
+        noise = self.noise(demands)
+        pose = pose if self.latent else pose[:, :, :0]
+        return Stack(state, found, follow, value, tuple(blocks), pose, noise)
 
-    def _noise(self, demands: Sequence[Demand]) -> Array:
+    def noise(self, demands: Sequence[Demand]) -> Array:
         """Return S at what the legs demand, shape (N, k, s)."""
         n_legs, n_readings = self.leg_rows[-1].stop, self.reading_columns[-1].stop
         r = self.sigma_observed.shape[1] if self.latent else 0
@@ -259,7 +261,7 @@ class Problem:
         Raises:
             MeasurementError: conditions without noise.
         """
-        return self.whitened(replace(linear.stack, noise=self._noise(linear.stack.demands)))
+        return self.whitened(replace(linear.stack, noise=self.noise(linear.stack.demands)))
 
     def whitened(self, stack: Stack) -> Linear:
         """Return conditions freed of the poses and whitened.
@@ -290,36 +292,6 @@ class Problem:
         own = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)[:, :, columns]
         return np.concatenate((noise, own), axis=2)
 
-    def evened(self, stack: Stack) -> Problem | None:
-        """Return the problem with every quantity at least as uncertain as is typical.
-
-        Its optimum is nearby and has no narrow valleys: where readings are exact, a pose near a
-        singularity of the nominal machine goes far astray. None where nothing changes, or where an
-        arm carries the platform.
-
-        Args:
-            stack: Conditions at some state.
-        """
-        if not self.latent or any(leg.is_arm for leg in self.legs):
-            return None
-        lengths = np.array([unit == "m" for unit in self.observation.units], dtype=bool)
-        size = max(leg.size for leg in self.legs)
-        rows = np.linalg.norm(stack.noise[:, : self.leg_rows[-1].stop], axis=2)
-        seen = self.sigma_observed * np.where(lengths, 1.0, size)
-        seen = seen[self.observation.measured]
-        noisy = next((one for one in (seen[seen > 0.0], rows[rows > 0.0]) if len(one)), None)
-        if noisy is None:
-            return None
-        typical = float(np.median(noisy))
-        observed = np.maximum(self.sigma_observed, np.where(lengths, typical, typical / size))
-        follow = [np.median(np.linalg.norm(one.reading, axis=1), axis=0) for one in stack.demands]
-        floors = typical / np.maximum(np.concatenate(follow), 1e-300)
-        readings = np.maximum(self.sigma_readings, np.where(np.isfinite(floors), floors, 0.0))
-        even = (observed <= _UNEVEN * self.sigma_observed) | ~self.observation.measured
-        if even.all() and (readings <= _UNEVEN * self.sigma_readings).all():
-            return None
-        return replace(self, sigma_observed=observed, sigma_readings=readings)
-
     def moved(self, linear: Linear, step: Array) -> State:
         """Return the state after a step of all unknowns, shape (n,), the poses following."""
         state, stack, n = linear.state, linear.stack, self.n_parameters
@@ -330,8 +302,7 @@ class Problem:
             twists = linear.white.pose_step(stack.after(step))
             there = self._carried(stack, step, twists, parameters)
             matrices = self.platform.displaced(matrices, twists) if there is None else there
-        own = zip(stack.legs, self.columns, strict=True)
-        joints = tuple(leg.after(step[columns], twists) for leg, columns in own)
+        joints = stack.follow(step, twists)
         return State(parameters, matrices, joints, external)
 
     def _carried(self, stack: Stack, step: Array, twists: Array, parameters: Array) -> Array | None:

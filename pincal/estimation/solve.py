@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pincal.errors import MeasurementError
+from pincal.estimation.evened import evened
 from pincal.estimation.linear import Linear, State
 from pincal.estimation.pose_search import solve_poses, unsolved
 from pincal.estimation.problem import Problem, spread
@@ -224,16 +225,16 @@ def near_start(
     """
     problem = system.problem
     sound = first.squares <= BY.gross**2 * np.median(first.squares)
-    evened = problem.evened(first.stack) or (problem if system.loss or not sound.all() else None)
-    if evened is None:
+    easier = evened(problem, first.stack) or (problem if system.loss or not sound.all() else None)
+    if easier is None:
         return first, 0
     kept = sound if system.kept is None else system.kept & sound
     start, every = problem.start(first.state.parameters), len(first.value)
     some = spread(every, BY.rows)
     if len(some) < every:
-        evened, start = evened.part(some), start.rows(some)
-    begin, count = solve_poses(evened, evened.linearise(start))
-    easy = replace(system, problem=evened, kept=kept[some], loss=None)
+        easier, start = easier.part(some), start.rows(some)
+    begin, count = solve_poses(easier, easier.linearise(start))
+    easy = replace(system, problem=easier, kept=kept[some], loss=None)
     found = search(easy, begin, progress, enough=BY.near, most=BY.begin)
     there = found.linear.state
     if len(some) < every:

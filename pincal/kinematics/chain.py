@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pincal.kinematics.forest import Base, Elementary, Forest, Motion, forest
@@ -33,8 +34,10 @@ class Chain:
 
     still: Forest
     """The first s elementary joints, without dummies."""
+    first: tuple[float, ...]
+    """Constant placement of the next one, row by row; empty for the identity."""
     forest: Forest
-    """The others."""
+    """The others, from there on: chains that differ only in where they begin share it."""
     from_parameters: Array
     """S, shape (n, n_params)."""
     from_joints: Array
@@ -50,28 +53,28 @@ class Chain:
             joints: Joint positions of the leg, [rad] or [m], and behind them deformations, shape
                 (N, n_joints [+ n_deformed]); nothing deforms if these are not given.
         """
-        values, base = self._begun(parameters.tobytes())
-        q = np.empty((len(joints), len(values)))
-        q[:] = values
-        for row, column, entry in self._entries:
-            if column < joints.shape[1]:
-                q[:, row] += entry * joints[:, column]
-        return self.forest.motion(q, self._moving_rates, base)
+        return motion((self,), (parameters,), joints)
 
     @cached_property
-    def _begun(self) -> Callable[[bytes], tuple[Array, Base | None]]:
+    def begun(self) -> Callable[[bytes], tuple[Array, Base | None]]:
         """Returns what parameters put into the moving joints, and where these begin; kept."""
         s = self.still.width
 
         @lru_cache(maxsize=8)  # the same parameters are asked for several times in turn
-        def begun(parameters: bytes) -> tuple[Array, Base | None]:
+        def found(parameters: bytes) -> tuple[Array, Base | None]:
             values = self.from_parameters @ np.frombuffer(parameters)
-            return values[s:], self.still.begin(values[:s], self._rates[:, :s]) if s else None
+            if not s and not self.first:
+                return values, None
+            base = self.still.begin(values[:s], self._rates[:, :s])
+            first = (
+                pin.SE3(np.array(self.first).reshape(4, 4)) if self.first else pin.SE3.Identity()
+            )
+            return values[s:], Base(base.placement * first, base.twists)
 
-        return begun
+        return found
 
     @cached_property
-    def _entries(self) -> list[tuple[int, int, float]]:
+    def entries(self) -> list[tuple[int, int, float]]:
         """What is not zero of J, deformations last, of what moves: row, column, entry."""
         every = np.concatenate((self.from_joints, self.from_parameters[:, self.deformed]), axis=1).T
         s = self.still.width
@@ -83,13 +86,40 @@ class Chain:
         return np.flatnonzero(self.from_parameters.any(axis=0))
 
     @cached_property
+    def form(self) -> tuple[object, ...]:
+        """What alike chains have in common, wherever they begin."""
+        arrays = (self.from_parameters.tobytes(), self.from_joints.tobytes())
+        return (self.forest, *arrays, self.deformed, self.still.width)
+
+    @cached_property
     def _rates(self) -> Array:
         """Rates of elementary joints with each leg joint and parameter, shape (k, n)."""
         return np.concatenate((self.from_joints, self.from_parameters), axis=1).T
 
     @cached_property
-    def _moving_rates(self) -> Array:
+    def moving_rates(self) -> Array:
+        """Rates of the moving elementary joints, shape (k, n_moving)."""
         return self._rates[:, self.still.width :]
+
+
+def motion(chains: Sequence[Chain], parameters: Sequence[Array], joints: Array) -> Motion:
+    """Return where the tips of alike chains are, and how joints and parameters move them.
+
+    Args:
+        chains: L chains of one form.
+        parameters: Parameter values of each, shape (n_params,).
+        joints: Of each N rows below those of the one before, shape (L N, n_joints …): see
+            ``Chain.motion``.
+    """
+    begun = [one.begun(own.tobytes()) for one, own in zip(chains, parameters, strict=True)]
+    values = np.stack([own for own, _ in begun])
+    q = np.empty((len(chains), len(joints) // len(chains), values.shape[1]))
+    q[:] = values[:, None]
+    moving = joints.reshape(*q.shape[:2], joints.shape[1])
+    for row, column, entry in chains[0].entries:
+        if column < joints.shape[1]:
+            q[:, :, row] += entry * moving[:, :, column]
+    return chains[0].forest.motion(q, chains[0].moving_rates, [base for _, base in begun])
 
 
 @lru_cache(maxsize=64)  # a chain keeps its forest, of some megabytes
@@ -144,9 +174,14 @@ def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None 
             add(element, np.zeros(len(names)), sign * entry)
     moved = [i for i, (by, entry) in enumerate(rows) if entry.any() or by[deformed].any()]
     first = moved[0] if moved else 0
+    begins = elements[first].placement if elements else ()
+    moving_ones = tuple(elements[first:])
+    if begins:
+        moving_ones = (replace(elements[first], placement=()), *moving_ones[1:])
     return Chain(
         Forest(tuple(elements[:first]), spatial=True, copies=1),
-        forest(tuple(elements[first:]), _key(pending), spatial=spatial, copies=copies),
+        begins,
+        forest(moving_ones, _key(pending), spatial=spatial, copies=copies),
         np.array([parameter for parameter, _ in rows]).reshape(len(rows), len(names)),
         np.array([entry for _, entry in rows]).reshape(len(rows), len(moving)),
         tuple(deformed),
@@ -205,6 +240,23 @@ def _point(leg: Leg, own: bytes) -> PlatformPoint:
         many.speeds[:, :, 0],
         many.turn[0],
         many.turning[0],
+    )
+
+
+def alike_points(points: Sequence[PlatformPoint], count: int) -> PlatformPoint:
+    """Return the platform points of alike legs, so many rows of each below the one before.
+
+    Of points that stand still and are no frames.
+    """
+
+    def rows(vectors: Sequence[Array]) -> Array:
+        return np.repeat(np.stack(vectors, axis=2), count, axis=2)
+
+    return replace(
+        points[0],
+        place=rows([one.place for one in points]),
+        arm=rows([one.arm for one in points]),
+        speeds=rows([one.speeds for one in points]),
     )
 
 

@@ -29,6 +29,7 @@ Mask = NDArray[np.bool_]
 CHUNK = 4096
 _ATTEMPTS = 6
 _NEWTON = Newton(steps=15, small=1e-4, closed=1e-11)  # the step after that is rounding
+_EXACT = 2e-15  # of a leg's size, what rounding leaves of a closed form
 
 
 @dataclass(frozen=True)
@@ -68,9 +69,10 @@ def close(
         possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
     closure = leg.evaluate(joints, matrices)
     closed = possible & _small(leg, closure)
-    step = _newton_step(leg, closure)
-    last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
-    joints = np.where((closed & ~last)[:, None], joints, joints + step)
+    if not (closed & _small(leg, closure, _EXACT)).all():  # else a step is rounding
+        step = _newton_step(leg, closure)
+        last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
+        joints = np.where((closed & ~last)[:, None], joints, joints + step)
     if not (closed | ~possible).all():
         joints, closed = _search(leg, matrices, joints, closed, possible, attempts)
         turning = [i for i, joint in enumerate(leg.leg.moving) if joint.kind == "revolute"]
@@ -135,8 +137,8 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
         return step
 
 
-def _small(leg: LegClosure, closure: Closure) -> Mask:
-    return np.asarray((np.abs(closure.gap) <= _NEWTON.closed * leg.size).all(axis=1))
+def _small(leg: LegClosure, closure: Closure, within: float = _NEWTON.closed) -> Mask:
+    return np.asarray((np.abs(closure.gap) <= within * leg.size).all(axis=1))
 
 
 @lru_cache(maxsize=64)

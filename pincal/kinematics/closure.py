@@ -11,7 +11,7 @@ one equation; one with fewer passive joints more, a serial arm six.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -27,7 +27,15 @@ from pincal.kinematics.batches import (
     product,
     solve,
 )
-from pincal.kinematics.chain import PlatformPoint, deformed_point, leg_chain, platform_point
+from pincal.kinematics.chain import (
+    PlatformPoint,
+    alike_points,
+    deformed_point,
+    leg_chain,
+    motion,
+    platform_point,
+    point_chain,
+)
 from pincal.kinematics.placed import Placed
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -159,7 +167,7 @@ class LegClosure:
         self.parameters = leg.nominal if parameters is None else np.asarray(parameters, float)
         self.turns = leg.closes == "frame"
         self.axes = [row - 3 for row in platform.closing(leg.closes) if row >= 3]
-        self._chain = leg_chain(leg, platform.space == 3 or self.turns)
+        self.chain = leg_chain(leg, platform.space == 3 or self.turns)
         self._key = (leg, platform, self.parameters.tobytes())
         self._hash = hash(self._key)
         self._point = platform_point(leg, self.parameters)
@@ -213,20 +221,20 @@ class LegClosure:
         by = self.deformations(none if influences is None else influences)
         return np.concatenate((joints, by), axis=1)
 
-    def _point_at(self, joints: Array) -> PlatformPoint:
+    def point_at(self, joints: Array) -> PlatformPoint:
         """Return the platform point at joint positions, with deformations or without."""
         by = joints[:, len(self.leg.moving) :]
         return self._point if not by.shape[1] else deformed_point(self.leg, self.parameters, by)
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
-        return _padded(self._chain.motion(self.parameters, joints).tips)
+        return _padded(self.chain.motion(self.parameters, joints).tips)
 
     @cached_property
     def at_zero_and_home(self) -> tuple[Array, Array]:
         """Tips with joints at zero and at home, (2, 3), and their twists by joints, (2, 6, n)."""
         joints = np.stack((np.zeros(len(self.leg.moving)), self.leg.home))
-        motion = self._chain.motion(self.parameters, joints)
+        motion = self.chain.motion(self.parameters, joints)
         twists = motion.twists(slice(joints.shape[1]))
         return _padded(motion.tips), np.ascontiguousarray(twists.transpose(2, 0, 1))
 
@@ -237,16 +245,19 @@ class LegClosure:
             joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
             matrices: Shape (N, 4, 4).
         """
-        placed = Placed(
-            self,
-            matrices,
-            self._chain.motion(self.parameters, joints),
-            self._point_at(joints),
-        )
-        moved = placed.by_joints
-        return Closure(
-            placed.gap, moved[:, :, self.leg.active], moved[:, :, self.leg.passive], placed
-        )
+        return evaluate((self,), joints, matrices)
+
+    @cached_property
+    def form(self) -> tuple[object, ...]:
+        """What alike legs have in common: they may be evaluated in one call.
+
+        One that deforms, or closes a frame, is like no other.
+        """
+        leg, own = self.leg, point_chain(self.leg).moving
+        if leg.deformed or self.turns:
+            return (leg,)
+        sizes = (len(leg.parameters), len(leg.sensors), *own.tolist())
+        return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
 
     def frame(self, joints: Array, gap: Array | None = None) -> Array:
         """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
@@ -255,7 +266,7 @@ class LegClosure:
             joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
             gap: What the closure is to be there, shape (N, 6); nothing if not given.
         """
-        motion, point = self._chain.motion(self.parameters, joints), self._point_at(joints)
+        motion, point = self.chain.motion(self.parameters, joints), self.point_at(joints)
         tips, turns = motion.tips.T, motion.turns
         if gap is not None:
             tips = tips - gap[:, :3]
@@ -264,6 +275,25 @@ class LegClosure:
         matrices[:, :3, :3] = turns @ np.swapaxes(point.turn, -1, -2)
         matrices[:, :3, 3] = tips - applied(matrices, point.arm)[:, 0].T
         return matrices
+
+
+def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Closure:
+    """Return closure and derivatives of alike legs, rows of each below those of the one before.
+
+    Args:
+        legs: L legs of one form.
+        joints: Of N rows of each, shape (L N, n_joints …): see ``LegClosure.evaluate``.
+        matrices: Shape (L N, 4, 4).
+    """
+    first = legs[0]
+    moved = motion([leg.chain for leg in legs], [leg.parameters for leg in legs], joints)
+    point = first.point_at(joints)
+    if len(legs) > 1:
+        point = alike_points([leg.point_at(joints) for leg in legs], len(joints) // len(legs))
+    placed = Placed(first, matrices, moved, point)
+    by_joints = placed.by_joints
+    active, passive = by_joints[:, :, first.leg.active], by_joints[:, :, first.leg.passive]
+    return Closure(placed.gap, active, passive, placed)
 
 
 def _padded(rows: Array) -> Array:

@@ -7,7 +7,7 @@ residual (predicted less measured reading), whose rows are those of e over −�
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closing import close, matrix_chunks, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.kinematics.nearest_closure import each, nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -66,21 +66,33 @@ def demand(leg: LegClosure, closure: Closure, known: Array) -> Demand:
         closure: Its closure at N configurations.
         known: Readings, then influences, shape (N, n_active [+ n_influences]).
     """
-    return Demand(
-        closure.constraint,
-        _by_parameter(leg, closure, known),
-        closure.constraint_by_pose,
-        closure.drive * sensor_law(leg).slopes(known)[..., None, :],
-    )
+    return demands((leg,), closure, (known,))[0]
 
 
-def _by_parameter(leg: LegClosure, closure: Closure, known: Array) -> Array:
+def demands(legs: Sequence[LegClosure], closure: Closure, known: Sequence[Array]) -> list[Demand]:
+    """Return what each of some alike legs demands, from their closures: see ``demand``.
+
+    Args:
+        legs: L legs of one form at their parameter values.
+        closure: Their closures at N configurations, rows of each below the one before.
+        known: Of each leg readings, then influences, shape (N, n_active [+ n_influences]).
+    """
+    value, rows_of = closure.constraint, each(len(legs), len(closure.gap))
+    rows, drive, pose = closure.constraint_by_parameter, closure.drive, closure.constraint_by_pose
+    found = []
+    for own, leg, said in zip(rows_of, legs, known, strict=True):
+        reading = drive[own] * sensor_law(leg).slopes(said)[..., None, :]
+        by_parameter = _by_parameter(leg, rows[own], drive[own], said)
+        found.append(Demand(value[own], by_parameter, pose[own], reading))
+    return found
+
+
+def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> Array:
     """Return ∂e/∂φ, shape (N, k, n_params): of the geometry, of the sensors, and of deformations.
 
     A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
     """
-    rows = closure.constraint_by_parameter
-    found = rows + product(closure.drive, sensor_law(leg).by_parameter(known))
+    found = rows + product(drive, sensor_law(leg).by_parameter(known))
     if leg.leg.deformed:
         by = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :])
         found += rows[:, :, leg.deformations.parameters] @ by
@@ -154,7 +166,8 @@ def leg_demand_at(
         part = demand(closure, closed, known)
         for target, values in zip(vars(whole).values(), vars(part).values(), strict=True):
             target[rows] = values
-            target[rows][~reached] = np.nan
+            if not reached.all():
+                target[rows][~reached] = np.nan
     return whole
 
 
@@ -191,6 +204,8 @@ def identification_jacobian(
     C = np.empty((len(placed), len(law.slope), len(closure.parameters)))
     for rows, closed, psi, reached in _closed_chunks(closure, placed):
         drive = closed.drive * law.slopes(psi)[..., None, :]
-        C[rows] = least_squares(-drive, _by_parameter(closure, closed, psi))
+        C[rows] = least_squares(
+            -drive, _by_parameter(closure, closed.constraint_by_parameter, closed.drive, psi)
+        )
         C[rows][~reached] = np.nan
     return C.reshape(-1, C.shape[2])

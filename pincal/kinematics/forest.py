@@ -7,6 +7,7 @@ configurations, and ``data.J`` holds every joint column of every copy.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from threading import Lock
@@ -105,52 +106,65 @@ class Forest:
         with self._turn:
             columns = pin.computeJointJacobians(self._model, self._data, configuration)
             end = self._data.oMi[self.width].copy()
-        return Base(end, columns.reshape(6, -1) @ rates.T)  # a single column comes as a row
+        return Base(end, columns.reshape(6, self.width) @ rates.T)
 
-    def motion(self, configurations: Array, rates: Array, base: Base | None = None) -> Motion:
-        """Return where the tip is and how it moves.
+    def motion(
+        self, configurations: Array, rates: Array, bases: Sequence[Base | None] = (None,)
+    ) -> Motion:
+        """Return where the tips of L alike chains are and how they move.
 
         Args:
-            configurations: N configurations of the chain, shape (N, n), without dummies.
-            rates: Of the chain's joints in k motions, shape (k, n).
-            base: Where the chain begins, if not at the base's origin.
+            configurations: N configurations of each chain, shape (L, N, n), without dummies.
+            rates: Of the chains' joints in k motions, shape (k, n).
+            bases: Where each chain begins, if not at the base's origin.
         """
+        legs, count, n = configurations.shape
+        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]
         with self._turn:
-            if base is not self._base:
-                placement = self._first if base is None else base.placement * self._first
-                for root in self._roots:
-                    self._model.jointPlacements[root] = placement
-                self._base = base
-            columns = self._columns(configurations)
-        n, rows = configurations.shape[1], [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]
-        kept = np.empty((len(rows), self.width, len(configurations)))
+            columns = self._columns(configurations, bases)
+        kept = np.empty((len(rows), self.width, legs * count))
         for target, row in zip(kept, rows, strict=True):  # across z the others are zero
-            target[:] = columns[row].T
+            target.reshape(self.width, legs, count)[:] = columns[row].transpose(2, 0, 1)
         tips, turns = (_tips_in_space if self.spatial else _tips_in_plane)(kept[:, n:])
-        return Motion(tips, turns, kept[:, :n], rates, None if base is None else base.twists[rows])
+        begun = None
+        if any(base is not None and base.twists.any() for base in bases):
+            still = np.zeros((6, len(rates)))
+            begun = np.stack([still if base is None else base.twists for base in bases])[:, rows]
+        return Motion(tips, turns, kept[:, :n], rates, begun)
 
-    def _columns(self, configurations: Array) -> Array:
-        """Return Pinocchio's joint columns at the base's origin, shape (6, N, width)."""
-        count, n = configurations.shape
+    def _columns(self, configurations: Array, bases: Sequence[Base | None]) -> Array:
+        """Return Pinocchio's joint columns at the base's origin, shape (6, L, N, width)."""
+        legs, count, n = configurations.shape
         blocks = -(-count // self.copies)
-        padded = np.zeros((blocks * self.copies, self.width))
-        padded[:count, :n] = configurations
-        out = np.empty((6, blocks, self.copies * self.width))
+        padded = np.zeros((legs, blocks * self.copies, self.width))
+        padded[:, :count, :n] = configurations
+        out = np.empty((6, legs, blocks, self.copies * self.width))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
         columns = data.J  # Pinocchio's own memory: a copy of what each call returns costs as much
-        for target, q in zip(
-            out.swapaxes(0, 1), padded.reshape(blocks, self.copies * self.width), strict=True
-        ):
-            evaluate(model, data, q)
-            target[:] = columns
-        return out.reshape(6, blocks * self.copies, self.width)[:, :count]
+        for leg, base in enumerate(bases):
+            self._begin_at(base)
+            own = padded[leg].reshape(blocks, self.copies * self.width)
+            for target, q in zip(out[:, leg].swapaxes(0, 1), own, strict=True):
+                evaluate(model, data, q)
+                target[:] = columns
+        return out.reshape(6, legs, blocks * self.copies, self.width)[:, :, :count]
+
+    def _begin_at(self, base: Base | None) -> None:
+        """Let all copies begin at a base."""
+        if base is self._base:
+            return
+        placement = self._first if base is None else base.placement * self._first
+        for root in self._roots:
+            self._model.jointPlacements[root] = placement
+        self._base = base
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Tips of a chain at N configurations, and their velocities in k motions; base frame.
+    """Tips of chains at N configurations, and their velocities in k motions; base frame.
 
-    In the plane across z positions and velocities have two rows, and turning one.
+    Of L alike chains, rows of each stand below those of the one before. In the plane across z
+    positions and velocities have two rows, and turning one.
     """
 
     tips: Array
@@ -162,7 +176,7 @@ class Motion:
     rates: Array
     """Of the joints in each motion, shape (k, n)."""
     begun: Array | None
-    """Twists at the base's origin by what moves where the chain begins, shape (3 or 6, k)."""
+    """Twists at the base's origin by what moves where each chain begins, (L, 3 or 6, k)."""
 
     @cached_property
     def whole(self) -> Array:
@@ -175,8 +189,9 @@ class Motion:
         twists = np.empty((len(self.columns), len(rates), self.columns.shape[2]))
         for twist, row in zip(twists, self.columns, strict=True):
             np.matmul(rates, row, out=twist)
-        if self.begun is not None and (begun := self.begun[:, which]).any():
-            twists += begun[:, :, None]
+        if self.begun is not None and (begun := self.begun[:, :, which]).any():
+            own = twists.reshape(*twists.shape[:2], len(begun), -1)
+            own += begun.transpose(1, 2, 0)[..., None]
         return _at(self.tips, twists)
 
     def power(self, force: Array, moment: Array | None, after: int) -> Array:
@@ -193,7 +208,11 @@ class Motion:
         wrench = np.concatenate((force, about if moment is None else about + moment))
         power = self.rates[after:] @ np.einsum("rjn,rn->jn", self.columns, wrench)
         if self.begun is not None:
-            power += self.begun[:, after:].T @ wrench
+            legs = len(self.begun)
+            own = wrench.reshape(len(wrench), legs, -1).swapaxes(0, 1)
+            begun = self.begun[:, :, after:].swapaxes(1, 2) @ own
+            by_leg = power.reshape(len(power), legs, -1)
+            by_leg += begun.swapaxes(0, 1)
         return np.asarray(power)
 
     @property

@@ -5,12 +5,14 @@ What is left of the closure, Nᵀ c, exists out of reach and stays tame near sin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import lengths, product
 from pincal.kinematics.closing import driven, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, Newton
+from pincal.kinematics.closure import Closure, LegClosure, Newton, evaluate
 from pincal.kinematics.starts import start_joints
 from pincal.model.checks import EXACT
 
@@ -38,53 +40,91 @@ def nearest_closure(
         joints: Where the search for passive joints starts, shape (N, n_joints [+ n_deformed]).
         steps: Most Gauss-Newton steps.
     """
-    passive, n = leg.leg.passive, len(leg.leg.moving)
+    return nearest_closures((leg,), matrices, begun(leg, matrices, known, joints), steps)
+
+
+def begun(leg: LegClosure, matrices: Array, known: Array, joints: Array | None) -> Array:
+    """Return joints as readings say, from which passive ones are found: see ``nearest_closure``."""
+    n = len(leg.leg.moving)
     if joints is not None:
         joints = joints[:, :n].copy()
-    elif passive:
+    elif leg.leg.passive:
         joints = start_joints(leg, matrices)[0]
     else:
         joints = np.empty((len(matrices), n))
-    joints = driven(leg, joints, known)
+    return driven(leg, joints, known)
+
+
+def nearest_closures(
+    legs: Sequence[LegClosure], matrices: Array, joints: Array, steps: int = _NEWTON.steps
+) -> tuple[Closure, Array]:
+    """Return the closures of alike legs and joint positions, rows of each below the one before.
+
+    Args:
+        legs: L legs of one form.
+        matrices: Poses ``T_base_platform`` of N rows of each, shape (L N, 4, 4).
+        joints: Where the search for passive joints starts, shape (L N, n_joints …); overwritten.
+        steps: Most Gauss-Newton steps.
+    """
+    leg = legs[0].leg
     for _ in range(steps):
-        closed = leg.evaluate(joints, matrices)
+        closed = evaluate(legs, joints, matrices)
         step = closed.passive_step()
-        far = lengths(closed.gap) > _FAR * leg.size
-        if far.any() and passive and closed.gap.shape[1] <= 3:  # of points
-            step[far] = _curved_step(closed, far)
-        joints[:, passive] += step
-        if np.abs(step / leg.leg.passive_scales).max(initial=0.0) <= _NEWTON.small:
+        if leg.passive and closed.gap.shape[1] <= 3:  # of points
+            far = lengths(closed.gap) > _FAR * leg.size
+            if far.any():
+                step[far] = _curved_step(closed, far)
+        joints[:, leg.passive] += step
+        if np.abs(step / leg.passive_scales).max(initial=0.0) <= _NEWTON.small:
             break
     return closed, joints
 
 
 def followed(
-    leg: LegClosure, closed: Closure, known: Array, parameters: Array, twists: Array
+    legs: Sequence[LegClosure],
+    closed: Closure,
+    known: Sequence[Array],
+    parameters: Sequence[Array],
+    twists: Array,
 ) -> Array:
-    """Return how far passive joints follow changes, to first order, shape (N, n_passive).
+    """Return how far passive joints of alike legs follow changes, to first order.
 
     Where first order says nothing, near a singularity, they stay.
 
     Args:
-        leg: The leg at its parameter values.
-        closed: Its nearest closure there.
-        known: Readings and influences, as for ``nearest_closure``.
-        parameters: Change of the leg's parameters, shape (n_params,).
+        legs: L legs of one form, at their parameter values.
+        closed: Their nearest closures there.
+        known: Of each leg readings and influences, as for ``nearest_closure``.
+        parameters: Of each leg the change of its parameters, shape (n_params,).
         twists: Of the poses, shape (N, dof).
+
+    Returns:
+        Shape (L N, n_passive).
     """
-    driven_by = sensor_law(leg).by_parameter(known) @ parameters
-    change = closed.parameter @ parameters
-    if leg.leg.deformed:
-        rates = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :]) @ parameters
-        own = closed.parameter[:, :, leg.deformations.parameters]
-        change += product(own, rates[:, :, None])[:, :, 0]
+    change = np.empty_like(closed.gap)
+    driven_by = np.empty((len(change), len(legs[0].leg.active)))
+    parts = zip(legs, known, parameters, strict=True)
+    for rows, (leg, own, delta) in zip(each(len(legs), len(change)), parts, strict=True):
+        driven_by[rows] = sensor_law(leg).by_parameter(own) @ delta
+        by_parameter = closed.parameter[rows]
+        change[rows] = by_parameter @ delta
+        if leg.leg.deformed:
+            rates = leg.deformations.by_parameter(own[:, len(leg.leg.sensors) :]) @ delta
+            deforming = by_parameter[:, :, leg.deformations.parameters]
+            change[rows] += product(deforming, rates[:, :, None])[:, :, 0]
     change += product(closed.active, driven_by[:, :, None])[:, :, 0]
-    change += product(closed.pose, twists[:, :, None])[:, :, 0]
+    change += product(closed.pose, np.tile(twists, (len(legs), 1))[:, :, None])[:, :, 0]
     step = closed.passive_step(change)
     with np.errstate(invalid="ignore"):
-        far = (~(np.abs(step / leg.leg.passive_scales) <= _NEWTON.largest)).any(axis=1)
+        far = (~(np.abs(step / legs[0].leg.passive_scales) <= _NEWTON.largest)).any(axis=1)
     step[far] = 0.0
     return step
+
+
+def each(count: int, rows: int) -> list[slice]:
+    """Return the rows of each of so many alike legs."""
+    own = rows // count
+    return [slice(leg * own, (leg + 1) * own) for leg in range(count)]
 
 
 def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:

@@ -167,11 +167,7 @@ class Platform:
         if not np.isfinite(coordinates).all():
             row = int(np.argmin(np.isfinite(coordinates).all(axis=1)))
             raise MechanismError(f"pose {row + 1} has a coordinate that is not a finite number")
-        matrices = np.zeros((len(coordinates), 4, 4))
-        matrices[:, :3, :3] = self.form.rotations(coordinates).as_matrix()
-        matrices[:, : self.lengths, 3] = coordinates[:, : self.lengths]
-        matrices[:, 3, 3] = 1.0
-        return matrices
+        return self.form.matrices(coordinates)
 
     def coordinates_of(self, poses: Poses) -> Array:
         """Return the coordinates of poses, shape (N, dof), [m] and [rad], angles in (-pi, pi]."""

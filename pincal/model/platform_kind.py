@@ -102,16 +102,20 @@ class PlatformKind:
         """Axis of the one turn."""
         return self.twist_rows[-1] - 3
 
-    def rotations(self, coordinates: Array) -> Rotation:
-        """Return ``R_base_platform`` of coordinates, shape (N, dof)."""
-        if self.turns == 3:
-            return rotation_of("tilt-torsion", coordinates[:, self.lengths :])
-        quaternion = np.zeros((len(coordinates), 4))
-        quaternion[:, 3] = 1.0
+    def matrices(self, coordinates: Array) -> Array:
+        """Return ``T_base_platform`` of coordinates, shape (N, dof) to (N, 4, 4)."""
+        T = np.zeros((len(coordinates), 4, 4))
+        T[:, range(4), range(4)] = 1.0
+        T[:, : self.lengths, 3] = coordinates[:, : self.lengths]
         if self.turns == 1:
-            quaternion[:, self._axis] = np.sin(coordinates[:, -1] / 2)
-            quaternion[:, 3] = np.cos(coordinates[:, -1] / 2)
-        return Rotation.from_quat(quaternion)
+            j, k = (self._axis + 1) % 3, (self._axis + 2) % 3
+            T[:, j, j] = T[:, k, k] = np.cos(coordinates[:, -1])
+            T[:, k, j] = np.sin(coordinates[:, -1])
+            T[:, j, k] = -T[:, k, j]
+        elif self.turns == 3:
+            turns = rotation_of("tilt-torsion", coordinates[:, self.lengths :])
+            T[:, :3, :3] = turns.as_matrix()
+        return T
 
     def from_matrices(self, matrices: Array) -> Array:
         """Return the coordinates of homogeneous matrices, shape (N, 4, 4) to (N, dof)."""

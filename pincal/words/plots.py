@@ -1,4 +1,4 @@
-"""What stands in plots and drawings: labels of axes, titles, legends, and why one is refused."""
+"""The words of plots and drawings: labels of axes, titles, legends, and why one is refused."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def no_images(machine: str) -> str:
 
 
 def key(pixels: float) -> str:
-    """Return what the length of a line beside images stands for."""
+    """Return what the length of a line beside images means."""
     return f"{pixels:g} px of residual, predicted less seen"
 
 
@@ -161,12 +161,12 @@ SHEET = {
     "several": "one of these legs; values of all below",
     "alone": "values below",
 }
-"""What stands in a drawing's table."""
+"""Words of a drawing's table."""
 CHANGED = ("changed by less than its ±", "by 1 to 5 times its ±", "by more than 5 times its ±")
 
 
 def was(value: str) -> str:
-    """Return a nominal value that stands beneath an identified one."""
+    """Return a nominal value beneath an identified one."""
     return f"nominal {value}"
 
 

@@ -27,9 +27,6 @@ class Rows(Protocol):
     def __call__(self, places: Some) -> Parts:
         """Return the rows of some, of each part of the parameters, shape (s, r, n)."""
 
-    def admitted(self, places: Index) -> Index:
-        """Return which of some, in order, may be taken, no two alike."""
-
 
 class Held:
     """Rows in memory."""
@@ -41,10 +38,6 @@ class Held:
     def __call__(self, places: Some) -> Parts:
         """See ``Rows``."""
         return tuple(one[places] for one in self.parts)
-
-    def admitted(self, places: Index) -> Index:
-        """See ``Rows``: all of them."""
-        return places
 
 
 def squares(rows: Rows, places: Index, turns: Parts) -> Array:

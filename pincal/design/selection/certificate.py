@@ -113,14 +113,14 @@ def continuous_design(given: Rows | Parts, places: Index | None = None) -> Conti
     size = max(_BY.first, 4 * n)
     most = some[most_of(squares(rows, some, turns), size)]  # uniform: M = 1
     at = _of_whole_rank(rows, some, most, turns)
-    weights = _multiplicative(_turned(rows(at), turns))
+    weights = _multiplicative(_stacked(_turned(rows(at), turns)))
     seen = np.full(rows.total, -np.inf)
     for _ in range(_BY.rounds):
         own = _turned(rows(at), turns)
-        weights = _interior(own, weights, max(_BY.within * gap, 0.1 * _BY.tolerance))
+        weights = _interior(_stacked(own), weights, max(_BY.within * gap, 0.1 * _BY.tolerance))
         kept = weights > 0.0
         at, weights = at[kept], weights[kept]
-        information = _information(tuple(one[kept] for one in own), weights)
+        information = [_information(one[None, kept], weights)[0] for one in own]
         roots = [np.linalg.inv(np.linalg.cholesky(M)).T for M in information]
         half = tuple(turn @ root for turn, root in zip(turns, roots, strict=True))
         found = squares(rows, left, half)
@@ -204,33 +204,44 @@ def _turned(rows: Parts, turns: Parts) -> Parts:
     return tuple(one @ turn for one, turn in zip(rows, turns, strict=True))
 
 
-def _information(rows: Parts, weights: Array) -> Parts:
-    found = []
-    for one in rows:
-        flat = (one * np.sqrt(weights)[:, None, None]).reshape(-1, one.shape[2])
-        found.append(flat.T @ flat)
-    return tuple(found)
+def _stacked(rows: Parts) -> Parts:
+    """Return rows of candidates (s, r, n) of parts, those of one shape together, (p, s, r, n)."""
+    shapes = dict.fromkeys(one.shape for one in rows)
+    return tuple(np.stack([one for one in rows if one.shape == shape]) for shape in shapes)
+
+
+def _information(rows: Array, weights: Array) -> Array:
+    """Return M of parts of one shape, shape (p, n, n)."""
+    p, _, _, n = rows.shape
+    flat = (rows * np.sqrt(weights)[:, None, None]).reshape(p, -1, n)
+    return np.asarray(flat.swapaxes(1, 2) @ flat)
 
 
 def _shares(rows: Parts, weights: Array) -> Array:
     """Return dⱼ = tr Aⱼ M⁻¹ Aⱼᵀ of few candidates, shape (s,)."""
     found = np.zeros(len(weights))
-    for one, M in zip(rows, _information(rows, weights), strict=True):
-        found += ((one @ np.linalg.inv(M)) * one).sum(axis=(1, 2))
+    for one in rows:
+        by = np.linalg.inv(_information(one, weights))
+        found += ((one @ by[:, None]) * one).sum(axis=(0, 2, 3))
     return found
 
 
 def _multiplicative(rows: Parts) -> Array:
     """Return weights after steps wⱼ ← wⱼ dⱼ / n, small ones dropped: where interior steps begin."""
-    weights = np.full(len(rows[0]), 1.0 / len(rows[0]))
+    weights = np.full(rows[0].shape[1], 1.0 / rows[0].shape[1])
     for _ in range(_BY.multiplied):
         weights = weights * _shares(rows, weights)
         weights = weights / weights.sum()
     large = weights >= _BY.small * weights.max()
-    ranks = [np.linalg.matrix_rank(one[large].reshape(-1, one.shape[2])) for one in rows]
-    if all(rank == one.shape[2] for rank, one in zip(ranks, rows, strict=True)):
+    if all(_whole(one[:, large]) for one in rows):
         weights[~large] = 0.0
     return np.asarray(weights / weights.sum())
+
+
+def _whole(rows: Array) -> bool:
+    """Return whether rows of parts, shape (p, s, r, n), have all of the rank."""
+    n = rows.shape[3]
+    return bool((np.linalg.matrix_rank(rows.reshape(len(rows), -1, n)) == n).all())
 
 
 def _interior(rows: Parts, weights: Array, gap: float) -> Array:
@@ -239,11 +250,11 @@ def _interior(rows: Parts, weights: Array, gap: float) -> Array:
     Slacks z of dⱼ + zⱼ = n, and wⱼ zⱼ = μ → 0. The gradient is dⱼ, the Hessian −|Aᵢ M⁻¹ Aⱼᵀ|².
 
     Args:
-        rows: Of the candidates.
+        rows: Of the candidates: see ``_stacked``.
         weights: Where it begins.
         gap: Part by which dⱼ may exceed n; the least weights are dropped then.
     """
-    s, n = len(weights), sum(one.shape[2] for one in rows)
+    s, n = len(weights), sum(len(one) * one.shape[3] for one in rows)
     w = (1.0 - _BY.mixed) * weights + _BY.mixed / s
     hessian, gradient = _derivatives(rows, w)
     z = np.maximum(n - gradient, _BY.mixed * n)
@@ -274,8 +285,14 @@ def _derivatives(rows: Parts, weights: Array) -> tuple[Array, Array]:
     """Return what log det M is by weights: minus its Hessian, (s, s), and its gradient, (s,)."""
     s = len(weights)
     hessian, gradient = np.zeros((s, s)), np.zeros(s)
-    for one, M in zip(rows, _information(rows, weights), strict=True):
-        P = np.linalg.inv(M) @ (one.transpose(0, 2, 1) @ one)  # |Aᵢ M⁻¹ Aⱼᵀ|² = tr Pᵢ Pⱼ
-        hessian += P.reshape(s, -1) @ P.transpose(0, 2, 1).reshape(s, -1).T
-        gradient += np.einsum("saa->s", P)
+    for one in rows:
+        by, (_, _, r, n) = np.linalg.inv(_information(one, weights)), one.shape
+        turned = one @ by[:, None]
+        gradient += (turned * one).sum(axis=(0, 2, 3))
+        if r * r < n:  # |Aᵢ M⁻¹ Aⱼᵀ|² itself
+            K = turned.reshape(len(one), -1, n) @ one.reshape(len(one), -1, n).swapaxes(1, 2)
+            hessian += (K * K).reshape(-1, s, r, s, r).sum(axis=(0, 2, 4))
+        else:  # tr Pᵢ Pⱼ
+            for P in (turned.swapaxes(2, 3) @ one).reshape(len(one), s, n, n):
+                hessian += P.reshape(s, -1) @ P.swapaxes(1, 2).reshape(s, -1).T
     return hessian, gradient

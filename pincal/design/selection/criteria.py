@@ -14,6 +14,7 @@ choices, S of them, are looked at together.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -48,13 +49,25 @@ class Criterion(Protocol):
         |Aⱼ T|² is the change by a small weight on a candidate, to first order, but for a factor.
         """
 
-    def most(self, promise: Array, inverse: Parts, width: int) -> Array:
-        """Return what no candidate changes more by than, by its |Aⱼ T|² and how many rows it has.
+    def slope(self, squared: Parts, inverse: Parts) -> Array:
+        """Return the change by a small weight on each candidate, to first order, shape (S, M).
+
+        Swaps change the value by less than these differ: it is concave.
 
         Args:
-            promise: |Aⱼ T|², shape (S,).
+            squared: See ``grams``.
             inverse: M⁻¹ of each choice, shape (S, n, n).
-            width: Rows of a candidate, of all parts.
+        """
+
+    def most(self, squared: Parts, inverse: Parts, widths: tuple[int, ...]) -> Array:
+        """Return exp of what each candidate changes at most, added, shape (S, M).
+
+        It is what it changes where candidates have one row of each part.
+
+        Args:
+            squared: See ``grams``.
+            inverse: M⁻¹ of each choice, shape (S, n, n).
+            widths: r of each part.
         """
 
 
@@ -81,9 +94,19 @@ class Determinant:
         pairs = [np.linalg.eigh(one) for one in inverse]
         return tuple(axes * np.sqrt(np.maximum(values, 0.0))[:, None] for values, axes in pairs)
 
-    def most(self, promise: Array, inverse: Parts, width: int) -> Array:  # noqa: ARG002
-        """See ``Criterion``: log det(I + K) ≤ r log(1 + tr K / r)."""
-        return np.asarray(width * np.log1p(promise / width))
+    def slope(self, squared: Parts, inverse: Parts) -> Array:
+        """See ``Criterion``: tr K."""
+        pairs = zip(squared, inverse, strict=True)
+        return np.asarray(sum(_forms(one, by) for one, by in pairs))
+
+    def most(self, squared: Parts, inverse: Parts, widths: tuple[int, ...]) -> Array:
+        """See ``Criterion``: det(I + K) ≤ (1 + tr K / r)ʳ."""
+        found = np.ones((len(inverse[0]), squared[0].shape[1]))
+        for one, by, r in zip(squared, inverse, widths, strict=True):
+            factor = 1.0 + _forms(one, by) / r
+            for _ in range(r):
+                found *= factor
+        return found
 
 
 @dataclass(frozen=True)
@@ -121,15 +144,49 @@ class MeanVariance:
         (by,) = inverse
         return (by @ self.C,)
 
-    def most(self, promise: Array, inverse: Parts, width: int) -> Array:  # noqa: ARG002
+    def slope(self, squared: Parts, inverse: Parts) -> Array:
+        """See ``Criterion``: tr Q / tr L M⁻¹."""
+        (own,), (by,) = squared, inverse
+        half = by @ self.C
+        return _forms(own, half @ half.swapaxes(1, 2)) / self._now(by)
+
+    def most(self, squared: Parts, inverse: Parts, widths: tuple[int, ...]) -> Array:
         """See ``Criterion``: tr (I + K)⁻¹ Q ≤ tr Q."""
-        left = 1.0 - promise / self._now(inverse[0])[:, 0]
+        (own,), (by,) = squared, inverse
+        half = by @ self.C
+        change = _forms(own, half @ half.swapaxes(1, 2))
+        if widths == (1,):
+            change /= 1.0 + _forms(own, by)
+        left = 1.0 - change / self._now(by)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(left > 0.0, -np.log(left), np.inf)
+            return np.where(left > 0.0, 1.0 / left, np.inf)
 
     def _now(self, inverse: Array) -> Array:
         """Return tr L M⁻¹ of each choice, shape (S, 1)."""
         return np.einsum("nq,snm,mq->s", self.C, inverse, self.C)[:, None]
+
+
+def grams(rows: Array) -> Array:
+    """Return the upper halves of Aᵀ A of candidates (M, r, n), shape (n (n + 1) / 2, M)."""
+    along = np.ascontiguousarray(rows.transpose(1, 2, 0))
+    upper, lower, _ = _half(rows.shape[2])
+    found = np.zeros((len(upper), len(rows)))
+    for row in along:
+        found += row[upper] * row[lower]
+    return found
+
+
+def _forms(squared: Array, matrices: Array) -> Array:
+    """Return tr A F Aᵀ, shape (S, M), by upper halves (q, M) of Aᵀ A, and symmetric F (S, n, n)."""
+    upper, lower, times = _half(matrices.shape[1])
+    return np.asarray((matrices[:, upper, lower] * times) @ squared)
+
+
+@lru_cache(maxsize=16)
+def _half(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Return rows and columns of the upper half of a matrix, and how often each number is there."""
+    upper, lower = np.triu_indices(n)
+    return upper, lower, np.where(upper == lower, 1.0, 2.0)
 
 
 def _times(rows: Array, matrix: Array) -> Array:

@@ -1,8 +1,11 @@
-"""The active robot calibration algorithm: add the best pose, drop the worst, while that gains.
+"""Exchange of candidates: one of a set is swapped for another, the swap that gains most, till none.
 
-Sun and Hollerbach (2008), for candidates that contribute one row or several, and for any
-criterion that says what adding or dropping a candidate changes; M⁻¹ follows by low-rank updates.
-All starts are exchanged at once.
+Fedorov (1972); of robot poses Sun and Hollerbach (2008). Candidates contribute one row or several,
+and any criterion says what adding or dropping one changes. What the swaps of a set would gain at
+most is one product of matrices for all pairs (``criteria``), and is what they gain where candidates
+have one row. All starts are swapped at once. The criteria are concave in M, so that a swap gains
+less than it does to first order: a candidate that promises less than the least of a set does not
+improve it, and no swap is overlooked by leaving it out.
 """
 
 from __future__ import annotations
@@ -12,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.selection.candidates import Held, Rows, most_of, squares
-from pincal.design.selection.criteria import Criterion, Determinant, Parts
+from pincal.design.selection.candidates import Held, Rows, chunks, most_of, squares
+from pincal.design.selection.criteria import Criterion, Determinant, Parts, grams
 from pincal.errors import ObservabilityError
+from pincal.kinematics.batches import solve
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
@@ -26,24 +30,31 @@ class Effort:
     """How far exchanges of candidates go."""
 
     exchanges: int
-    """At most."""
+    """Between two looks at all candidates, at most."""
     pool: int
     """Candidates that are looked at between two looks at all, and by which they grow."""
+    times: int = 4
+    """Of those in a set, at least."""
+    others: int = 0
+    """Any others that are looked at from the first."""
     rounds: int = 1
     """Looks at all, at most."""
     tolerance: float = 0.0
     """Of the bound on det^(1/n), where it ends."""
     at_once: int = 1
     """Of the best sets, those that are exchanged against all candidates."""
-    swaps: int = 50
-    """Of these, at most."""
     out: int = 24
     """Of a set, those that it would miss least, which are swapped."""
-    few: int = 40
-    """Candidates of several rows, those that promise most, whose gain is looked at first."""
+    few: int = 100
+    """Swaps of candidates of several rows whose gains are looked at together."""
+    weighted: tuple[float, float] = (0.95, 0.3)
+    """Share of weights by which starts are drawn, of the first and the last of them; the rest is
+    the same for all candidates."""
 
 
-_EFFORT = Effort(exchanges=1000, pool=500, rounds=100, tolerance=1e-9, at_once=2)
+_STEEP = 300.0  # slopes of sets that lack rank; those of their own are no more than their rows
+_LEAST = 1e-15  # of 1, that a set keeps of a direction which only one of it determines
+_EFFORT = Effort(exchanges=1000, pool=200, others=50, rounds=100, tolerance=1e-9, at_once=2)
 
 
 def exchange(
@@ -56,7 +67,7 @@ def exchange(
 ) -> tuple[Index, float]:
     """Return the best set of candidates found from several starts, and its value.
 
-    The first start rounds the continuous design, the others are drawn at random. Exchange runs in
+    The first start rounds the continuous design, the others are drawn by its weights. Swaps run in
     a pool; the best sets are then exchanged against all candidates, the pool growing by those that
     would improve them, until none does.
 
@@ -74,140 +85,165 @@ def exchange(
         ObservabilityError: fewer candidates than the set is to have.
     """
     rows = Held(given) if isinstance(given, tuple) else given
-    places = np.flatnonzero(np.isfinite(priority))
-    first = places[most_of(priority[places], max(_EFFORT.pool, 2 * count))]
-    others = places[rng.permutation(len(places))[: len(first)]]
-    pool = rows.admitted(np.union1d(first, others))
-    pool = pool if len(pool) >= count else rows.admitted(places)
-    if len(pool) < count:
-        raise ObservabilityError(
-            f"{len(pool)} of {rows.total} candidates are in reach, no two of them alike; "
-            f"{count} are to be chosen"
+    return _Exchange(rows, count, priority, rng, criterion or Determinant()).best(starts)
+
+
+class _Exchange:
+    """Candidates that are looked at, the pool, and the sets among them."""
+
+    def __init__(
+        self,
+        rows: Rows,
+        count: int,
+        priority: Array,
+        rng: np.random.Generator,
+        criterion: Criterion,
+    ) -> None:
+        """Fill the pool: see ``exchange``.
+
+        Raises:
+            ObservabilityError: fewer candidates than the set is to have.
+        """
+        self.all_rows, self.count, self.rng = rows, count, rng
+        self.places = places = np.flatnonzero(np.isfinite(priority))
+        if len(places) < count:
+            raise ObservabilityError(
+                f"{len(places)} of {rows.total} candidates are in reach, no two of them alike; "
+                f"{count} are to be chosen"
+            )
+        self.size = size = max(_EFFORT.pool, _EFFORT.times * count)
+        first = places[most_of(priority[places], size)]
+        others = places[rng.integers(len(places), size=_EFFORT.others)]
+        self.pool = np.union1d(first, others)
+        self.priority = priority[self.pool]
+        self.rows = rows(self.pool)
+        self.scales = tuple(
+            np.linalg.norm(one.reshape(-1, one.shape[2]), axis=0) for one in self.rows
         )
-    scales = tuple(np.linalg.norm(one.reshape(-1, one.shape[2]), axis=0) for one in rows(pool))
-    criterion, lacking = (criterion or Determinant()).scaled(scales)
-    foremost = pool[np.argsort(-priority[pool], kind="stable")[:count]]
-    drawn = [pool[rng.permutation(len(pool))[:count]] for _ in range(starts - 1)]
-    sets, best = np.array([foremost, *drawn]), -np.inf
-    for _ in range(_EFFORT.rounds):
-        own = tuple(one / scale for one, scale in zip(rows(pool), scales, strict=True))
-        sets = np.sort(_improved(own, np.searchsorted(pool, sets), criterion), axis=1)
-        sets, values = _sorted(own, np.unique(sets, axis=0), criterion)
-        sets = np.array([_swapped(own, one, criterion) for one in sets[: _EFFORT.at_once]])
-        sets, values = _sorted(own, sets, criterion)
-        inverse = _inverses(own, sets)
-        sets = pool[sets]
-        if not values[0] > best + _EFFORT.tolerance:
-            break
-        best = values[0]
-        turns = zip(criterion.turns(inverse), scales, strict=True)
-        by = tuple(turn / scale[:, None] for turn, scale in turns)
-        gains = [squares(rows, places, tuple(one[i] for one in by)) for i in range(len(sets))]
-        more = [places[most_of(gain, _EFFORT.pool)] for gain in gains]
-        others = np.setdiff1d(np.concatenate(more), pool)
-        pool = np.sort(
-            rows.admitted(np.concatenate((pool, others)))
-        )  # of two alike the earlier stays
-    return sets[0], float(values[0]) + lacking
+        self.rows, self.widths = self._scaled(self.rows), tuple(one.shape[1] for one in self.rows)
+        self.grams = tuple(grams(one) for one in self.rows)
+        self.criterion, self.lacking = criterion.scaled(self.scales)
 
+    def _scaled(self, rows: Parts) -> Parts:
+        return tuple(one / scale for one, scale in zip(rows, self.scales, strict=True))
 
-def _sorted(rows: Parts, sets: Index, criterion: Criterion) -> tuple[Index, Array]:
-    """Return sets, shape (S, count), and their values, the best first."""
-    chosen = [tuple(part[one].reshape(-1, part.shape[2]) for part in rows) for one in sets]
-    values = np.array([criterion.value(one) for one in chosen])
-    order = np.argsort(-values, kind="stable")
-    return sets[order], values[order]
+    def best(self, starts: int) -> tuple[Index, float]:
+        """Return the best set found, places of candidates, and its value."""
+        sets, best = self._starts(starts), -np.inf
+        for _ in range(_EFFORT.rounds):
+            sets = np.unique(np.sort(self._swapped(sets), axis=1), axis=0)
+            chosen = [
+                tuple(part[one].reshape(-1, part.shape[2]) for part in self.rows) for one in sets
+            ]
+            values = np.array([self.criterion.value(one) for one in chosen])
+            order = np.argsort(-values, kind="stable")[: _EFFORT.at_once]
+            sets, values = sets[order], values[order]
+            if not values[0] > best + _EFFORT.tolerance:
+                break
+            best = values[0]
+            self._grow(sets)
+        return np.sort(self.pool[sets[0]]), float(values[0]) + self.lacking
 
+    def _starts(self, starts: int) -> Index:
+        """Return the first sets, shape (starts, count): the foremost, and some drawn."""
+        weights = np.maximum(self.priority, 0.0)
+        share = np.linspace(*_EFFORT.weighted, starts)[:, None]
+        even = 1.0 / len(weights)
+        chances = share * weights / max(weights.sum(), ROUNDING) + (1.0 - share) * even
+        keys = np.log(chances) + self.rng.gumbel(size=(starts, len(weights)))
+        keys[0] = self.priority
+        return np.argsort(-keys, axis=1, kind="stable")[:, : self.count]
 
-def _improved(rows: Parts, sets: Index, criterion: Criterion) -> Index:
-    """Return sets, shape (S, count), that no exchange improves: the best added, the worst dropped.
+    def _grow(self, sets: Index) -> None:
+        """Add the candidates to the pool that would improve sets most, to first order."""
+        pairs = zip(self.criterion.turns(_inverses(self.rows, sets)), self.scales, strict=True)
+        turns = tuple(turn / scale[:, None] for turn, scale in pairs)
+        more = []
+        for index, own in enumerate(sets):
+            by = tuple(one[index] for one in turns)
+            gain = squares(self.all_rows, self.places, by)
+            least = gain[np.searchsorted(self.places, self.pool[own])].min()
+            better = np.flatnonzero(gain > least)
+            more.append(self.places[better[most_of(gain[better], self.size)]])
+        others = np.setdiff1d(np.concatenate(more), self.pool)
+        rows = self._scaled(self.all_rows(others))
+        self.pool = np.concatenate((self.pool, others))
+        self.rows = tuple(np.concatenate(pair) for pair in zip(self.rows, rows, strict=True))
+        self.grams = tuple(
+            np.concatenate((one, grams(more)), axis=1)
+            for one, more in zip(self.grams, rows, strict=True)
+        )
 
-    Args:
-        rows: Of the candidates.
-        sets: Where the exchanges start.
-        criterion: What is made large.
-    """
-    sets, count, total = sets.copy(), sets.shape[1], len(rows[0])
-    active = np.arange(len(sets) if count < total else 0)
-    inverse = _inverses(rows, sets)
-    for step in range(_EFFORT.exchanges):
-        if not len(active):
-            break
-        if step % 25 == 24:  # rounding
-            inverse = _inverses(rows, sets[active])
-        own, each = sets[active], np.arange(len(active))
-        added, gain = _best(rows, own, inverse, criterion)
-        larger = _updated(inverse, rows, added, 1.0)
-        loss = criterion.change(tuple(one[own] for one in rows), larger, -1.0)
-        place = loss.argmax(axis=1)
-        gains = gain + loss[each, place] > _EFFORT.tolerance
-        dropped = own[each, place]
-        sets[active[gains], place[gains]] = added[gains]
-        active = active[gains]
-        larger = tuple(one[gains] for one in larger)
-        inverse = _updated(larger, rows, dropped[gains], -1.0)
-    return sets
+    def _swapped(self, sets: Index) -> Index:
+        """Return sets, shape (S, count), that no swap of one of each for another one improves.
 
+        Where a set without one of it lacks rank, gains are those beside a ridge: some may be
+        missed.
+        """
+        sets = sets.copy()
+        active = np.arange(len(sets) if self.count < len(self.pool) else 0)
+        for _ in range(_EFFORT.exchanges):
+            if not len(active):
+                break
+            out, into, gain = self._best_swap(sets[active])
+            gains = gain > _EFFORT.tolerance
+            active = active[gains]
+            sets[active, out[gains]] = into[gains]
+        return sets
 
-def _swapped(rows: Parts, chosen: Index, criterion: Criterion) -> Index:
-    """Return a set, shape (count,), that no swap of one of it for another candidate improves.
+    def _best_swap(self, sets: Index) -> tuple[Index, Index, Array]:
+        """Return where in each set a candidate goes, which one comes, and what that gains, (S,)."""
+        each, inverse = np.arange(len(sets))[:, None], _inverses(self.rows, sets)
+        loss = self.criterion.change(tuple(one[sets] for one in self.rows), inverse, -1.0)
+        out = np.argsort(-loss, axis=1, kind="stable")[:, : _EFFORT.out]
+        loss, gone = loss[each, out], sets[each, out]
+        less = _without(inverse, self.rows, gone)
+        factor = self.criterion.most(self.grams, less, self.widths).reshape(*out.shape, -1)
+        factor[each[:, :, None], np.arange(out.shape[1])[:, None], sets[:, None]] = 0.0
+        factor *= np.exp(loss)[:, :, None]
+        if set(self.widths) == {1}:
+            flat = factor.reshape(len(sets), -1)
+            place = flat.argmax(axis=1)
+            gain = np.log(np.maximum(flat[each[:, 0], place], ROUNDING))
+        else:
+            slope = np.exp(self.criterion.slope(self.grams, inverse).clip(0.0, _STEEP))
+            first = slope[:, None] / slope[each, gone][:, :, None]
+            place, gain = self._best_of(np.minimum(factor, first, out=factor), less, loss)
+        which, into = np.divmod(place, len(self.pool))
+        return out[each[:, 0], which], into, gain
 
-    Where a set without one of it lacks rank, gains are those beside a ridge: some may be missed.
-    """
-    own = chosen.copy()
-    for _ in range(_EFFORT.swaps if len(own) < len(rows[0]) else 0):
-        inverse = _inverses(rows, own[None])
-        loss = criterion.change(tuple(one[own] for one in rows), inverse, -1.0)[0]
-        least = np.argsort(-loss, kind="stable")[: _EFFORT.out]
-        each = tuple(np.repeat(one, len(least), axis=0) for one in inverse)
-        less = _updated(each, rows, own[least], -1.0)
-        into, gain = _best(rows, np.tile(own, (len(least), 1)), less, criterion)
-        gain = gain + loss[least]
-        out = int(gain.argmax())
-        if not gain[out] > _EFFORT.tolerance:
-            break
-        own[least[out]] = into[out]
-    return own
+    def _best_of(self, most: Array, less: Parts, loss: Array) -> tuple[Index, Array]:
+        """Return of each set the swap that gains most, (S,), and the gain: those that may, tried.
 
+        Args:
+            most: exp of what swaps gain at most, shape (S, k, P); overwritten.
+            less: M⁻¹ of the set without each, shape (S k, n, n).
+            loss: What leaving each out changes, shape (S, k).
+        """
+        each, total = np.arange(len(most)), len(self.pool)
+        into = most.argmax(axis=2)  # for each that goes the one that promises most
+        gains = self._gains(np.arange(loss.size), into.ravel(), less).reshape(loss.shape) + loss
+        which = gains.argmax(axis=1)
+        place, best = which * total + into[each, which], gains[each, which]
+        np.put_along_axis(most, into[:, :, None], 0.0, axis=2)
+        flat = most.reshape(len(most), -1)
+        for one in np.flatnonzero(flat.max(axis=1) > np.exp(best)):
+            left = np.flatnonzero(flat[one] > np.exp(best[one]))
+            left = left[np.argsort(-flat[one, left], kind="stable")]
+            for some in (left[part] for part in chunks(len(left), _EFFORT.few)):
+                if flat[one, some[0]] <= np.exp(best[one]):
+                    break
+                which, into = np.divmod(some, total)
+                gain = self._gains(one * loss.shape[1] + which, into, less) + loss[one, which]
+                top = int(gain.argmax())
+                if gain[top] > best[one]:
+                    place[one], best[one] = some[top], gain[top]
+        return place, best
 
-def _best(rows: Parts, sets: Index, inverse: Parts, criterion: Criterion) -> tuple[Index, Array]:
-    """Return the candidate that each set, shape (S, count), gains most by, and the gain, (S,).
-
-    Where candidates have several rows, those that promise most are looked at first, and the others
-    where their promise leaves that open.
-    """
-    width = sum(one.shape[1] for one in rows)
-    if width == len(rows) or len(rows[0]) <= sets.shape[1] + _EFFORT.few:
-        return _best_of_all(rows, sets, inverse, criterion)
-    pairs = zip(rows, criterion.turns(inverse), strict=True)
-    promised = np.asarray(sum(_promise(*pair) for pair in pairs))
-    np.put_along_axis(promised, sets, -np.inf, axis=1)
-    few = np.argpartition(-promised, _EFFORT.few, axis=1)[:, : _EFFORT.few]
-    gains = criterion.change(tuple(one[few] for one in rows), inverse, 1.0)
-    place = gains.argmax(axis=1)[:, None]
-    best = np.take_along_axis(few, place, axis=1)[:, 0]
-    gain = np.take_along_axis(gains, place, axis=1)[:, 0]
-    np.put_along_axis(promised, few, 0.0, axis=1)
-    open_ = criterion.most(promised.max(axis=1), inverse, width) > gain
-    if open_.any():
-        some = tuple(one[open_] for one in inverse)
-        best[open_], gain[open_] = _best_of_all(rows, sets[open_], some, criterion)
-    return best, gain
-
-
-def _best_of_all(
-    rows: Parts, sets: Index, inverse: Parts, criterion: Criterion
-) -> tuple[Index, Array]:
-    gain = criterion.change(rows, inverse, 1.0)
-    np.put_along_axis(gain, sets, -np.inf, axis=1)
-    best = gain.argmax(axis=1)
-    return best, gain[np.arange(len(best)), best]
-
-
-def _promise(rows: Array, turns: Array) -> Array:
-    """Return |Aⱼ T|², shape (S, M), of candidates (M, r, n) and of T (S, n, k)."""
-    turned = rows.reshape(-1, rows.shape[2]) @ turns
-    return np.einsum("sjk,sjk->sj", turned, turned).reshape(len(turns), *rows.shape[:2]).sum(axis=2)
+    def _gains(self, which: Index, into: Index, inverse: Parts) -> Array:
+        """Return what candidates change, each added to a choice of its own, shape (m,)."""
+        rows = tuple(one[into][:, None] for one in self.rows)
+        return self.criterion.change(rows, tuple(one[which] for one in inverse), 1.0)[:, 0]
 
 
 def _inverses(rows: Parts, sets: Index) -> Parts:
@@ -215,17 +251,27 @@ def _inverses(rows: Parts, sets: Index) -> Parts:
     found = []
     for one in rows:
         flat = one[sets].reshape(len(sets), -1, one.shape[2])
-        M = flat.transpose(0, 2, 1) @ flat
-        found.append(np.asarray(np.linalg.inv(M + ROUNDING * np.eye(len(M[0]))), np.float64))
+        M = flat.swapaxes(1, 2) @ flat
+        _diagonal(M)[:] += ROUNDING
+        found.append(np.asarray(np.linalg.inv(M), np.float64))
     return tuple(found)
 
 
-def _updated(inverse: Parts, rows: Parts, which: Index, sign: float) -> Parts:
-    """Return (M ± Aᵀ A)⁻¹ of each choice from M⁻¹, for a candidate each (Woodbury)."""
+def _without(inverse: Parts, rows: Parts, gone: Index) -> Parts:
+    """Return (M − Aᵀ A)⁻¹ of sets and candidates that go (S, k), shape (S k, n, n) (Woodbury)."""
     found = []
     for one, candidates in zip(inverse, rows, strict=True):
-        A = candidates[which]
-        product = one @ A.transpose(0, 2, 1)
-        middle = sign * np.eye(A.shape[1]) + A @ product
-        found.append(one - product @ np.linalg.solve(middle, product.transpose(0, 2, 1)))
+        A = candidates[gone]
+        (count, k, r, n), by = A.shape, one[:, None]
+        product = A @ by
+        middle = -(product @ A.swapaxes(2, 3)).reshape(-1, r, r)
+        _diagonal(middle)[:] += 1.0 + _LEAST
+        product = product.reshape(-1, r, n)
+        less = product.swapaxes(1, 2) @ solve(middle, product)
+        found.append((by + less.reshape(count, k, n, n)).reshape(-1, n, n))
     return tuple(found)
+
+
+def _diagonal(matrices: Array) -> Array:
+    """Return the diagonals of matrices (S, n, n) that lie together in memory, a view, (S, n)."""
+    return matrices.reshape(len(matrices), -1)[:, :: matrices.shape[2] + 1]

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.design.information import leg_whitener
+from pincal.design.information import leg_rows
 from pincal.design.selection.candidates import Held, Rows, Some, chunks
 from pincal.design.selection.criteria import Parts
 from pincal.design.selection.orbits import orbit_of, repeated
+from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.derivatives import leg_demand_at
 from pincal.model.measuring.measurements import Noise
 from pincal.model.mechanism import Mechanism
@@ -41,6 +42,16 @@ class LegRows:
         """See ``Rows``."""
         return len(self.poses)
 
+    @property
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """Of a candidate's rows, (r, n) of each part."""
+        closing, found = self.mechanism.platform.closing, []
+        for name in self.legs:
+            leg = self.mechanism.leg(name)
+            rows = len(closing(leg.closes)) - len(leg.passive)
+            found.append((rows * len(self.elements), len(leg.parameters)))
+        return tuple(found)
+
     def matrices(self, places: Some) -> Array:
         """Return poses as matrices, shape (s, 4, 4)."""
         some = self.poses[places]
@@ -53,16 +64,17 @@ class LegRows:
         for leg in dict.fromkeys(self.legs):
             parts = [self._of(leg, matrices) for matrices in images]
             for part, counts in zip(parts, own, strict=True):
-                part[~counts] = 0.0
+                if not counts.all():
+                    part[~counts] = 0.0
             rows[leg] = np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
         return tuple(rows[leg] for leg in self.legs)
 
     def _of(self, leg: str, matrices: Array) -> Array:
         demand = leg_demand_at(self.mechanism, leg, matrices)
-        return leg_whitener(demand, self.mechanism, self.noise)(demand.parameter)
+        return leg_rows(demand, self.mechanism, self.noise)
 
     def admitted(self, places: Index) -> Index:
-        """See ``Rows``: those of which no earlier one is the same pose, or one of its orbit."""
+        """Return those of some of which no earlier one is the same pose, or one of its orbit."""
         images, _ = orbit_of(self.elements, self.matrices(places))
         return places[~repeated(images)]
 
@@ -78,10 +90,14 @@ def held(rows: LegRows, jobs: int = 1, scheduler: str | None = None) -> Rows:
     Raises:
         WorkspaceError: see ``run``.
     """
-    shapes = [one.shape[1:] for one in rows(slice(0, 1))]
-    if sum(r * n for r, n in shapes) * rows.total > HELD:
+    if sum(r * n for r, n in rows.shapes) * rows.total > HELD:
         return rows
-    parts = tuple(np.empty((rows.total, *shape)) for shape in shapes)
+    parts = tuple(np.empty((rows.total, *shape)) for shape in rows.shapes)
+    if jobs == 1 and scheduler is None:
+        for some in chunks(rows.total, CHUNK):
+            for part, own in zip(parts, rows(some), strict=True):
+                part[some] = own
+        return Held(parts)
     ends = [(some.start, some.stop) for some in chunks(rows.total, _TASK)]
     for (begin, end), found in run(_Task(rows), ends, jobs, scheduler):
         values, place = np.frombuffer(found), 0

@@ -9,18 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from pincal.design.information import leg_rows
 from pincal.design.selection.distinct import perhaps_alike, places_at, places_of
 from pincal.errors import SymmetryError
-from pincal.kinematics.derivatives import leg_demand
+from pincal.files.given import as_noise
+from pincal.kinematics.derivatives import leg_demand_at
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ALIKE
-from pincal.model.measuring.measurements import EVERY_LEG, Plan
+from pincal.model.measuring.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element
@@ -38,8 +41,11 @@ class LegOrbit:
     """The reference leg first."""
     carriers: tuple[Element, ...]
     """An element that carries the reference leg onto each."""
+    alike: tuple[bool, ...]
+    """Whether whitened rows of each map too: what is chosen for the reference leg is as good."""
 
 
+@lru_cache(maxsize=64)
 def selection_group(mechanism: Mechanism) -> SymmetryGroup:
     """Return the elements by which poses can be mapped: sensors do not matter to them.
 
@@ -61,34 +67,35 @@ def selection_group(mechanism: Mechanism) -> SymmetryGroup:
     return kept
 
 
-def leg_orbits(group: SymmetryGroup, poses: Array) -> tuple[LegOrbit, ...]:
+def leg_orbits(
+    group: SymmetryGroup, poses: Array, noise: Noise | None = None
+) -> tuple[LegOrbit, ...]:
     """Return the orbits of legs whose parameters map too.
 
     Args:
         group: The group.
         poses: Some poses that all legs reach, coordinates of shape (N, dof).
+        noise: By which rows are whitened; the default if not given.
 
     Raises:
         SymmetryError: legs of one orbit have other parameters.
+        MeasurementError: a residual has no noise.
     """
-    found = []
+    found, mechanism = [], group.mechanism
+    matrices, noise = mechanism.platform.matrices(poses), as_noise(noise)
     for legs in group.leg_orbits:
-        carriers = group.carriers(legs[0])
+        carriers, alike, first = group.carriers(legs[0]), [True], legs[0]
+        own, white = _rows(mechanism, first, carriers[0].matrices(matrices), noise)
         for name, element in zip(legs[1:], carriers[1:], strict=True):
-            rows = [
-                _reading_rows(group.mechanism, leg, where)
-                for leg, where in (
-                    (legs[0], poses),
-                    (name, element.poses(group.mechanism.platform, poses)),
-                )
-            ]
-            if not maps(*rows):
+            its, its_white = _rows(mechanism, name, element.matrices(matrices), noise)
+            if not maps(own, its):
                 raise SymmetryError(
-                    f"{element} carries {legs[0]} onto {name}, but not the parameters of one to "
+                    f"{element} carries {first} onto {name}, but not the parameters of one to "
                     "those of the other: their columns span other spaces. Give both the same set "
                     "of parameters, or choose poses for each leg on its own (--independent)"
                 )
-        found.append(LegOrbit(legs, carriers))
+            alike.append(maps(white, its_white))
+        found.append(LegOrbit(legs, carriers, tuple(alike)))
     return tuple(found)
 
 
@@ -103,9 +110,12 @@ def maps(first: Array, second: Array) -> bool:
     return bool((off <= _MAPPED * np.linalg.norm(second, axis=0)).all())
 
 
-def _reading_rows(mechanism: Mechanism, leg: str, poses: Array) -> Array:
-    rows = leg_demand(mechanism, leg, poses).as_joint().parameter
-    return rows.reshape(-1, rows.shape[2])
+def _rows(mechanism: Mechanism, leg: str, matrices: Array, noise: Noise) -> tuple[Array, Array]:
+    """Return rows of a leg by readings, and whitened ones, shape (N k, n) each."""
+    demand = leg_demand_at(mechanism, leg, matrices)
+    both = demand.as_joint().parameter, leg_rows(demand, mechanism, noise)
+    by_reading, white = (rows.reshape(-1, rows.shape[2]) for rows in both)
+    return by_reading, white
 
 
 def smallest(group: SymmetryGroup) -> tuple[Element, ...]:
@@ -189,15 +199,13 @@ def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
         legs: For which leg each was chosen, length N.
     """
     places = places_of(mechanism.platform, poses)
-    kept: list[int] = []
-    wanted: list[list[str]] = []
+    alike: dict[int, list[int]] = {}
+    for first, second in KDTree(places).query_pairs(ALIKE, p=np.inf):
+        alike.setdefault(max(first, second), []).append(min(first, second))
+    wanted: dict[int, list[str]] = {}  # by the row that is kept
     for row, leg in enumerate(legs):
-        same = np.flatnonzero(np.abs(places[kept] - places[row]).max(axis=1) <= ALIKE)
-        if len(same):
-            wanted[int(same[0])].append(leg)
-        else:
-            kept.append(row)
-            wanted.append([leg])
+        same = [other for other in sorted(alike.get(row, ())) if other in wanted]
+        wanted.setdefault(same[0] if same else row, []).append(leg)
     every = len(mechanism.legs)
-    sets = tuple(EVERY_LEG if len(one) == every > 1 else "+".join(one) for one in wanted)
-    return Plan(poses[kept], sets)
+    sets = tuple(EVERY_LEG if len(one) == every > 1 else "+".join(one) for one in wanted.values())
+    return Plan(poses[list(wanted)], sets)

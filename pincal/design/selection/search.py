@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.selection.accuracy_bound import accurate_design
-from pincal.design.selection.candidates import Rows, Some, most_of
+from pincal.design.selection.candidates import Rows, most_of
 from pincal.design.selection.certificate import ContinuousDesign, continuous_design
 from pincal.design.selection.criteria import MeanVariance, Parts
 from pincal.design.selection.exchange import exchange
@@ -28,6 +28,8 @@ from pincal.workspace.chunks import check_jobs
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 _FIRST = 1000  # candidates that are asked first whether they are reached and determine all
+_ASKED = 1 << 17  # candidates that are asked at most which of them are copies
+_FOREMOST = 250  # of those on which the bound rests, asked whether they are reached
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ class Search:
             ObservabilityError: too few poses or candidates, or some parameter undetermined.
         """
         where = rows.legs[0] if len(rows.legs) == 1 else self.mechanism.name
-        n, r = (sum(one.shape[axis] for one in rows(slice(0, 1))) for axis in (2, 1))
+        r, n = (sum(shape[axis] for shape in rows.shapes) for axis in (0, 1))
         if count * r < n:
             raise ObservabilityError(
                 f"{count} poses give {count * r} equations for the {n} parameters of {where}; "
@@ -174,20 +176,31 @@ class Search:
             raise self._too_few(len(places), count)
         design = self._bound(quick, rows.legs, places)
         usable = np.flatnonzero(np.isfinite(design.variance))
-        if self._within is None and not self._all_reach(
-            usable[most_of(design.priority[usable], _FIRST)]
-        ):
+        foremost = usable[most_of(design.variance[usable], _FOREMOST)]
+        if self._within is None and not self._all_reach(foremost):
             design = self._bound(quick, rows.legs, self._reached())
             usable = np.flatnonzero(np.isfinite(design.variance))
+            foremost = usable[most_of(design.variance[usable], _FOREMOST)]
         self.usable = min(self.usable, len(usable))
         self.unreachable = max(self.unreachable, rows.total - len(usable))
+        seed, chosen = int(self.rng.integers(1 << 62)), foremost
 
-        def admit(some: Index) -> Index:
-            return rows.admitted(some if self._all_reach(some) else some[self._known[some]])
+        def choose(priority: Array) -> tuple[Index, float]:
+            return exchange(quick, count, priority, np.random.default_rng(seed), how.starts)
 
-        offered = _Offered(quick, admit)
-        chosen, log_det = exchange(offered, count, design.priority, self.rng, how.starts)
+        if len(self._alone(rows, foremost)) == len(foremost):
+            chosen, log_det = choose(design.priority)
+        if len(self._alone(rows, chosen)) < len(chosen):  # copies, or out of reach: left out
+            kept = self._alone(rows, usable[most_of(design.variance[usable], _ASKED)])
+            priority = np.full(rows.total, -np.inf)
+            if len(kept) >= count:
+                priority = continuous_design(quick, kept).priority
+            chosen, log_det = choose(priority)
         return chosen, design.efficiency(log_det, count, n)
+
+    def _alone(self, rows: LegRows, places: Index) -> Index:
+        """Return which candidates are reached, and no copies of earlier ones."""
+        return rows.admitted(places if self._all_reach(places) else places[self._known[places]])
 
     def _too_few(self, found: int, count: int) -> ObservabilityError:
         return ObservabilityError(
@@ -214,24 +227,6 @@ class Search:
             f"the candidate poses leave parameters undetermined: {'; '.join(lost)}. "
             "Add poses that determine each of them, or make one of them a constant"
         )
-
-
-@dataclass(frozen=True)
-class _Offered:
-    """Candidates, and which of them may be taken."""
-
-    rows: Rows
-    admitted: Callable[[Index], Index]
-    """See ``Rows``."""
-
-    @property
-    def total(self) -> int:
-        """See ``Rows``."""
-        return self.rows.total
-
-    def __call__(self, places: Some) -> Parts:
-        """See ``Rows``."""
-        return self.rows(places)
 
 
 def _sample(places: Index) -> Index:

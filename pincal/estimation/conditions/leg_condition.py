@@ -8,7 +8,6 @@ reading (3-RRR paper, Eq. 24) and exists within reach only.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,7 +18,6 @@ from pincal.errors import MeasurementError
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
-from pincal.kinematics.nearest_closure import followed, nearest_closure
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 
@@ -35,8 +33,6 @@ class Met:
     demand: Demand
     joints: Array
     """Positions, with deformations behind them if there are any, shape (N, n_joints …)."""
-    after: Callable[[Array, Array], Array]
-    """Returns joints near those after a change of parameters, (n_params,), and twists (N, dof)."""
 
 
 @dataclass(frozen=True)
@@ -93,31 +89,23 @@ class LegCondition:
             self.leg, self.platform, self.known[chosen], self.kind, self.rows[chosen]
         )
 
-    def __call__(self, parameters: Array, matrices: Array, joints: Array | None = None) -> Met:
-        """Return the condition's value and derivatives, and the joint positions there.
+    @property
+    def form(self) -> tuple[object, ...]:
+        """What conditions have in common that may be evaluated in one call."""
+        if self.kind == "joint":
+            return (self.leg,)
+        return LegClosure(self.leg, self.platform).form
+
+    def predicted(self, closure: LegClosure, matrices: Array) -> Met:
+        """Return the joint residual of the leg.
 
         Args:
-            parameters: Parameter values, shape (n_params,).
+            closure: The leg at its parameter values.
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-            joints: Where the search for passive joints starts, shape (N, n_joints [+ n_deformed]).
 
         Raises:
-            MeasurementError: joint residual, and a pose out of reach.
-            MechanismError: a homed sensor, and a home pose out of reach.
+            MeasurementError: a pose out of reach.
         """
-        closure = LegClosure(self.leg, self.platform, parameters)
-        if self.kind == "joint":
-            return self._joint(closure, matrices)
-        closed, joints = nearest_closure(closure, matrices, self.known, joints)
-
-        def after(change: Array, twists: Array) -> Array:
-            there = joints.copy()
-            there[:, self.leg.passive] += followed(closure, closed, self.known, change, twists)
-            return there
-
-        return Met(demand(closure, closed, self.known), joints, after)
-
-    def _joint(self, closure: LegClosure, matrices: Array) -> Met:
         influences = self.known[:, len(self.leg.sensors) :]
         closed = close(closure, matrices, influences)
         if not closed.reached.all():
@@ -127,9 +115,9 @@ class LegCondition:
                 "tried, so its joint residual does not exist there; use the closure residual "
                 "(--residual closure), which does"
             )
-        predicted = sensor_law(closure).reading(closed.joints[:, self.leg.active], influences)
-        there = np.hstack((predicted, influences))
+        reading = sensor_law(closure).reading(closed.joints[:, self.leg.active], influences)
+        there = np.hstack((reading, influences))
         rows = demand(closure, closed.closure, there).as_joint()
-        difference = predicted - self.readings
+        difference = reading - self.readings
         found = Demand(difference, rows.parameter, rows.pose, rows.reading)
-        return Met(found, closed.joints, lambda *_: closed.joints)
+        return Met(found, closed.joints)

@@ -120,11 +120,10 @@ def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: 
     drawn = part.linearise(replace(state, matrices=matrices)).noise_by_parameter
     here, T = linear.noise_by_parameter, unknowns.map
     _, prior = unknowns.prior_rows(unknowns.start)
-    own = np.concatenate(((here @ T).reshape(-1, T.shape[1]), prior))
+    own = np.concatenate((linear.triangle @ T, prior))  # that of the rows here: W Wᵀ = 1
     difference = ((drawn - here) @ T).reshape(-1, T.shape[1])
     lengths = np.linalg.norm(own, axis=0)
-    triangle = np.linalg.qr(own / lengths, mode="r")
-    _, information, directions = np.linalg.svd(triangle, full_matrices=False)
+    _, information, directions = np.linalg.svd(own / lengths, full_matrices=False)
     made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
     return np.asarray(directions[information < _BY.clearly * made])
 

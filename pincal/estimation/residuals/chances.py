@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, ndtr
 
-from pincal.estimation.observability.indices import RANK_TOLERANCE
+from pincal.estimation.observability.indices import NEGLIGIBLE, RANK_TOLERANCE
 from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.model.checks import ROUNDING
 
@@ -39,7 +39,7 @@ class Form:
     @property
     def seen(self) -> bool:
         """Whether parameters leave anything of these errors."""
-        return bool(self.weights[-1] > RANK_TOLERANCE**2 * self.length > 0.0)
+        return bool(self.weights[-1] > NEGLIGIBLE**2 * self.length > 0.0)
 
 
 def of_forms(forms: Sequence[Form], chi2: float, degrees_of_freedom: int) -> Array:

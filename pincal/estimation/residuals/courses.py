@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 from pincal.estimation.fit import Fit
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.chances import Form, of_forms
-from pincal.estimation.residuals.score import Residuals
+from pincal.estimation.residuals.score import Error, Residuals
 from pincal.kinematics.influences.columns import sides
 from pincal.model.measuring.setup import ORIGIN
 
@@ -26,6 +28,7 @@ _HARMONICS = (1, 2, 3)
 ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
 """All readings; all positions, in a frame that moves; all lengths, which grow."""
 _OWN = ("angle", "order", "approach")  # courses of which motors differ in amplitude
+_OF_READING = ("angle", "approach")  # courses that each reading has its own of
 
 
 @dataclass(frozen=True)
@@ -61,10 +64,12 @@ class _Asked:
     kinds: list[tuple[str, str]] = field(default_factory=list)
     forms: list[Form] = field(default_factory=list)
 
-    def add(self, quantity: str, term: str, W: Array) -> None:
-        """Ask for errors of white rows W, shape (n_used, m, f)."""
+    def add(
+        self, quantity: str, term: str, *errors: tuple[Error, Array], common: bool = False
+    ) -> None:
+        """Ask for errors with courses of shape (n_used, f), of one amplitude or each its own."""
         self.kinds.append((quantity, term))
-        self.forms.append(self.left.form(W))
+        self.forms.append(self.left.form(*errors, common=common))
 
     def scores(self) -> Iterator[Score]:
         """Yield the answers."""
@@ -84,49 +89,51 @@ def scores(one: Fit, again: Mapping[str, NDArray[np.intp]] | None = None) -> lis
     if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
         return []
     left, problem = Residuals.of(one), one.problem
-    asked, errors = _Asked(left), dict(errors_of(one, left.used))
+    white = dict(errors_of(one, left.used))
+    asked, errors = _Asked(left), {name: left.error(w) for name, w in white.items()}
     readings = problem.quantities[: problem.reading_columns[-1].stop]
     time = np.linspace(-1.0, 1.0, len(left.used))[:, None]
     pose = _of_pose(one, left.used)
-    alike: dict[tuple[str, int], Array] = {}
-    own: dict[str, list[Array]] = {term: [] for term in _OWN}
-    for column, (name, w) in enumerate(errors.items()):
+    every: dict[str, list[tuple[Error, Array]]] = {}
+    for column, (name, error) in enumerate(errors.items()):
         courses = {"order": time}
         if name in readings:
             courses |= {"angle": _of_value(one, column, left.used), "pose": pose}
             courses |= {"approach": _side(one, column, left.used)}
         for term, b in courses.items():
-            W = w[:, :, None] * b[:, None]
-            asked.add(name, term, W)
+            asked.add(name, term, (error, b))
             if name in readings and len(readings) > 1:
-                kind = term, b.shape[1]
-                alike[kind] = alike.get(kind, 0.0) + W
-                own.get(term, []).append(W)
-    for (term, _), W in alike.items():
-        asked.add(ALL, term, W)
-    for term, several in own.items():
-        if several:
-            asked.add(ALL, term, np.concatenate(several, axis=2))
-    moved, axes = of_frame(problem, errors)
+                every.setdefault(term, []).append((error, b))
+    for term, several in every.items():
+        for width in dict.fromkeys(b.shape[1] for _, b in several):  # [rad] and [m] differ
+            alike = [(error, b) for error, b in several if b.shape[1] == width]
+            if term not in _OF_READING:  # one course for all
+                alike = [(reduce(add, (error for error, _ in alike)), alike[0][1])]
+            asked.add(ALL, term, *alike, common=True)
+    for term in _OWN:
+        if term in every:
+            asked.add(ALL, term, *every[term])
+    moved, axes = of_frame(problem, white)
     if len(axes) > 1:
-        asked.add(FRAME, "order", moved * time[:, None])
-    asked.add(LENGTHS, "order", (_grown(one, left.used) * time)[:, :, None])
+        each = (left.error(moved[:, :, axis]) for axis in range(len(axes)))
+        asked.add(FRAME, "order", *((error, time) for error in each))
+    asked.add(LENGTHS, "order", (left.error(_grown(one, left.used)), time))
     found = [*asked.scores()]
-    for name, w in errors.items():
-        found.append(Score(name, "step", *left.step(w)))
-        found += _again(left, name, w, again or {})
+    for name, error in errors.items():
+        found.append(Score(name, "step", *left.step(error)))
+        found += _again(left, name, error, again or {})
     return found
 
 
 def _again(
-    left: Residuals, name: str, w: Array, again: Mapping[str, NDArray[np.intp]]
+    left: Residuals, name: str, error: Error, again: Mapping[str, NDArray[np.intp]]
 ) -> Iterator[Score]:
     """Yield whether a quantity moved with time, at each pose that was measured again."""
     for place, rows in again.items():
-        moved = w * _since(left.used, rows)[:, None]
-        form = left.form(moved[:, :, None])
+        since = _since(left.used, rows)
+        form = left.form((error, since[:, None]))
         p_value = float(of_forms([form], left.chi2, left.degrees_of_freedom)[0])
-        yield Score(name, "again", p_value, size=left.size(moved), place=place)
+        yield Score(name, "again", p_value, size=left.size(error, since), place=place)
 
 
 def errors_of(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.linear import Orthonormal
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.estimation.residuals.chances import Form
 from pincal.kinematics.batches import over_rows
@@ -56,6 +55,22 @@ class Change:
 
 
 @dataclass(frozen=True)
+class Error:
+    """The error of a measured quantity that is 1 in each row, as white rows see it."""
+
+    white: Array
+    """w, shape (n_used, m)."""
+    taken: Array
+    """Qᵀ w of each row, shape (n_used, n_free)."""
+    along: Array
+    """wᵀ M r of each row, shape (n_used,)."""
+
+    def __add__(self, other: Error) -> Error:
+        """Return both errors at once."""
+        return Error(self.white + other.white, self.taken + other.taken, self.along + other.along)
+
+
+@dataclass(frozen=True)
 class Residuals:
     """White residuals and derivatives of rows that count, flat; parameters projected out."""
 
@@ -70,12 +85,15 @@ class Residuals:
     @classmethod
     def of(cls, one: Fit) -> Residuals:
         """Return those of a fit."""
-        used = np.flatnonzero(one.good)
-        r, J = one.last.value[used], one.last.jacobian[used] @ one.unknowns.map
-        _, prior = one.unknowns.prior_rows(one.unknowns.start)
-        Q = Orthonormal.of(J, prior)(J)
-        left = r - Q @ np.einsum("nmi,nm->i", Q, r)
+        used, Q = np.flatnonzero(one.good), one.Q
+        r = one.last.value[used]
+        left = r - Q @ over_rows(Q, r[:, :, None])[:, 0]
         return cls(used, left, Q, float((left**2).sum()), one.degrees_of_freedom)
+
+    def error(self, w: Array) -> Error:
+        """Return an error of white rows of shape (n_used, m)."""
+        along = np.einsum("nm,nm->n", w, self.left)
+        return Error(w, (w[:, None] @ self.Q)[:, 0], along)
 
     def chance(self, inside: Array | float, rank: int) -> Array:
         """Return the probability of a part of χ² of some rank, or of a larger one."""
@@ -83,17 +101,33 @@ class Residuals:
         ratio = inside / rank / (np.maximum(self.chi2 - inside, 1e-300) / free)
         return np.asarray(fdtrc(rank, free, ratio))
 
-    def form(self, W: Array) -> Form:
+    def form(self, *errors: tuple[Error, Array], common: bool = False) -> Form:
         """Return what residuals say of errors with amplitudes as large as each other.
 
+        White rows and courses are never multiplied out: W_n = w_n b_nᵀ, so WᵀW = Σ |w_n|² b_n b_nᵀ.
+
         Args:
-            W: White rows of the unit errors, shape (n_used, m, f).
+            errors: Each with its courses b, by which it is larger or less, shape (n_used, f).
+            common: Whether amplitudes are the same in all of them, not each one's own.
         """
-        flat, Q = W.reshape(-1, W.shape[2]), self.Q.reshape(-1, self.Q.shape[2])
-        length = float((flat**2).sum())
-        flat = flat - Q @ (Q.T @ flat)
-        inside = float(((flat.T @ self.left.ravel()) ** 2).sum())
-        return Form(np.asarray(np.linalg.eigvalsh(flat.T @ flat), np.float64), inside, length)
+        W = np.stack([error.white for error, _ in errors], axis=1)
+        squares = W @ W.transpose(0, 2, 1)
+        B = np.concatenate([b for _, b in errors], axis=1)
+        owner = np.repeat(np.arange(len(errors)), [b.shape[1] for _, b in errors])
+        whole = np.concatenate(
+            [b.T @ (squares[:, k, owner] * B) for k, (_, b) in enumerate(errors)]
+        )
+        hidden = np.concatenate([error.taken.T @ b for error, b in errors], axis=1)
+        inside = np.concatenate([error.along @ b for error, b in errors])
+        if common:
+            k = len(errors)
+            whole = whole.reshape(k, -1, k, whole.shape[1] // k).sum(axis=(0, 2))
+            hidden, inside = (
+                hidden.reshape(len(hidden), k, -1).sum(axis=1),
+                inside.reshape(k, -1).sum(axis=0),
+            )
+        values = np.asarray(np.linalg.eigvalsh(whole - hidden.T @ hidden), np.float64)
+        return Form(values, float(inside @ inside), float(np.trace(whole)))
 
     def amplitudes(self, W: Array) -> Amplitudes:
         """Return the amplitudes that residuals ask for along the white rows of terms.
@@ -134,15 +168,16 @@ class Residuals:
         U, s, _ = np.linalg.svd(flat - Q @ (Q.T @ flat), full_matrices=False)
         return np.asarray(U[:, s > RANK_TOLERANCE], np.float64)
 
-    def size(self, w: Array) -> float:
-        """Return how large an error is that has these white rows if it is 1, shape (n_used, m)."""
-        taken = np.einsum("nmi,nm->i", self.Q, w)
-        length = float((w**2).sum() - (taken**2).sum())
-        return float((w * self.left).sum() / length) if length > 0.0 else 0.0
+    def size(self, error: Error, course: Array) -> float:
+        """Return how large an error of some course is, shape (n_used,)."""
+        taken = course @ error.taken
+        seen = float(course**2 @ (error.white**2).sum(axis=1) - taken @ taken)
+        return float(course @ error.along) / seen if seen > 0.0 else 0.0
 
-    def step(self, w: Array) -> tuple[float, int, float]:
+    def step(self, error: Error) -> tuple[float, int, float]:
         """Return the probability of the clearest step anywhere, its first row and its size."""
-        found = self.change(w[:, :, None])
+        own = (error.white**2).sum(axis=1)[:, None, None]
+        found = self._change(own, error.taken[:, :, None], error.along[:, None])
         return found.p_value, found.row, float(found.size[0])
 
     def change(self, W: Array) -> Change:
@@ -151,13 +186,16 @@ class Residuals:
         Args:
             W: White rows of the unit errors, shape (n_used, m, f).
         """
-        f = W.shape[2]
+        transposed = W.transpose(0, 2, 1)
+        taken = self.Q.transpose(0, 2, 1) @ W
+        return self._change(transposed @ W, taken, (transposed @ self.left[:, :, None])[:, :, 0])
+
+    def _change(self, own: Array, by: Array, along: Array) -> Change:
+        """Return the clearest step by WᵀW, QᵀW and Wᵀ M r of each row."""
+        f = own.shape[2]
         none = Change(1.0, 0, np.zeros(f), 0.0)
-        if len(W) < 2 or self.degrees_of_freedom <= f:
+        if len(own) < 2 or self.degrees_of_freedom <= f:
             return none
-        own = np.einsum("nmf,nmg->nfg", W, W)
-        by = np.einsum("nmi,nmf->nif", self.Q, W)
-        along = np.einsum("nmf,nm->nf", W, self.left)
         after, squares, taken = (np.cumsum(one[::-1], axis=0)[::-1][1:] for one in (along, own, by))
         lengths = squares - taken.transpose(0, 2, 1) @ taken
         least = RANK_TOLERANCE * max(float(np.trace(squares[0])), 1e-300)

@@ -210,22 +210,26 @@ def estimated_noise(
 
 def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
     """Return what a fit says of the variances of groups, at a problem's noise."""
-    linear = problem.with_this_noise(one.last)
+    given = problem is one.problem
+    linear = one.last if given else problem.with_this_noise(one.last)
     rows = one.weights > 0.0
     if one.system.loss is not None:
         rows &= ~outlying(linear.squares / one.system.scale(linear) ** 2, linear.equations)
     n_readings = problem.reading_columns[-1].stop
     unit = replace(problem, sigma_readings=np.full_like(problem.sigma_readings, readings))
-    by_reading = unit.with_this_noise(one.last).stack.noise[:, :, :n_readings]
-    by_reading = linear.white(by_reading)
+    by_reading = linear.white(unit.noise(linear.stack.demands)[:, :, :n_readings])
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = problem.observation.units if problem.latent else problem.platform.units
     lengths = np.array([name == "m" for name in units], dtype=bool)
     U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
-    r, J = linear.value[rows], linear.jacobian[rows] @ one.unknowns.map
-    _, prior = one.unknowns.prior_rows(one.unknowns.start)
-    by = Orthonormal.of(J, prior)
-    Q = by(J)
+    r = linear.value[rows]
+    if given and (rows == one.good).all():
+        by, Q = one.orthonormal, one.Q
+    else:
+        J = linear.jacobian[rows] @ one.unknowns.map
+        _, prior = one.unknowns.prior_rows(one.unknowns.start)
+        by = Orthonormal.of(J, prior)
+        Q = by(J)
     left = r - Q @ over_rows(Q, r[:, :, None])[:, 0]
     V = [part @ part.transpose(0, 2, 1) for part in U]
     VQ = [part @ Q for part in V]

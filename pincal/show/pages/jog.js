@@ -36,6 +36,7 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
   }
 
   function closed(T, start) {
+    if (motion.free.length) return Motion.together(motion, T, start);
     const found = motion.legs.map((leg, i) => Motion.close(leg, Motion.product(T, motion.points[i]), motion.rows, start[i], motion.size));
     return found.every(Boolean) ? { joints: found, T } : null;
   }
@@ -47,7 +48,7 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
     beneath();
   }
 
-  // Part of the way between two poses: loops closed, or joints in between where poses follow from readings
+  // Part of the way between two poses: loops closed, or joints in between, of an arm
   function between(from, to, part) {
     const ends = [from, to].map((pose) => ({ joints: jointsAt(pose), T: platformAt(pose) }));
     const mixed = ends[0].joints.map((own, leg) => own.map((one, i) => (1 - part) * one + part * ends[1].joints[leg][i]));
@@ -59,7 +60,7 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
     const matrix = new THREE.Matrix4().compose(a.p.lerp(b.p, part), q, new THREE.Vector3(1, 1, 1));
     const T = matrix.transpose().elements;
     if (mixed.some((own) => own.some((one) => !Number.isFinite(one)))) return false;
-    return draw(motion.exact ? closed(Array.from(T), mixed) : { joints: mixed, T: motion.jog === "joints" ? tip(mixed) : Array.from(T) });
+    return draw(motion.jog === "joints" ? { joints: mixed, T: tip(mixed) } : closed(Array.from(T), mixed));
   }
 
   const tip = (q) => Motion.product(Motion.links(motion.legs[0], q[0]).pop(), Motion.inverse(motion.points[0]));
@@ -71,15 +72,11 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
       const q = [begun.joints[0].map((one, i) => one + wanted[i])];
       state = { joints: q, T: tip(q) };
     } else {
-      const shift = [0, 0, 0];
-      const turn = [0, 0, 0];
-      motion.sliders.forEach(({ row }, i) => ((row < 3 ? shift : turn)[row % 3] = wanted[i]));
-      const angle = Math.hypot(...turn);
-      const R = angle > 0 ? Motion.rotation(turn.map((one) => one / angle), angle) : null;
-      const [x, y, z] = Motion.origin(begun.T);
-      const flat = begun.T.map((one, i) => (i % 4 === 3 && i < 12 ? 0 : one));
-      const T = R ? Motion.product(R, flat) : [...flat];
-      [T[3], T[7], T[11]] = [x + shift[0], y + shift[1], z + shift[2]];
+      const twist = [0, 0, 0, 0, 0, 0];
+      motion.sliders.forEach(({ row }, i) => (twist[row] = wanted[i]));
+      const T = Motion.displaced(begun.T, twist);
+      // what follows from the others begins where it is
+      motion.free.filter((row) => row < 3).forEach((row) => (T[4 * row + 3] = now.T[4 * row + 3]));
       state = closed(T, now.joints);
     }
     const reached = draw(state);
@@ -110,7 +107,7 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
   const said = element("p", "Out of reach.", fields);
   said.setAttribute("role", "status");
   said.hidden = true;
-  fields.hidden = !motion.jog;
+  fields.hidden = !sliders.length;
   fields.classList.toggle("long", motion.sliders.some(({ name }) => name.length > 4));
 
   function write() {
@@ -124,6 +121,7 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
   // Dragging the platform, in the plane that faces the viewer
 
   const ray = new THREE.Raycaster();
+  ray.layers.enableAll();
   const plane = new THREE.Plane();
   const canvas = viewer.renderer.domElement;
   let held = null;
@@ -169,7 +167,7 @@ function Jog({ data, viewer, pane, node, move, element, bytes, halt }) {
   const under = node("meshcat/shadow").object;
   const { level } = data;
   const height = 5e-4 * motion.size;
-  const drop = new THREE.Line(new THREE.BufferGeometry().setFromPoints([new THREE.Vector3(), new THREE.Vector3()]), new THREE.LineDashedMaterial({ color: 0x777777 }));
+  const drop = new THREE.Line(new THREE.BufferGeometry().setFromPoints([new THREE.Vector3(), new THREE.Vector3()]), new THREE.LineBasicMaterial({ color: 0x777777 }));
   const shadows = [];
   if (!data.planar) {
     const dark = new THREE.MeshBasicMaterial({ color: 0xd9dce0, side: THREE.DoubleSide });

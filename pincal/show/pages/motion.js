@@ -66,40 +66,92 @@ const Motion = (() => {
     return b;
   }
 
-  // Joints that bring a leg's tip to a platform point, by damped Gauss-Newton; null if out of reach
+  // How far a leg's tip is from a platform point, and by which joint it moves how; turns times a size
+  function gap(leg, target, rows, q, size) {
+    const frame = leg.closes === "frame";
+    const every = links(leg, q);
+    const tip = every[every.length - 1];
+    const at = origin(tip);
+    const wanted = origin(target);
+    const missed = rows.map((row) => wanted[row] - at[row]);
+    if (frame) { // half the sum of the axes' cross products: a small turn
+      const turn = [0, 0, 0];
+      for (let j = 0; j < 3; j++) cross(column(tip, j), column(target, j)).forEach((one, i) => (turn[i] += one / 2));
+      missed.push(...turn.map((one) => one * size));
+    }
+    const columns = [];
+    leg.joints.forEach((joint, place) => {
+      if (joint.kind === "fixed") return;
+      const axis = turnedBy(every[place], joint.axis);
+      const sliding = joint.kind === "prismatic";
+      const arm = origin(every[place]).map((one, i) => at[i] - one);
+      const moved = sliding ? axis : cross(axis, arm);
+      const own = rows.map((row) => moved[row]);
+      if (frame) own.push(...axis.map((one) => (sliding ? 0 : one * size)));
+      columns.push(own);
+    });
+    return { missed, columns };
+  }
+
+  function step(columns, missed) { // of least squares, damped; null if there is none
+    const dot = (a, b) => a.reduce((sum, one, i) => sum + one * b[i], 0);
+    const normal = columns.map((a) => columns.map((b) => dot(a, b)));
+    normal.forEach((row, i) => (row[i] *= 1 + 1e-9));
+    const found = solved(normal, columns.map((a) => dot(a, missed)));
+    if (!found.every(Number.isFinite)) return null;
+    const longest = Math.max(...found.map(Math.abs));
+    return found.map((one) => one * Math.min(1, 0.5 / longest));
+  }
+
+  // Joints that bring a leg's tip to a platform point, by Gauss-Newton; null if out of reach
   function close(leg, target, rows, start, size) {
     let q = [...start];
-    const frame = leg.closes === "frame";
     for (let iteration = 0; iteration < 30; iteration++) {
-      const every = links(leg, q);
-      const tip = every[every.length - 1];
-      const at = origin(tip);
-      const wanted = origin(target);
-      const missed = rows.map((row) => wanted[row] - at[row]);
-      if (frame) { // half the sum of the axes' cross products: a small turn
-        const turn = [0, 0, 0];
-        for (let j = 0; j < 3; j++) cross(column(tip, j), column(target, j)).forEach((one, i) => (turn[i] += one / 2));
-        missed.push(...turn.map((one) => one * size));
-      }
+      const { missed, columns } = gap(leg, target, rows, q, size);
       if (Math.hypot(...missed) < 1e-9 * size) return q;
-      const columns = [];
-      leg.joints.forEach((joint, place) => {
-        if (joint.kind === "fixed") return;
-        const axis = turnedBy(every[place], joint.axis);
-        const sliding = joint.kind === "prismatic";
-        const arm = origin(every[place]).map((one, i) => at[i] - one);
-        const moved = sliding ? axis : cross(axis, arm);
-        const own = rows.map((row) => moved[row]);
-        if (frame) own.push(...axis.map((one) => (sliding ? 0 : one * size)));
-        columns.push(own);
+      const moved = step(columns, missed);
+      if (!moved) return null;
+      q = q.map((value, i) => value + moved[i]);
+    }
+    return null;
+  }
+
+  function displaced(T, twist) { // by a shift, and a turn about its origin
+    const angle = Math.hypot(...twist.slice(3));
+    const flat = T.map((one, i) => (i % 4 === 3 && i < 12 ? 0 : one));
+    const turned = angle > 0 ? product(rotation(twist.slice(3).map((one) => one / angle), angle), flat) : flat;
+    [turned[3], turned[7], turned[11]] = origin(T).map((one, i) => one + twist[i]);
+    return turned;
+  }
+
+  // Joints of all legs, and the platform, of which the coordinates `free` follow from the others
+  function together(motion, T, start) {
+    const { legs, points, rows, size, free } = motion;
+    let state = { T, joints: start };
+    for (let iteration = 0; iteration < 30; iteration++) {
+      const missed = [];
+      const columns = free.map(() => []);
+      legs.forEach((leg, place) => {
+        const target = product(state.T, points[place]);
+        const own = gap(leg, target, rows, state.joints[place], size);
+        const arm = origin(target).map((one, i) => one - origin(state.T)[i]);
+        free.forEach((row, k) => {
+          const axis = [0, 1, 2].map((i) => +(i === row % 3));
+          const moved = row < 3 ? axis : cross(axis, arm);
+          columns[k].push(...rows.map((one) => -moved[one]));
+          if (leg.closes === "frame") columns[k].push(...axis.map((one) => (row < 3 ? 0 : -size * one)));
+        });
+        own.columns.forEach((one) => columns.push([...missed.map(() => 0), ...one]));
+        missed.push(...own.missed);
       });
-      const dot = (a, b) => a.reduce((sum, one, i) => sum + one * b[i], 0);
-      const normal = columns.map((a) => columns.map((b) => dot(a, b)));
-      normal.forEach((row, i) => (row[i] *= 1 + 1e-9));
-      const step = solved(normal, columns.map((a) => dot(a, missed)));
-      if (!step.every(Number.isFinite)) return null;
-      const longest = Math.max(...step.map(Math.abs));
-      q = q.map((value, i) => value + step[i] * Math.min(1, 0.5 / longest));
+      if (Math.hypot(...missed) < 1e-9 * size) return state;
+      columns.forEach((one) => one.push(...missed.slice(one.length).map(() => 0)));
+      const moved = step(columns, missed);
+      if (!moved) return null;
+      const twist = [0, 0, 0, 0, 0, 0];
+      free.forEach((row, k) => (twist[row] = moved[k]));
+      let next = free.length;
+      state = { T: displaced(state.T, twist), joints: state.joints.map((own) => own.map((one) => one + moved[next++])) };
     }
     return null;
   }
@@ -133,5 +185,5 @@ const Motion = (() => {
     return [...R[0], back[0], ...R[1], back[1], ...R[2], back[2], 0, 0, 0, 1];
   }
 
-  return { product, rotation, links, close, placed, inverse, origin };
+  return { product, links, close, together, displaced, placed, inverse, origin };
 })();

@@ -12,8 +12,7 @@
   const node = (path) => viewer.scene_tree.find(path.split("/"));
   const poses = data.set.length;
   let pose = -1;
-  let timer = null;
-  let frame = 0;
+  let frame = 0; // of the animation that plays
 
   // meshcat's scene is in a world whose y points up
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
@@ -27,6 +26,7 @@
 
   const setVisible = (path, visible) => {
     node(path).set_property("visible", visible);
+    pace.changed();
     viewer.set_dirty();
   };
 
@@ -38,6 +38,11 @@
     body.nodes = body.paths.map(node);
     body.share = 1; // of what differs from the nominal machine that is drawn
   }
+
+  const jog = Jog({ data, viewer, pane, node, move, element, bytes, halt: () => play(false) });
+  const moving = [...data.bodies.map(({ name }) => name), "shadow", "base axes"];
+  const [movingNodes, heavyNodes] = [moving, ["cloud", "errors"]].map((names) => names.map((name) => node(`meshcat/${name}`).object));
+  const pace = Pace({ viewer, pane, moving: movingNodes, heavy: heavyNodes });
 
   function move(part, m, k) { // m: columns of 3, from k on; sheared parts have no quaternion
     const { object } = part;
@@ -66,8 +71,8 @@
 
   function paint() {
     const ground = night.matches ? data.paper[1] : data.paper[0];
-    const rgb = [1, 3, 5].map((i) => parseInt(ground.slice(i, i + 2), 16) / 255);
-    for (const key of ["top_color", "bottom_color"]) viewer.set_property(["Background"], key, rgb);
+    viewer.scene.background = new THREE.Color(ground);
+    pace.changed();
     viewer.scene.traverse(({ material, geometry }) => {
       if (!material || !material.color) return;
       if (material.vertexColors) {
@@ -167,29 +172,28 @@
   // From pose to pose in the order of the plan, as the mechanism moves
 
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  const [PAUSE, MOTION] = calm ? [500, 0] : [120, 480]; // milliseconds
+  const LASTS = 600; // milliseconds from pose to pose, slow at both
 
   function play(on) {
-    clearTimeout(timer);
     cancelAnimationFrame(frame);
-    const moving = timer !== null;
-    timer = on ? setTimeout(step, PAUSE) : null;
-    if (!on && moving) show(pose);
+    if (!on && frame) show(pose);
+    frame = 0;
+    if (on) step(performance.now());
     find("play").textContent = on ? "pause" : "play";
   }
 
-  function step() {
+  function step(begin) {
     const next = (pose + 1) % poses;
-    const begin = performance.now();
     const tick = (now) => {
-      const part = Math.min(Math.max((now - begin) / (MOTION || 1), 0), 1);
-      if (part < 1 && next > 0 && jog.between(pose, next, part * part * (3 - 2 * part))) {
-        data.bodies.slice(1).forEach((body) => blend(body, pose, next, part));
-        frame = requestAnimationFrame(tick);
+      const part = (now - begin) / LASTS;
+      if (part >= 1) {
+        show(next);
+        step(now);
         return;
       }
-      show(next);
-      timer = setTimeout(step, PAUSE);
+      const eased = part * part * (3 - 2 * part);
+      if (!calm && next > 0 && jog.between(pose, next, eased)) data.bodies.slice(1).forEach((body) => blend(body, pose, next, eased));
+      frame = requestAnimationFrame(tick);
     };
     frame = requestAnimationFrame(tick);
   }
@@ -295,66 +299,8 @@
     change();
   }
 
-  const tags = data.legs.map((leg) => {
-    const tag = element("div", leg.name, pane);
-    tag.className = "tag";
-    coloured(tag, leg.colour);
-    return { tag, foot: turned(leg.foot) };
-  });
-  checkbox(find("layers"), "names of legs", true, (on) => tags.forEach(({ tag }) => (tag.hidden = !on)));
-
-  // Letters of the axes, of the base and of the platform; a scale
-
-  const letters = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].flatMap((axis, place) => [false, true].map((moves) => {
-    const tag = element("div", "xyz"[place], pane);
-    tag.className = "letter";
-    tag.setAttribute("aria-hidden", "true");
-    return { tag, moves, end: axis.map((one) => 1.25 * data.axis * one) };
-  }));
-  const world = new THREE.Vector3();
-
-  function placeLetters() {
-    const shown = { false: node("meshcat/base axes").object.visible, true: true };
-    for (const { tag, moves, end } of letters) {
-      const { object } = node(moves ? "meshcat/mechanism/platform/body" : "meshcat/base axes");
-      world.set(...end).applyMatrix4(object.matrixWorld);
-      const middle = world.clone().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
-      world.project(viewer.camera);
-      const flat = Math.hypot((world.x - middle.x) * pane.clientWidth, (world.y - middle.y) * pane.clientHeight) < 12;
-      tag.hidden = flat || !shown[moves] || !object.visible;
-      const x = ((world.x + 1) / 2) * pane.clientWidth - 4;
-      const y = ((1 - world.y) / 2) * pane.clientHeight - 9;
-      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
-    }
-    const { target } = viewer.controls;
-    const right = new THREE.Vector3().setFromMatrixColumn(viewer.camera.matrixWorld, 0);
-    const [one, two] = [target.clone(), target.clone().add(right)].map((at) => at.project(viewer.camera).x);
-    const pixels = (Math.abs(two - one) / 2) * pane.clientWidth; // of a metre, where the view turns about
-    const decade = 10 ** Math.floor(Math.log10(140 / pixels));
-    const length = decade * ([5, 2].find((factor) => factor * decade * pixels < 140) || 1);
-    find("scale").querySelector("i").style.width = `${(length * pixels).toFixed(1)}px`;
-    const said = length >= 1 ? `${+length.toPrecision(3)} m` : `${+(1e3 * length).toPrecision(3)} mm`;
-    find("scale").querySelector("span").textContent = said;
-  }
-
-  function placeTags() {
-    const { clientWidth: width, clientHeight: height } = pane;
-    const feet = tags.map(({ foot }) => foot.clone().project(viewer.camera));
-    const middle = feet.reduce((sum, at) => sum + at.x, 0) / feet.length;
-    const taken = [];
-    for (const [index, { tag }] of tags.entries()) {
-      const at = feet[index];
-      const beside = at.x < middle - 1e-6 ? -12 - tag.offsetWidth : 12; // away from the mechanism
-      const x = Math.min(Math.max(((at.x + 1) / 2) * width + beside, 2), width - tag.offsetWidth - 2);
-      const low = Math.min(Math.max(((1 - at.y) / 2) * height + 8, 2), height - tag.offsetHeight - 2);
-      const [w, h] = [tag.offsetWidth, tag.offsetHeight];
-      const over = (there) => taken.some((one) => Math.abs(one.y - there) < h && x < one.x + one.w && one.x < x + w);
-      const shifts = [0, 1, -1, 2, -2, 3, -3].map((n) => low + n * h).filter((there) => there > 0 && there + h < height);
-      const y = shifts.find((there) => !over(there)) ?? low;
-      if (!tag.hidden) taken.push({ x, y, w });
-      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
-    }
-  }
+  const labels = Labels({ data, viewer, pane, node, element, coloured, turned });
+  checkbox(find("layers"), "names of legs", true, labels.show);
 
   // The camera: from above where all is in a plane, else from the side
 
@@ -367,18 +313,16 @@
   viewer.set_camera(camera);
   viewer.set_object(["Cameras", "default", "rotated"], camera);
 
-  function beside() { // room for the names of legs, in pixels
-    const widest = Math.max(0, ...tags.map(({ tag }) => (tag.hidden ? 0 : tag.offsetWidth)));
-    return Math.min(widest + 12, pane.clientWidth / 5);
-  }
-
   function widen() {
     camera.right = (camera.top * pane.clientWidth) / pane.clientHeight;
     camera.left = -camera.right;
   }
 
   function fit() {
-    const aspect = (pane.clientWidth - 2 * beside()) / pane.clientHeight;
+    data.sets.forEach((_, index) => node(`meshcat/sets/${index + 1}`).object.traverse(({ isPoints, material }) => {
+      if (isPoints) material.size = pane.clientWidth < 500 ? 4 : 7; // pixels
+    }));
+    const aspect = (pane.clientWidth - 2 * labels.beside()) / pane.clientHeight;
     viewer.controls.target.copy(centre);
     if (data.planar) {
       const half = 0.57 * Math.max(high[1] - low[1], (high[0] - low[0]) / aspect, 0.1 * size);
@@ -401,11 +345,12 @@
     viewer.set_3d_pane_size();
   }
 
-  const render = viewer.render.bind(viewer);
   viewer.render = () => {
-    render();
-    placeTags();
-    placeLetters();
+    viewer.controls.update();
+    viewer.camera.updateProjectionMatrix();
+    viewer.needs_render = false;
+    pace.draw();
+    labels.place();
   };
   window.addEventListener("resize", () => {
     if (data.planar) widen();
@@ -421,7 +366,7 @@
     ArrowDown: () => show(pose - 1),
     Home: () => show(0),
     End: () => show(poses - 1),
-    " ": () => play(timer === null),
+    " ": () => play(!frame),
   };
   document.addEventListener("keydown", (event) => {
     const typing = event.key === " " && ["BUTTON", "INPUT"].includes(event.target.tagName) && event.target.id !== "slider";
@@ -435,12 +380,11 @@
   find("slider").addEventListener("input", (event) => show(event.target.valueAsNumber - 1));
   find("back").addEventListener("click", () => show(pose - 1));
   find("forth").addEventListener("click", () => show(pose + 1));
-  find("play").addEventListener("click", () => play(timer === null));
+  find("play").addEventListener("click", () => play(!frame));
   find("fit").addEventListener("click", fit);
-  const jog = Jog({ data, viewer, pane, node, move, element, bytes, halt: () => play(false) });
   fit();
   show(0);
   paint();
   night.addEventListener("change", paint);
-  window.pincal = { viewer, show, jog, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
+  window.pincal = { viewer, show, jog, pace, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();

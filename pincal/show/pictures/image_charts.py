@@ -1,6 +1,6 @@
 """Residuals as arrows over the pictures of cameras: from where a point was seen to where it is due.
 
-Images stand side by side in one pair of axes; arrows are magnified alike in all of them.
+Images are side by side in one pair of axes; arrows are magnified alike in all of them.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def over_images(axes: Axes, result: CalibrationResult) -> Axes:
 
 
 def _across(count: int, image: float, whole: float) -> int:
-    """Return how many images of a shape stand side by side so that they are largest."""
+    """Return how many images of a shape are side by side so that they are largest."""
 
     def size(across: int) -> float:
         return min(whole / (across * image), 1.0 / -(-count // across))

@@ -91,7 +91,7 @@ def draw_map(
 
 
 def _places(step: float) -> int:
-    """Return how many decimal places tell numbers apart that differ by a step."""
+    """Return how many decimal places numbers need to differ that are a step apart."""
     return max(0, int(np.ceil(-np.log10(step))))
 
 

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from pincal.calibration.promise import pose_misses
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import PincalError
+from pincal.errors import MeasurementError, PincalError
 from pincal.model.measuring.setup import ORIGIN
 from pincal.show.results import directions, parameters
-from pincal.show.view.found import Errors, Found, Instrument, Misses, Weakest
+from pincal.show.view.found import Errors, Found, Instrument, Misses, Station, Weakest
 from pincal.show.view.scene import Scene, driven, rounded_down
 from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
+from pincal.words.views import FRAME
 
 Array = NDArray[np.float64]
 #: Of the scene's size: a long arrow, and how far a parameter moves along the weakest direction.
@@ -31,17 +32,19 @@ def calibrated(
 
     Args:
         scene: The mechanism at poses.
-        result: Its calibration; of one that did not converge, the place of the tracker alone.
+        result: Its calibration; of one that did not converge, the places of instruments alone.
         errors: Over the workspace, computed if not given.
     """
     if not result.converged:
-        return replace(scene, found=Found(instrument=instrument(result)))
+        placed = Found(instrument=instrument(result), stations=stations(result))
+        return replace(scene, found=placed)
     size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
     found = Found(
         misses(result, size),
         _errors(result, workspace_errors(result) if errors is None else errors),
         weakest(scene, result, size),
         instrument(result),
+        stations(result),
     )
     return replace(scene, found=found)
 
@@ -147,8 +150,40 @@ def instrument(result: CalibrationResult) -> Instrument | None:
     tracker = result.options.setup.tracker
     if tracker is None:
         return None
-    T_base_frame: Array = np.eye(4)
-    if result.outside is not None:
-        T_base_frame = np.asarray(np.linalg.inv(result.outside.frame), dtype=np.float64)
+    T_base_frame = _base_frame(result)
     at = T_base_frame[:3, :3] @ np.array(tracker.at) + T_base_frame[:3, 3]
     return Instrument(at, T_base_frame)
+
+
+def stations(result: CalibrationResult) -> tuple[Station, ...]:
+    """Return the frame of the measurements, where it was unknown, and instruments of one's own.
+
+    Those that say where they stand, by a method ``stand(values)`` that returns
+    T_frame_instrument, shape (4, 4); what a camera sees, by an attribute ``sees``.
+
+    Raises:
+        MeasurementError: an instrument that stands at no rigid transform.
+    """
+    setup, T_base_frame, found = result.options.setup, _base_frame(result), []
+    if setup.unknown_frame and setup.tracker is None:
+        found.append(Station(FRAME, T_base_frame))
+    for one in setup.instruments:
+        if (stand := getattr(one, "stand", None)) is None:
+            continue
+        values = np.array([result[parameter.id].identified for parameter in one.parameters])
+        T = np.asarray(stand(values), dtype=np.float64)
+        R = T[:3, :3]
+        if T.shape != (4, 4) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+            raise MeasurementError(
+                f"instrument {one.name!r} stands at an array of shape {T.shape}; expected "
+                "T_frame_instrument, a rigid transform of shape (4, 4)"
+            )
+        found.append(Station(one.name, T_base_frame @ T, getattr(one, "sees", None)))
+    return tuple(found)
+
+
+def _base_frame(result: CalibrationResult) -> Array:
+    """Return the frame of the measurements in the base frame, shape (4, 4)."""
+    if result.outside is None:
+        return np.eye(4)
+    return np.asarray(np.linalg.inv(result.outside.frame), dtype=np.float64)

@@ -14,10 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from pincal.show.style import CARRIED, DOMAIN, GROUND, IDENTIFIED, NOMINAL, OUTLIER, shades
+from pincal.show.style import (
+    CARRIED,
+    DIMENSION,
+    DOMAIN,
+    GROUND,
+    IDENTIFIED,
+    NOMINAL,
+    OUTLIER,
+    shades,
+)
 from pincal.show.view.bodies import Body
 from pincal.show.view.found import Found
-from pincal.show.view.marks import arrows, stand
+from pincal.show.view.marks import arrows, frustum, stand
 from pincal.show.view.scene import Scene, frame_axes, ground
 from pincal.show.view.solids import Shape
 
@@ -29,6 +38,7 @@ import umsgpack
 
 Array = NDArray[np.float64]
 _I = np.eye(4)
+_DEPTH = 0.3  # of what a camera sees, of the scene's size
 #: Turns three.js' cylinders, which lie along y, to lie along z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
@@ -56,14 +66,12 @@ def commands(scene: Scene) -> list[bytes]:
     Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``bodies.Part``);
     ``sets/1`` and ``ghosts/1`` for the first set and so on; ``cloud``, ``base axes``, ``grid``;
     of a calibration ``misses``, ``outlying``, ``errors/before``, ``errors/after``, ``weakest`` with
-    its parts, ``instrument``.
+    its parts, ``instrument``, ``stations/1`` and so on.
     """
     recorder = _Recorder()
     draw = meshcat.Visualizer(window=recorder)
     for path in ("/Grid", "/Axes"):
         draw[path].set_property("visible", False)
-    for key in ("top_color", "bottom_color"):
-        draw["/Background"].set_property(key, [1.0, 1.0, 1.0])
     _lines(draw["grid"], ground(scene), GROUND)
     axes = frame_axes(scene)
     _axes(draw["base axes"], axes)
@@ -73,7 +81,9 @@ def commands(scene: Scene) -> list[bytes]:
         _body(draw["identified"], scene.identified.body, IDENTIFIED, opacity=0.45)
     if scene.cloud:
         colours = np.where(scene.cloud.domain[:, None], _rgb(DOMAIN), _rgb(CARRIED))
-        _dots(draw["cloud"], scene.cloud.positions, colours, 2)
+        # in no order, so that the first are an even sample: the page may draw no more
+        mixed = np.random.default_rng(0).permutation(len(colours))
+        _dots(draw["cloud"], scene.cloud.positions[mixed], colours[mixed], 2)
     for number, (_, colour, positions, lines) in enumerate(scene.by_set(), 1):
         _dots(draw[f"sets/{number}"], positions, _rgb(colour), 7)
         _lines(draw[f"ghosts/{number}"], lines, colour, opacity=0.45)
@@ -112,6 +122,12 @@ def _found(draw: Any, found: Found, scene: Scene) -> None:
             node.set_transform(place @ turned)
         _axes(draw["instrument/frame"], frame_axes(scene))
         draw["instrument/frame"].set_transform(found.instrument.T_base_frame)
+    for number, station in enumerate(found.stations, 1):
+        node = draw[f"stations/{number}"]
+        node.set_transform(station.T_base_station)
+        _axes(node["frame"], frame_axes(scene))
+        if station.sees:
+            _lines(node["sees"], frustum(station.sees, _DEPTH * size), DIMENSION)
 
 
 def viewer_script() -> str:
@@ -124,6 +140,8 @@ def _body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None
     for part in body.parts:
         for number, shape in enumerate(part.shapes, 1):
             material = _matt(colour or shape.colour, opacity)
+            if opacity < 1.0:
+                material.side = 0  # its backs are not seen through it, which are drawn apart
             node = draw[f"{part.path}/shape {number}"]
             node.set_object(_geometry(shape), material)
             node.set_transform(shape.T_link_shape @ (_UPRIGHT if shape.kind == "cylinder" else _I))

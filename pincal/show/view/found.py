@@ -1,4 +1,4 @@
-"""What a calibration adds to a scene, as numbers: misses, errors, what stays open, the tracker."""
+"""What a calibration adds to a scene, as numbers: misses, errors, what stays open, instruments."""
 
 from __future__ import annotations
 
@@ -74,6 +74,17 @@ class Instrument:
 
 
 @dataclass(frozen=True, eq=False)
+class Station:
+    """A frame that the measurements were made in, or an instrument that says where it stands."""
+
+    name: str
+    T_base_station: Array
+    """Shape (4, 4), [m]; a camera looks along z."""
+    sees: tuple[float, float] | None = None
+    """Half width and half height of what a camera sees at a distance of 1; None if it is none."""
+
+
+@dataclass(frozen=True, eq=False)
 class Found:
     """All of it; None where there is none."""
 
@@ -81,3 +92,4 @@ class Found:
     errors: Errors | None = None
     weakest: Weakest | None = None
     instrument: Instrument | None = None
+    stations: tuple[Station, ...] = ()

@@ -1,4 +1,4 @@
-"""Signs in a scene that are no machine: arrows of misses, an instrument on its stand."""
+"""Signs in a scene that are no machine: arrows of misses, an instrument on its stand, a camera."""
 
 from __future__ import annotations
 
@@ -20,6 +20,13 @@ def cut(misses: Misses, size: float) -> NDArray[np.bool_]:
     """Return which arrows are drawn shorter than they are, shape (n,)."""
     lengths = misses.magnify * np.linalg.norm(misses.shifts, axis=1)
     return np.asarray(lengths > _LONGEST * size)
+
+
+def tips(misses: Misses, size: float) -> Array:
+    """Return where arrows end as they are drawn, shape (n, 3), [m]."""
+    lengths = misses.magnify * np.linalg.norm(misses.shifts, axis=1)
+    shorter = np.minimum(1.0, _LONGEST * size / np.maximum(lengths, 1e-300))
+    return misses.measured + (misses.magnify * shorter)[:, None] * misses.shifts
 
 
 def arrows(misses: Misses, rows: NDArray[np.bool_], size: float) -> Array:
@@ -72,3 +79,21 @@ def stand(size: float, planar: bool) -> tuple[Shape, ...]:
     turns = np.radians([90.0, 210.0, 330.0])
     ends = np.column_stack((2.2 * np.cos(turns), 2.2 * np.sin(turns), np.full(3, -5.0))) * radius
     return (head, *(rod(np.zeros(3), end, 0.16 * radius, PALE) for end in ends))
+
+
+def frustum(sees: tuple[float, float], depth: float) -> Array:
+    """Return what a camera sees up to a depth, as segments in its frame, shape (9, 2, 3), [m].
+
+    Four edges from where it stands, the rectangle of its picture there, and a mark on the side
+    of the picture's top, which is towards −y.
+
+    Args:
+        sees: Half width and half height of that rectangle at a depth of 1.
+        depth: [m].
+    """
+    x, y = sees
+    corners = depth * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
+    edges = [(np.zeros(3), corner) for corner in corners]
+    edges += [(corners[one], corners[one - 1]) for one in range(4)]
+    edges.append((depth * np.array([0.0, -y, 1.0]), depth * np.array([0.0, -1.4 * y, 1.0])))
+    return np.array(edges)

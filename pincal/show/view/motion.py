@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
 from pincal.kinematics.configurations import joints_at
 from pincal.model.leg import Leg
@@ -26,21 +27,21 @@ _TURN = 0.5  # and for angles, [rad]
 def motion(scene: Scene) -> dict[str, Any]:
     """Return chains, platform points and the poses' joints, for JSON.
 
-    ``jog``: what sliders move: ``"platform"``, ``"joints"`` of an arm, or nothing of mechanisms
-    whose poses are on a surface.
+    ``jog``: what sliders move: ``"platform"``, or ``"joints"`` of an arm. ``free``: the platform's
+    coordinates without a slider, which follow from the others where poses are on a surface.
     """
     mechanism, platform = scene.mechanism, scene.mechanism.platform
     arm = mechanism.by_readings and len(mechanism.legs) == 1
     solved = joints_at(mechanism, scene.plan).joints
     size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
-    sliders: list[dict[str, Any]] = []
+    moved = platform.twist_rows if arm or not mechanism.by_readings else independent(scene, size)
     if arm:
         sliders = [
             {"name": joint.name, "unit": _shown(unit)[0], "scale": _shown(unit)[1], "most": most}
             for joint in mechanism.legs[0].moving
             for unit, most in [("m", _MOST * size) if joint.kind == "prismatic" else ("rad", 1.0)]
         ]
-    elif not mechanism.by_readings:
+    else:
         sliders = [
             {
                 "name": name,
@@ -52,18 +53,59 @@ def motion(scene: Scene) -> dict[str, Any]:
             for name, unit, row in zip(
                 platform.freedoms, platform.units, platform.twist_rows, strict=True
             )
+            if row in moved
         ]
     return {
-        "jog": "joints" if arm else "" if mechanism.by_readings else "platform",
+        "jog": "joints" if arm else "platform",
         "sliders": sliders,
+        "free": [row for row in platform.twist_rows if row not in moved],
         "rows": list(platform.closure_rows),
         "size": size,
-        "exact": not mechanism.by_readings,
         "legs": [_leg(leg) for leg in mechanism.legs],
         "points": [list(leg.point.placement.origin().ravel()) for leg in mechanism.legs],
         "joints": [_doubles(solved[leg.name]) for leg in mechanism.legs],
         "parts": [_hung(scene, part.path) for part in scene.body.parts],
     }
+
+
+def independent(scene: Scene, size: float) -> tuple[int, ...]:
+    """Return the twist's rows, of a platform on a surface of poses, from which the others follow.
+
+    Those of largest pivots among the twists that the legs allow at the first pose.
+
+    Args:
+        scene: The mechanism at poses.
+        size: Turns count with this length, [m].
+    """
+    mechanism, body = scene.mechanism, scene.body
+    drawn = np.isfinite(body.placements).all(axis=(1, 2, 3))
+    links = body.placements[int(np.argmax(drawn))]
+    origin = links[body.part("platform/body"), :3, 3]
+    held = []
+    for leg, chain in zip(mechanism.legs, body.chains, strict=True):
+        T, tip = links[list(chain)], links[chain[-1], :3, 3]
+        columns = []
+        for joint, T_base_link in zip(leg.joints, T, strict=True):
+            if joint.kind != "fixed":
+                axis = T_base_link[:3, :3] @ np.array(joint.axis)
+                arm = np.cross(axis, tip - T_base_link[:3, 3])
+                sliding = joint.kind == "prismatic"
+                columns.append([*(axis if sliding else arm), *(0 * axis if sliding else axis)])
+        r = tip - origin
+        by_twist = np.block([[np.eye(3), -_skew(r)], [np.zeros((3, 3)), np.eye(3)]])
+        rows = 6 if leg.closes == "frame" else 3
+        U, s, _ = np.linalg.svd(np.array(columns).T[:rows])
+        rank = int((s > 1e-9 * s[0]).sum())
+        held.append(U[:, rank:].T @ by_twist[:rows])
+    scaled = np.concatenate(held) / np.array([1.0, 1.0, 1.0, size, size, size])
+    _, s, V = np.linalg.svd(scaled)
+    allowed = V[int((s > 1e-9 * s[0]).sum()) :]
+    _, _, order = qr(allowed, pivoting=True)
+    return tuple(sorted(int(row) for row in order[: len(allowed)]))
+
+
+def _skew(r: Array) -> Array:
+    return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
 
 
 def _shown(unit: str) -> tuple[str, float]:

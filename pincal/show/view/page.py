@@ -27,10 +27,11 @@ from pincal.show.style import (
 from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
 from pincal.show.view.found import Found
-from pincal.show.view.marks import cut
+from pincal.show.view.marks import cut, tips
 from pincal.show.view.motion import motion
 from pincal.show.view.scene import Scene, frame_axes, grid_step, set_colour
 from pincal.show.view.solids import GREY
+from pincal.words import views
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.pages import rendered
 
@@ -71,7 +72,7 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         "source": source,
         "planar": scene.planar,
         "towards": TOWARDS_VIEWER,
-        "bounds": scene.bounds().tolist(),
+        "bounds": _bounds(scene).tolist(),
         "grid": f"grid {1e3 * grid_step(scene):.6g} mm",
         "commands": [base64.b64encode(command).decode() for command in commands(scene)],
         "bodies": [_body(root, body) for root, body in bodies.items()],
@@ -94,6 +95,26 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         "dark": DARK | SOLIDS_DARK,
         "paper": PAPER,
     }
+
+
+def _bounds(scene: Scene) -> Array:
+    """Return least and largest coordinates of what is looked at first, shape (2, 3), [m].
+
+    The scene, the arrows of misses, and what stands no further from it than it is large.
+    """
+    bounds = scene.bounds()
+    if not scene.found:
+        return bounds
+    size = float(np.linalg.norm(np.ptp(bounds, axis=0)))
+    points = [bounds]
+    if scene.found.misses:
+        points.append(tips(scene.found.misses, size))
+    stands = [one.T_base_station[:3, 3] for one in scene.found.stations]
+    if scene.found.instrument:
+        stands.append(scene.found.instrument.at)
+    near = [p for p in stands if np.linalg.norm(p - np.clip(p, *bounds)) < size]
+    every = np.concatenate([*points, np.reshape(near, (-1, 3))])
+    return np.stack((every.min(axis=0), every.max(axis=0)))
 
 
 def _body(root: str, body: Body) -> dict[str, Any]:
@@ -135,21 +156,16 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
 
 def _layers(scene: Scene) -> list[dict[str, Any]]:
     """Return what can be shown or hidden: paths, names, and what to say about them."""
-    layers: list[tuple[str, str, bool]] = [("mechanism", "mechanism", True)]
+    layers: list[tuple[str, str, bool]] = [("mechanism", views.MECHANISM, True)]
     if scene.identified:
-        factor = f"{scene.identified.magnify:g}"
-        layers.append(("identified", f"identified, errors × {factor}", True))
-    layers += [("sets", "poses, as dots", True), ("ghosts", "poses, as ghosts", False)]
-    if scene.cloud:
-        cloud = scene.cloud
-        count = f"{len(cloud.positions):,}"
-        if cloud.given > len(cloud.positions):
-            count += f" of {cloud.given:,}"
-        share = f"; dark: fundamental domain of {cloud.group}" if not cloud.domain.all() else ""
-        layers.append(("cloud", f"workspace, {count} positions{share}", True))
+        layers.append(("identified", views.identified(scene.identified.magnify), True))
+    layers += [("sets", views.SETS, True), ("ghosts", views.GHOSTS, False)]
+    if cloud := scene.cloud:
+        group = "" if cloud.domain.all() else cloud.group
+        layers.append(("cloud", views.cloud(len(cloud.positions), cloud.given, group), True))
     if scene.found:
         layers += _found(scene, scene.found)
-    layers += [("base axes", "base frame", True), ("grid", "grid", True)]
+    layers += [("base axes", views.BASE, True), ("grid", views.GRID, True)]
     colours = {"identified": IDENTIFIED, "cloud": DOMAIN}
     colours |= {"misses": IDENTIFIED, "outlying": OUTLIER, "weakest": NOMINAL}
     return [
@@ -163,20 +179,22 @@ def _found(scene: Scene, found: Found) -> list[tuple[str, str, bool]]:
     layers = []
     if misses := found.misses:
         size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
-        short, factor = cut(misses, size), f"errors × {misses.magnify:,.12g}"
+        short = cut(misses, size)
         for path, who, own in (
-            ("misses", "measured → predicted", ~misses.outlying),
-            ("outlying", "outliers", misses.outlying),
+            ("misses", views.MEASURED, ~misses.outlying),
+            ("outlying", views.OUTLIERS, misses.outlying),
         ):
-            count = int((own & short).sum())
-            more = f", {count} longer than drawn" if count else ""
-            layers += [(path, f"{who}, {factor}{more}", True)] if own.any() else []
+            if own.any():
+                said = views.misses(who, misses.magnify, int((own & short).sum()))
+                layers.append((path, said, True))
     if weakest := found.weakest:
-        said = f"weakest direction, ±{weakest.magnify:.3g} of its standard errors"
-        layers.append(("weakest", f"{said}: {weakest.named}", False))
-    if found.instrument:
-        far = float(np.linalg.norm(found.instrument.at))
-        layers.append(("instrument", f"tracker, {far:.3g} m from the base frame", True))
+        layers.append(("weakest", views.weakest(weakest.magnify, weakest.named), False))
+    stands = [("instrument", views.TRACKER, found.instrument.at)] if found.instrument else []
+    stands += [
+        (f"stations/{number}", station.name, station.T_base_station[:3, 3])
+        for number, station in enumerate(found.stations, 1)
+    ]
+    layers += [(p, views.stands(who, float(np.linalg.norm(at))), True) for p, who, at in stands]
     return layers
 
 

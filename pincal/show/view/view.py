@@ -100,7 +100,7 @@ def view(
         poses: A plan or measurements, coordinates of shape (N, dof), [m] and [rad], or
             transforms; home and some of the workspace if not given. At most 2000.
         workspace: Positions or poses of a workspace, shape (M, n), x, y and, in space, z first,
-            [m]; those of a fundamental domain of the mechanism's symmetry group are dark.
+            [m]; a fundamental domain of the mechanism's symmetry group has the stronger colour.
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
         magnify: Factor on what differs between its parameters and the nominal ones.

@@ -1,0 +1,55 @@
+"""Legs of one form, evaluated in one call: what each alone demands, whatever its parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from measured import workspace
+
+import pincal
+from pincal.calibration.calibration import Calibration
+from pincal.estimation.conditions.alike_legs import evaluated
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import Demand
+
+FORMS = {"5R": 1, "3RRR": 1, "3RPR": 1, "3PRR": 2, "6UPS": 1, "6RUS": 1, "8cable": 1, "delta": 1}
+"""How many forms the legs of a machine have: those of the 3-PRR slide to either side."""
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_alike_legs_demand_what_each_alone_does(name: str) -> None:
+    """Values, derivatives, joints and how these follow steps; at noisy readings of another one."""
+    robot = pincal.load_mechanism(name)
+    truth, poses = pincal.disturb(robot, 2e-3, seed=4), workspace(name, 7, 1)
+    noise = pincal.Noise(1e-3, 1e-3, 1e-3)
+    data = pincal.simulate(robot, truth, pincal.Plan(poses), noise, 5).measurements
+    calibration, rows = Calibration(robot, data), np.arange(len(data))
+    conditions = [calibration.condition(leg, rows) for leg in range(len(robot.legs))]
+    values = [leg.nominal for leg in pincal.disturb(robot, 1e-3, seed=6).legs]
+    matrices = robot.platform.transforms(data.poses).as_matrix()
+    rng = np.random.default_rng(7)
+    changes = [1e-3 * rng.standard_normal(own.shape) for own in values]
+    twists = 1e-3 * rng.standard_normal((len(data), robot.platform.dof))
+    groups: dict[object, list[int]] = {}
+    for place, leg in enumerate(robot.legs):
+        groups.setdefault(LegClosure(leg, robot.platform).form, []).append(place)
+    assert len(groups) == FORMS[name]
+    for places in groups.values():
+        own = [conditions[place] for place in places]
+        parameters = [values[place] for place in places]
+        together = evaluated(own, parameters, matrices, [None] * len(own))
+        after = together.after([changes[place] for place in places], twists)
+        for place, condition, met, there in zip(places, own, together.legs, after, strict=True):
+            alone = evaluated([condition], [values[place]], matrices, [None])
+            (expected,) = alone.legs
+            for part in Demand.__dataclass_fields__:
+                wanted = getattr(expected.demand, part)
+                largest = np.abs(wanted).max()
+                # the search ends where passive joints are right to 1e-8, and values to its square
+                atol = 1e-14 if part == "value" else 1e-7 * largest
+                np.testing.assert_allclose(
+                    getattr(met.demand, part), wanted, rtol=0.0, atol=atol, err_msg=part
+                )
+            np.testing.assert_allclose(met.joints, expected.joints, rtol=0.0, atol=1e-7)
+            (one,) = alone.after([changes[place]], twists)
+            np.testing.assert_allclose(there, one, rtol=0.0, atol=1e-7)
