@@ -796,7 +796,7 @@ def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def greedy(**_: object) -> None:
         np.empty(2**55)
 
-    monkeypatch.setattr(import_module("pincal.cli.main"), "app", greedy)
+    monkeypatch.setattr(import_module("pincal.cli.run"), "app", greedy)
     outcome = run("mechanisms")
     assert outcome.code == 2
     assert "not enough memory" in outcome.trouble

@@ -112,12 +112,21 @@ def _with_terms(calibration: Calibration) -> Calibration:
     return extended(plain, choose(started(plain), every_pair(mechanism, data)).model.added)
 
 
-@on_one_thread
 def identify(calibration: Calibration) -> CalibrationResult:
     """Return what a calibration finds; errors are those of ``calibrate``."""
+    return identified(calibration)[0]
+
+
+@on_one_thread
+def identified(calibration: Calibration) -> tuple[CalibrationResult, Fits]:
+    """Return what a calibration finds, and the fits of it, for checks that go on from there.
+
+    Errors are those of ``calibrate``.
+    """
     calibration, options = started(calibration), calibration.options
     try:
-        found = with_unsure_tolerances(fitted(calibration))
+        fits = fitted(calibration)
+        found = with_unsure_tolerances(fits)
     except (PincalError, np.linalg.LinAlgError) as error:
         causes = _causes(calibration, None)
         if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
@@ -131,7 +140,7 @@ def identify(calibration: Calibration) -> CalibrationResult:
             ) from error
         raise
     result = assemble(found, fitted(calibration, tied=False) if options.tied else None)
-    return _explained(result, found)
+    return _explained(result, found), fits
 
 
 def _start(calibration: Calibration) -> Array | None:

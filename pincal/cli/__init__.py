@@ -1,9 +1,20 @@
 """What people type: the ``pincal`` command."""
 
 import os
+import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: see pincal/blas.py
 
-from pincal.cli.main import main
+from pincal.cli.drawing import ready_to_draw
+from pincal.collection import no_collection
 
 __all__ = ["main"]
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input."""
+    with ready_to_draw(sys.argv[1:] if argv is None else ()):  # for a process of the command's own
+        with no_collection():
+            from pincal.cli.run import run  # loads much: a process that draws does so meanwhile
+
+        run(argv)

@@ -210,10 +210,14 @@ def _turned_down(quiet: bool, as_json: bool) -> Iterator[None]:
         stdout.quiet, _remarks.quiet, _asked["json"] = False, False, False
 
 
-def answer(found: Mapping[str, Any]) -> None:
-    """Print what a command found as JSON, if that was asked for; infinities are null."""
+def answer(found: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> None:
+    """Print what a command found as JSON, if that was asked for; infinities are null.
+
+    Args:
+        found: That, or what makes it.
+    """
     if _asked["json"]:
-        text = json.dumps(_plain(found), indent=2, allow_nan=False)
+        text = json.dumps(_plain(found() if callable(found) else found), indent=2, allow_nan=False)
         answers = _Console(file=sys.stdout, soft_wrap=True, markup=False, emoji=False)
         answers.print(Text(text))  # whole, whatever its length
 

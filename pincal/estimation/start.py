@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from pincal.errors import MeasurementError
 from pincal.estimation.alignment import aligned
@@ -103,6 +102,8 @@ def instruments_started(problem: Problem, state: State) -> State:
         problem: The problem.
         state: Poses near those at rest.
     """
+    from scipy.optimize import least_squares  # slow to load: when needed
+
     seen = problem.observation
     columns = [name for one in seen.setup.instruments for name in one.columns]
     others = replace(problem, observation=seen.only([n for n in seen.names if n not in columns]))

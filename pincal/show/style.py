@@ -58,6 +58,8 @@ DARK = {
 }
 #: Grounds of pages and drawings, and text on them.
 PAPER, INK = ("#ffffff", "#16191d"), ("#222222", "#e8e8e8")
+#: Colours of drawings that are other on dark ground: those of the palette, black and white.
+DARK_OF = {**DARK, "#000000": INK[1], "#ffffff": PAPER[1], "#cccccc": "#40464e"}
 #: Where a mechanism in space is seen from: slightly from above.
 TOWARDS_VIEWER = (0.45, -0.85, 0.42)
 #: Widths of figures in one column and across two, [mm].
@@ -146,6 +148,11 @@ class Look(NamedTuple):
 def look(index: int) -> Look:
     """Return the look of a leg or set by its number."""
     return Look(*(own[index % len(own)] for own in (LEGS, MARKERS, HATCHES)))
+
+
+def dark_variables() -> str:
+    """Return the colours of figures on dark ground, as variables of CSS."""
+    return " ".join(f"--c{light[1:]}: {dark};" for light, dark in DARK_OF.items())
 
 
 def other_look(index: int) -> Look:

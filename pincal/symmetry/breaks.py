@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from pincal.errors import SymmetryError
 from pincal.model.leg import Leg
@@ -87,6 +86,8 @@ def _meant(fits: Fits, elements: Sequence[Element]) -> list[Element]:
     About the base's z axis as it is drawn if that is nearly as good: a fit spreads what one leg is
     off over all of them.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to load: when needed
+
     labels = [tuple(linear_sum_assignment(fits.points.distances(e))[1].tolist()) for e in elements]
     closed = [elements[i] for i in largest_closed(product_table(elements, labels))]
     fitted = exact(closed, fits.centres, fits.points.size)

@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from pincal.model.checks import ALIKE
 from pincal.model.mechanism import Mechanism
@@ -165,6 +164,8 @@ def candidates(points: Points, nearly: float) -> list[Element]:
         points: The legs' points.
         nearly: How near, relative to how far the points are apart.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to load: when needed
+
     legs, found = _references(points), [Element(0.0)]
     for images in _images(points, legs, nearly):
         for sign in (1.0, -1.0):

@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -52,6 +51,8 @@ class Fits:
 
     def permutation(self, element: Element, tolerance: float) -> Permutation:
         """Return onto which leg each one is carried within a tolerance; empty if some is not."""
+        from scipy.optimize import linear_sum_assignment  # slow to load: when needed
+
         count = len(self.legs)
         if element.is_identity:
             return tuple(range(count))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pincal.calibration.checks.folds import FOLDS, By
+from pincal.calibration.fits import Fits
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import PincalError
 
 
 def checked(
-    result: CalibrationResult, folds: int = FOLDS, by: By = "region"
+    result: CalibrationResult,
+    folds: int = FOLDS,
+    by: By = "region",
+    whole: Fits | None = None,
 ) -> tuple[CalibrationResult, list[str]]:
     """Return the result with validation and runs where the rows allow, and why not elsewhere.
 
@@ -16,13 +20,14 @@ def checked(
         result: A calibration; one that did not converge is returned as it is.
         folds: How many times a share of the rows is held out; 0 for not at all.
         by: What is held out together: see ``validate``.
+        whole: The fits of all rows, if they are at hand; else they are made again.
     """
     if not result.converged:
         return result, []
     said = [] if folds else ["no rows were held out (--folds 0)"]
     try:
         if folds:
-            result = result.validated(folds, by)
+            result = result.validated(folds, by, whole)
     except PincalError as error:
         said.append(f"no held-out validation: {error}")
     try:

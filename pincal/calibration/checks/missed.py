@@ -163,7 +163,7 @@ def _ends(
         return (0.0, np.inf), (0.0, np.inf), poses
     random, every = np.random.default_rng(0), np.vstack((sums, counts))
     drawn = [
-        every[:, random.integers(poses, size=(len(some), poses))].sum(axis=2)
+        every @ _times(random.integers(poses, size=(len(some), poses))).T
         for some in np.array_split(np.empty(DRAWS), min(DRAWS, 1 + DRAWS * poses // CHUNK))
     ]
     own, number = np.split(np.concatenate(drawn, axis=1), [2])
@@ -174,3 +174,10 @@ def _ends(
         (float(np.sqrt(low[1])), float(np.sqrt(high[1]))),
         poses,
     )
+
+
+def _times(drawn: NDArray[np.intp]) -> Array:
+    """Return how often each of n poses was drawn, by draws of n: shape (draws, n) both."""
+    many, n = drawn.shape
+    places = drawn + n * np.arange(many)[:, None]
+    return np.bincount(places.ravel(), minlength=many * n).reshape(many, n).astype(float)

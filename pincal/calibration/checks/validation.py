@@ -126,9 +126,18 @@ def validate(
 
 
 @on_one_thread
-def held_out(calibration: Calibration, folds: int = FOLDS, by: By = "region") -> Validation:
-    """Return the errors of a calibration at held-out rows; errors are those of ``validate``."""
-    whole = _converged(calibration, "the fit of all rows")
+def held_out(
+    calibration: Calibration, folds: int = FOLDS, by: By = "region", whole: Fits | None = None
+) -> Validation:
+    """Return the errors of a calibration at held-out rows; errors are those of ``validate``.
+
+    Args:
+        calibration: What was calibrated.
+        folds: How many times a share of the rows is held out.
+        by: What is held out together.
+        whole: Its fits of all rows, if they are known; else they are made.
+    """
+    whole = _converged(calibration, "the fit of all rows") if whole is None else whole
     calibration = whole.calibration
     if calibration.options.loss != "none":
         out = [outlier.row for one in whole.fits for outlier in one.outliers]

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from pincal.calibration.hypotheses.leg_fit import LegFit, leg_fits
@@ -285,6 +284,8 @@ def _exchanged(sample: Sample) -> Iterator[Hypothesis]:
 
 def _best_order(sample: Sample) -> list[int]:
     """Return the column that each leg fits best, each to one leg; legs stay where they may."""
+    from scipy.optimize import linear_sum_assignment  # slow to load: when needed
+
     every, matrices = range(len(sample.mechanism.legs)), sample.matrices()
     matrices[:, :3, 3] -= matrices[:, :3, :3] @ sample.offset
 

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
-from pincal.calibration.calibrate import identify
+from pincal.calibration.calibrate import identified
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.checked import checked
 from pincal.calibration.checks.folds import FOLDS, By
@@ -34,6 +34,7 @@ from pincal.cli.app import (
     working,
     wrote,
 )
+from pincal.cli.drawing import drawer
 from pincal.cli.options import SetupOptions, TableOptions, in_si, with_unit
 from pincal.errors import MeasurementError, MisfitError
 from pincal.estimation.conditions.leg_condition import Residual
@@ -47,6 +48,8 @@ from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.units import UNITS
+from pincal.show.report.beside import OF_FITS
+from pincal.show.report.findings import Findings
 from pincal.show.report.report import report
 from pincal.show.result_tables import calibration_tables
 from pincal.show.results import warnings
@@ -262,17 +265,21 @@ def calibrate(
     with working("identifying parameters") as progress:
         options = replace(calibration.options, progress=progress)
         try:
-            found = wrong_rows(identify(replace(calibration, options=options)))
+            found, fits = identified(replace(calibration, options=options))
+            found = wrong_rows(found)
         except MisfitError:
             remark(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
             )
             raise
-        result, said = checked(found, how.folds, how.by)
+        drawing = None if how.no_report else drawer()
+        if drawing and found.converged:  # meanwhile rows are held out
+            drawing.ask(Findings(found, None), OF_FITS, units.printed)
+        result, said = checked(found, how.folds, how.by, fits)
         progress("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
         asked = how.units or ""
-        page = report(result, command=typed(), files=files, notes=said, units=asked)
+        page = report(result, command=typed(), files=files, notes=said, units=asked, drawer=drawing)
         if not how.no_report:
             progress("drawing the report")
         result.save(output, force=force, report=None if how.no_report else page)
@@ -282,7 +289,7 @@ def calibrate(
         tables = calibration_tables(result) if how.verbose else []
         _say(result, page.found.errors, said, tables, drawn=not how.no_report)
     wrote(output)
-    answer(as_json(result))
+    answer(lambda: as_json(result))
     if not result.converged:
         raise typer.Exit(1)
     if result.excess > 1.0 and not how.accept:

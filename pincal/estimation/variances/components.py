@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Orthonormal
@@ -108,8 +107,14 @@ class Moments:
         """Return the likeliest variances of groups, none below zero, relative, shape (3,)."""
         information, moments = self.information(beforehand)
         size = 1.0 / np.sqrt(np.diagonal(information))
-        R = np.linalg.cholesky(information * np.outer(size, size)).T
-        return np.asarray(size * nnls(R, np.linalg.solve(R.T, size * moments))[0])
+        own, right = information * np.outer(size, size), size * moments
+        free = np.linalg.solve(own, right)
+        if (free >= 0.0).all():  # as nearly always
+            return np.asarray(size * free)
+        from scipy.optimize import nnls  # slow to load
+
+        R = np.linalg.cholesky(own).T
+        return np.asarray(size * nnls(R, np.linalg.solve(R.T, right))[0])
 
 
 @dataclass(frozen=True)

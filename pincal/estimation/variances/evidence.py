@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, minimize
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.indices import RANK_TOLERANCE
@@ -115,6 +114,8 @@ def likeliest(
         within: Smallest and largest sizes that mean something, shape (k,) each.
         rise: Of the deviance, to the ends of intervals, were it χ² distributed.
     """
+    from scipy.optimize import brentq, minimize  # slow to load: when needed
+
     low, high = (np.log(one) for one in within)
     counts = np.sum([one.counts(len(start)) for one in parts], axis=0)
 

@@ -1,31 +1,26 @@
 """Figures as files and as parts of pages: whole or not at all, the same bytes for the same.
 
-A figure is drawn and written under one set of matplotlib's parameters. As part of a page its SVG is
-read back as a tree: no document type, names or dates, text as text, and nothing that another
-figure of the page could be mistaken for.
+A figure is drawn and written under one set of matplotlib's parameters.
 """
 
 from __future__ import annotations
 
-import gc
 import io
 import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from lxml import etree
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from pincal.collection import no_collection
 from pincal.errors import FileError
 from pincal.files.output import writing
-from pincal.show.style import DARK, INK, PAPER
-from pincal.words.pages import clean, rendered
+from pincal.show.pictures.svg import SvgFigure
 
 #: What each format would say about its making.
 _SAID = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator")}
@@ -45,16 +40,6 @@ _STYLE: dict[Any, Any] = {
     "figure.dpi": 150,
     "hatch.linewidth": 0.6,
 }
-
-
-#: Colours of drawings that are other on dark ground: those of the palette, black and white.
-_DARK = {**DARK, "#000000": INK[1], "#ffffff": PAPER[1], "#cccccc": "#40464e"}
-_COLOUR = re.compile(r"#[0-9a-fA-F]{6}\b")
-
-
-def dark_variables() -> str:
-    """Return the colours of figures on dark ground, as variables of CSS."""
-    return " ".join(f"--c{light[1:]}: {dark};" for light, dark in _DARK.items())
 
 
 @contextmanager
@@ -116,19 +101,6 @@ def figure_bytes(drawn: Figure, kind: str, *, whole: bool = False) -> bytes:
     return re.sub(rb"(?<= )(-?\d+\.\d\d)\d+\b", rb"\1", buffer.getvalue())  # of a point
 
 
-@dataclass(frozen=True)
-class SvgFigure:
-    """A figure with its caption, as part of a page."""
-
-    svg: str
-    """Elements of HTML; texts in it are escaped."""
-    caption: str
-
-    def __html__(self) -> str:
-        """Return the figure for a page."""
-        return rendered("figure.html", figure=self)
-
-
 def on_page(
     name: str,
 ) -> Callable[[Callable[..., tuple[Figure, str] | None]], Callable[..., SvgFigure | None]]:
@@ -141,32 +113,17 @@ def on_page(
     def decorate(draw: Callable[..., tuple[Figure, str] | None]) -> Callable[..., SvgFigure | None]:
         def part(*args: Any) -> SvgFigure | None:
             buffer = io.BytesIO()
-            with drawing(svg_hashsalt=name), _no_collection():
+            with drawing(svg_hashsalt=name), no_collection():
                 if (drawn := draw(*args)) is None:
                     return None
                 _place_no_empty_labels(drawn[0])
                 canvas: Any = FigureCanvasSVG(drawn[0])
                 canvas.print_svg(buffer, metadata={"Date": None})  # savefig would draw twice
-            picture = _inline(buffer.getvalue())
-            for key, value in {"role": "img", "aria-label": clean(drawn[1]), "id": name}.items():
-                picture.set(key, value)
-            return SvgFigure(etree.tostring(picture, method="html", encoding="unicode"), drawn[1])
+            return SvgFigure.of(buffer.getvalue(), name, drawn[1])
 
         return part
 
     return decorate
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Make the many objects of a figure without looking for rings among them in between."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def _place_no_empty_labels(drawn: Figure) -> None:
@@ -175,37 +132,3 @@ def _place_no_empty_labels(drawn: Figure) -> None:
         for axis in (axes.xaxis, axes.yaxis):
             if not axis.get_label_text():
                 axis.set_label_coords(0.0, 0.0)
-
-
-def _themed(colour: re.Match[str]) -> str:
-    """Return a colour as a variable of the page, which has another one on dark ground."""
-    own = colour[0].lower()
-    return f"var(--c{own[1:]}, {own})" if own in _DARK else own
-
-
-def _inline(svg: bytes) -> Any:
-    """Return an SVG as elements of HTML: no namespaces, no ids but those that are used."""
-    safe: dict[str, Any] = {"resolve_entities": False, "no_network": True, "remove_comments": True}
-    root: Any = etree.fromstring(svg, etree.XMLParser(huge_tree=True, **safe))
-    for element in list(root.iter("{*}metadata", "{*}style")):
-        element.getparent().remove(element)
-    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg.decode()))
-    for element in root.iter():
-        element.tag = etree.QName(element).localname
-        for key, value in element.items():
-            del element.attrib[key]
-            name = etree.QName(key).localname
-            if (name == "href" or not key.startswith("{")) and (
-                name != "id" or value in used or value.startswith("dimension-")
-            ):
-                element.set(name, "".join(value.split()) if value[:5] == "data:" else value)
-        if (ground := element.attrib.pop("fill", "")) and ground != "none":  # behind a hatch
-            element.set("style", f"fill: {ground}; {element.get('style', '')}")
-        elif ground:
-            element.set("fill", ground)
-        if "style" in element.attrib:
-            element.set("style", _COLOUR.sub(_themed, element.get("style", "")))
-    etree.cleanup_namespaces(root)
-    for key in ("width", "height", "version"):
-        del root.attrib[key]
-    return root

@@ -11,6 +11,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
@@ -23,6 +24,8 @@ from pincal.words.numbers import STORED, per_si
 from pincal.words.plots import along
 
 Array = NDArray[np.float64]
+#: A figure and its caption, or none where there is nothing to show.
+Drawn = tuple[Figure, str] | None
 #: Standard deviations within which 95 of 100 normal numbers lie.
 NORMAL = 1.96
 #: Of lines over a map, which is as light on dark ground: no colour that pages change there.
@@ -33,6 +36,22 @@ _LONG = 8
 _BESIDE = 0.75
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
+
+
+def page_figure(height: float, **margins: float) -> Figure:
+    """Return a figure as wide as a page, its panels within fixed margins, [inch].
+
+    Args:
+        height: Of the figure.
+        **margins: ``left``, ``right``, ``bottom``, ``top`` where they are other than usual.
+    """
+    height = min(height, PAGE.height)
+    left, right, bottom, top = (margins.get(one, own) for one, own in PAGE.margins.items())
+    drawn = Figure(figsize=(PAGE.width, height))
+    drawn.subplots_adjust(
+        left / PAGE.width, bottom / height, 1 - right / PAGE.width, 1 - top / height, 0.3, 0.3
+    )
+    return drawn
 
 
 def before_after(index: int) -> Look:
@@ -125,9 +144,15 @@ def draw_poses(
         axes.plot(*at.T, marker, **unfilled, ms=4, label=said, zorder=2, rasterized=many)
         if turns:
             end = at + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
-            strokes = list(np.stack((at, end), axis=1))
-            axes.add_collection(LineCollection(strokes, colors=colour, lw=0.8, zorder=2))
+            draw_strokes(axes, at, end, colors=colour, lw=0.8, zorder=2)
     axes.set(xlabel=along("xyz"[seen[0]]), ylabel=along("xyz"[seen[1]]))
+
+
+def draw_strokes(axes: Axes, begin: Array, end: Array, **look: Any) -> None:
+    """Draw lines from points to others, shapes (N, 2), as one path: each would be an element."""
+    between = np.full((len(begin), 1, 2), np.nan)
+    path = np.concatenate((begin[:, None], end[:, None], between), axis=1).reshape(-1, 2)
+    axes.add_collection(LineCollection([path], **look))
 
 
 def marks(index: int, *, of_leg: bool) -> dict[str, Any]:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter
@@ -19,41 +16,29 @@ from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.files import on_page
 from pincal.show.pictures.parts import (
-    NORMAL,
+    Drawn,
     before_after,
     draw_bars,
     draw_map,
     draw_mechanism,
     draw_poses,
+    draw_strokes,
     height_of_names,
     label,
     name_places,
+    page_figure,
 )
 from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
+from pincal.show.pictures.svg import SvgFigure
 from pincal.show.report.findings import Findings
-from pincal.show.results import Series, noisy_series, parameters, whose
-from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look, other_look
+from pincal.show.report.image_figure import images_figure
+from pincal.show.report.residual_figures import histogram_figure, residuals_figure
+from pincal.show.results import noisy_series, parameters, whose
+from pincal.show.style import PAGE, look
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
 from pincal.words.plots import along, height
 
 Array = NDArray[np.float64]
-Drawn = tuple[Figure, str] | None
-
-
-def _figure(height: float, **margins: float) -> Figure:
-    """Return a figure as wide as a page, its panels within fixed margins, [inch].
-
-    Args:
-        height: Of the figure.
-        **margins: ``left``, ``right``, ``bottom``, ``top`` where they are other than usual.
-    """
-    height = min(height, PAGE.height)
-    left, right, bottom, top = (margins.get(one, own) for one, own in PAGE.margins.items())
-    drawn = Figure(figsize=(PAGE.width, height))
-    drawn.subplots_adjust(
-        left / PAGE.width, bottom / height, 1 - right / PAGE.width, 1 - top / height, 0.3, 0.3
-    )
-    return drawn
 
 
 def _beside(names: Iterable[str]) -> float:
@@ -69,18 +54,19 @@ def poses_figure(found: Findings) -> Drawn:
     plan = Plan(found.poses, tuple(one or EVERY_LEG for one in sets))
     below = PAGE.margins["bottom"] + PAGE.line * -(-len(set(sets)) // 4)
     if mechanism.platform.space == 2:
-        drawn = _figure(3.4, bottom=below)
+        drawn = page_figure(3.4, bottom=below)
         left, axes = drawn.subplots(1, 2)
         draw_mechanism(left, mechanism)
         if found.errors is not None and found.errors.sampled:
             sampled = per_si("m", STORED) * found.errors.poses[:, :2]
-            axes.plot(*sampled.T, ",", color="0.8", zorder=0)
+            dot = np.array((7e-3 * float(np.ptp(sampled[:, 0])), 0.0))
+            draw_strokes(axes, sampled, sampled + dot, colors="0.75", lw=1.3, zorder=0)
         draw_poses(axes, mechanism, plan)
         axes.set_aspect("equal")
         what = "over its workspace (grey), and the mechanism at home"
         what += "; strokes show the orientation" if found.turns else ""
     else:
-        drawn = _figure(3.0, bottom=below)
+        drawn = page_figure(3.0, bottom=below)
         home = joints_at(mechanism, home_of(mechanism)).joints
         for axes, seen in zip(drawn.subplots(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
             for leg in mechanism.legs:
@@ -107,7 +93,7 @@ def changes_figure(found: Findings) -> Drawn:
     units = {p.name: p.unit for _, p in parameters(found.result) if p.given != "fixed"}
     names, per = list(units), [SMALL[unit] or "10⁻³" for unit in units.values()]
     below = height_of_names(names, per)
-    drawn = _figure(2.7 + below, bottom=below, right=_beside([leg.name for leg in legs]))
+    drawn = page_figure(2.7 + below, bottom=below, right=_beside([leg.name for leg in legs]))
     axes = drawn.subplots()
     step = min(0.2, 0.8 / len(legs))
     for index, leg in enumerate(legs):
@@ -142,7 +128,7 @@ def drawing_figure(found: Findings) -> Drawn:
     """Return the first leg with its dimensions, in the colours of their changes."""
     result = found.result
     leg = result.legs[0].name
-    drawn = _figure(4.6, left=0.1, bottom=0.3, top=0.05)
+    drawn = page_figure(4.6, left=0.1, bottom=0.3, top=0.05)
     axes = draw_dimensioned(drawn.subplots(), result, leg)
     if not axes.lines:  # nothing is drawn that can be seen: out of reach at home
         return None
@@ -172,9 +158,9 @@ def platform_figure(found: Findings) -> Drawn:
     for one in series:
         sizes = np.array([shown_in(value, one.unit) for value in one.rms[:2]])
         parts.setdefault(f"residuals\n[{SMALL[one.unit]}]", {})[one.name] = sizes
-    turned = [name for bars in parts.values() if len(bars) > 4 for name in bars]
+    turned = [name for bars in parts.values() if len(bars) > 3 for name in bars]
     below = 0.3 + PAGE.line + 0.7 * PAGE.letter * max(map(len, turned), default=0)
-    drawn = _figure(2.5 + below, bottom=below, left=0.4, top=0.4)
+    drawn = page_figure(2.5 + below, bottom=below, left=0.4, top=0.4)
     widths = [1.4 + 0.6 * len(bars) for bars in parts.values()]
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
     for axes, (title, bars) in zip(panels, parts.items(), strict=True):
@@ -184,7 +170,7 @@ def platform_figure(found: Findings) -> Drawn:
         )
         axes.set_title(title)
         axes.get_legend().remove()
-        many = len(bars) > 4
+        many = len(bars) > 3
         for bar in axes.containers:
             axes.bar_label(bar, fmt="%.2g", fontsize=7, rotation=90 * many, padding=2)
         if many:
@@ -205,7 +191,7 @@ def observability_figure(found: Findings) -> Drawn:
     names = list(dict.fromkeys(name for own in found.observability.values() for name in own))
     per = [unit if units[name] == "1" else f"{unit}/{units[name]}" for name in names]
     below = height_of_names(names, per)
-    drawn = _figure(2.3 + below, bottom=below, right=_beside(list(found.observability)))
+    drawn = page_figure(2.3 + below, bottom=below, right=_beside(list(found.observability)))
     axes = draw_bars(drawn.subplots(), found.observability)
     name_places(axes, names, per)
     axes.set_ylabel("|R_ii|")
@@ -221,97 +207,6 @@ def _legend_outside(axes: Axes) -> None:
     handles, names = axes.get_legend_handles_labels()
     axes.legend(
         handles, map(label, names), loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False
-    )
-
-
-@on_page("figure-residuals")
-def residuals_figure(found: Findings) -> Drawn:
-    """Return residuals before and after against the row, one line of panels for each series."""
-    series = noisy_series(found.result)
-    high = min(1.25 * len(series), max(6.4, 0.75 * len(series)))  # a table and these fill a page
-    drawn = _figure(0.7 + high, left=0.8)
-    panels = drawn.subplots(len(series), 2, sharex=True, squeeze=False)
-    alike: dict[tuple[str, bool], tuple[Axes, Axes]] = {}
-    for index, (one, (left, right)) in enumerate(zip(series, panels, strict=True)):
-        first = alike.setdefault((one.unit, one.of_leg), (left, right))
-        if first[0] is not left:
-            left.sharey(first[0])
-            right.sharey(first[1])
-        unit = SMALL[one.unit]
-        factor, rows, many = per_si(one.unit), one.rows + 1, len(one.rows) > PAGE.many
-        colour, marker, _ = look(index) if one.of_leg else other_look(index)
-        style = {"color": colour, "rasterized": many, "ms": 3}
-        left.plot(rows, factor * one.before, marker, mfc="none", **style)
-        right.plot(rows, factor * one.after, marker, **style)
-        bound = NORMAL * factor * one.spread
-        ends = np.stack((np.stack((rows, -bound), 1), np.stack((rows, bound), 1)), 1)
-        bars = LineCollection(list(ends), colors="0.8", lw=3, zorder=0, rasterized=many)
-        right.add_collection(bars)
-        _mark_outliers(right, found, one, factor)
-        left.set_ylabel(f"{one.name}\n[{unit}]")
-        for axes in (left, right):
-            axes.axhline(0.0, color="0.5", lw=0.6, zorder=0)
-            axes.tick_params(labelleft=True)
-    for axes, title in zip(panels[0], ("nominal", "identified"), strict=True):
-        axes.set_title(f"{title} parameters ({'before' if title == 'nominal' else 'after'})")
-    for axes in panels[-1]:
-        axes.set_xlabel("data row")
-    for axes in panels[:-1].flat:  # ticks are most of what is drawn
-        axes.tick_params(axis="x", bottom=False)
-    return drawn, (
-        f"Residuals of each {whose(series)} against the row of the measurements, before and "
-        "after; the scales differ. Grey bars: where 95 of 100 are expected, the noise less what "
-        "the fit takes up of it, ±1.96 σ√(1−h). Rings: rows that do not fit the "
-        "others; crosses at the upper edge: rows that were rejected."
-    )
-
-
-def _mark_outliers(axes: Axes, found: Findings, series: Series, factor: float) -> None:
-    """Ring rows that do not fit, and name the worst six."""
-    place = {int(row): i for i, row in enumerate(series.rows)}
-    own = [one for one in found.result.outliers if not series.of_leg or series.name in one.legs]
-    for rank, one in enumerate(own):
-        row = one.row + 1
-        if one.row in place:
-            where, system = (row, factor * float(series.after[place[one.row]])), axes.transData
-            axes.plot(*where, "o", ms=8, mfc="none", mec=OUTLIER, mew=1.2)
-        else:
-            where, system = (row, 0.93), axes.get_xaxis_transform()
-            axes.plot(*where, "X", ms=6, color=OUTLIER, transform=system, clip_on=False)
-        if rank < 6:
-            beside: dict[str, Any] = {"xytext": (6, 2), "textcoords": "offset points", "size": 7}
-            axes.annotate(str(row), where, xycoords=system, **beside)
-
-
-@on_page("figure-histogram")
-def histogram_figure(found: Findings) -> Drawn:
-    """Return the distribution of residuals in standard deviations, against the normal one.
-
-    None if all that was measured is exact.
-    """
-    white = np.concatenate([one.standardised for one in noisy_series(found.result)])
-    if not len(white := white[np.isfinite(white)]):
-        return None
-    drawn = _figure(2.6)
-    axes = drawn.subplots()
-    shown = min(max(4.0, float(np.ceil(np.abs(white).max()))), 8.0)
-    bins = np.linspace(-shown, shown, int(4 * shown) + 1).tolist()
-    looks: dict[str, Any] = {
-        "color": IDENTIFIED,
-        "edgecolor": "white",
-        "label": f"{len(white)} residuals",
-    }
-    axes.hist(white.clip(-shown, shown), bins, density=True, **looks)
-    z = np.linspace(-shown, shown, 200)
-    normal = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
-    axes.set(xlabel="residual [standard deviations]", ylabel="density")
-    axes.legend(frameon=False)
-    outside = 100 * float((np.abs(white) > NORMAL).mean())
-    return drawn, (
-        "Distribution of the residuals after the calibration, each over its own standard "
-        "deviation: the noise, less what the fit takes up of it. "
-        f"{outside:.0f} % are larger than 1.96; expected are 5 %."
     )
 
 
@@ -334,20 +229,27 @@ def maps_figure(found: Findings) -> Drawn:
     down = -(-len(rows) * len(maps.heights) // across)
     width = 0.8 * (PAGE.width - 1.4) / (1.3 * across - 0.3)  # the bar of colours takes a fifth
     panel = width * float(np.ptp(maps.y) / np.ptp(maps.x))
-    drawn = _figure(0.9 + down * (panel + 0.5) - 0.5, left=0.8, right=0.6, top=0.45)
+    drawn = page_figure(0.9 + down * (panel + 0.5) - 0.5, left=0.8, right=0.6, top=0.45)
     drawn.subplots_adjust(hspace=0.5 / panel)
     panels = iter(drawn.subplots(down, across, sharex=True, sharey=True).ravel())
+    units = [unit for _, unit, _ in rows]
+    paired = not spatial and all(units.count(unit) == 2 for unit in units)  # side by side
+    beside: list[Axes] = []  # of the same bar of colours
     for title, unit, values in rows:
         own = [next(panels) for _ in maps.heights]
+        beside = [*beside, *own]
         alike = np.concatenate([own.ravel() for _, other, own in rows if other == unit])
         limits = float(np.nanmin(alike)), float(np.nanmax(alike))
         for axes, error, level in zip(own, values, maps.heights, strict=True):
             draw_map(axes, (maps.x, maps.y), error, limits, decades=True)
             axes.set_title(height(level))
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
-        bar = drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
+        if paired and len(beside) < 2:
+            continue
+        bar = drawn.colorbar(own[0].images[0], ax=beside, label=unit)
+        beside = []
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        bar.ax.yaxis.set_minor_formatter(NullFormatter())
+        bar.ax.yaxis.set_minor_locator(NullLocator())
     for axes in panels:
         axes.set_axis_off()
     drawn.supxlabel(along("x"), size=8)
@@ -358,3 +260,17 @@ def maps_figure(found: Findings) -> Drawn:
         "to be expected of the calibrated one (standard error). One scale of decades for both; "
         "white: not in the workspace."
     )
+
+
+#: By what a report calls them.
+FIGURES: dict[str, Callable[[Findings], SvgFigure | None]] = {
+    "poses": poses_figure,
+    "images": images_figure,
+    "changes": changes_figure,
+    "drawing": drawing_figure,
+    "residuals": residuals_figure,
+    "histogram": histogram_figure,
+    "rms": platform_figure,
+    "maps": maps_figure,
+    "observability": observability_figure,
+}

@@ -12,8 +12,8 @@ from pincal.cli.app import app, listen, remember, stderr
 from pincal.errors import PincalError
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input."""
+def run(argv: list[str] | None = None) -> None:
+    """Run what was typed; leaves by ``SystemExit``."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")

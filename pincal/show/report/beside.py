@@ -1,0 +1,161 @@
+"""Figures of a report by a process beside this one: it loads matplotlib while this one computes.
+
+It is asked through a pipe for figures as soon as what they show is known, and answers with all of
+them when nothing more is asked. Where there is no such process, or it fails, they are drawn here:
+the same bytes.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pincal.show.pictures.svg import SvgFigure
+    from pincal.show.report.findings import Findings
+
+#: Figures that follow from the fits alone, and those that wait for the checks of a result.
+OF_FITS = ("images", "changes", "drawing", "residuals", "histogram", "observability")
+OF_CHECKS = ("poses", "rms", "maps")
+#: What the process runs: modules are found where this process finds them.
+_RUN = (
+    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
+    "from pincal.show.report.beside import answer; answer()"
+)
+
+
+class Drawer:
+    """A process that draws the figures of one report."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+        self._talk = ThreadPoolExecutor(1)  # who writes to a pipe waits until it is read
+        self._written: list[Future[None]] = []
+        self._write(sys.path)
+
+    def _write(self, said: Any) -> None:
+        data, pipe = pickle.dumps(said), self._process.stdin
+
+        def write() -> None:
+            if pipe is not None:
+                pipe.write(data)
+                pipe.flush()
+
+        self._written.append(self._talk.submit(write))
+
+    def ask(self, found: Findings, names: Sequence[str], units: Mapping[str, str]) -> None:
+        """Ask for figures of what was found, whose numbers are read in units."""
+        calibration = found.result.calibration
+        silent = replace(calibration.options, progress=None)  # code does not go through pipes
+        result = replace(found.result, calibration=replace(calibration, options=silent))
+        with suppress(AttributeError, TypeError, pickle.PicklingError):  # then drawn here
+            self._write((replace(found, result=result), names, dict(units)))
+
+    def drawn(self) -> Mapping[str, SvgFigure | None]:
+        """Return all figures that were asked for, none of them if the process failed."""
+        try:
+            for one in self._written:
+                one.result()
+            said, _ = self._talk.submit(self._process.communicate).result()
+            return dict(pickle.loads(said)) if self._process.returncode == 0 else {}
+        except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError):
+            return {}  # it has ended, or says nothing that is understood
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        self._process.kill()
+        self._talk.shutdown()
+        with suppress(OSError), self._process:  # closes its pipes
+            pass
+
+
+def _spare_core() -> bool:
+    """Return whether a core would else be idle: two processes compute more than one, in all."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return 1.0 + _others() < (cores or 1)
+
+
+def _others() -> float:
+    """Return how many other processes compute at this moment; where no system says so, lately."""
+    try:  # of Linux: 0.20 0.18 0.12 1/80 11206, of 80 one runs, which asks
+        return float(Path("/proc/loadavg").read_text().split()[3].split("/")[0]) - 1.0
+    except (OSError, ValueError, IndexError):
+        return os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+
+
+@contextmanager
+def drawing_beside() -> Iterator[Drawer | None]:
+    """Start a process that draws, and end it behind; None where none can be, or helps."""
+    process = None
+    if _spare_core() and sys.executable and not getattr(sys, "frozen", False):
+        run = [sys.executable, "-P", "-c", _RUN]
+        to, by = subprocess.PIPE, subprocess.DEVNULL
+        with suppress(OSError):
+            process = subprocess.Popen(run, stdin=to, stdout=to, stderr=by)
+    found = None if process is None else Drawer(process)
+    try:
+        yield found
+    finally:
+        if found is not None:
+            found.end()
+
+
+def answer() -> None:
+    """Draw what is asked for on stdin until that ends, then write the figures to stdout."""
+    gc.disable()  # it lives for a moment
+    out, sys.stdout = sys.stdout.buffer, sys.stderr
+    from pincal.show.report.figures import FIGURES
+    from pincal.words.numbers import reading_in
+
+    drawn: dict[str, SvgFigure | None] = {}
+    while (asked := _asked()) is not None:
+        found, names, units = asked
+        with reading_in(units):
+            drawn |= {name: FIGURES[name](found) for name in names}
+    pickle.dump(drawn, out)
+    out.flush()
+
+
+def _asked() -> Any:
+    """Return what is asked next on stdin, None where that ends."""
+    try:
+        return pickle.load(sys.stdin.buffer)
+    except EOFError:
+        return None
+
+
+def figures(
+    found: Findings, units: Mapping[str, str], drawer: Drawer | None = None
+) -> Callable[[str], SvgFigure | None]:
+    """Return what gives figures by name, drawn beside as far as they are, else drawn when asked.
+
+    Args:
+        found: What they show.
+        units: In which numbers are read, while they are drawn beside.
+        drawer: The process, if there is one, already asked for the figures ``OF_FITS``.
+    """
+    if drawer is not None:
+        drawer.ask(found, OF_CHECKS if found.result.converged else OF_CHECKS[:1], units)
+
+    @cache
+    def beside() -> Mapping[str, SvgFigure | None]:
+        return {} if drawer is None else drawer.drawn()
+
+    def figure(name: str) -> SvgFigure | None:
+        if name in beside():
+            return beside()[name]
+        from pincal.show.report.figures import FIGURES  # imports matplotlib: slow
+
+        return FIGURES[name](found)
+
+    return figure
