@@ -33,8 +33,8 @@ from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, parameters, whose
 from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look, other_look
+from pincal.words import plots as words
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
-from pincal.words.plots import along, height
 
 Array = NDArray[np.float64]
 Drawn = tuple[Figure, str] | None
@@ -77,8 +77,6 @@ def poses_figure(found: Findings) -> Drawn:
             axes.plot(*sampled.T, ",", color="0.8", zorder=0)
         draw_poses(axes, mechanism, plan)
         axes.set_aspect("equal")
-        what = "over its workspace (grey), and the mechanism at home"
-        what += "; strokes show the orientation" if found.turns else ""
     else:
         drawn = _figure(3.0, bottom=below)
         home = joints_at(mechanism, home_of(mechanism)).joints
@@ -89,10 +87,10 @@ def poses_figure(found: Findings) -> Drawn:
                     axes.plot(*points.T, "-", color="0.75", lw=1.5, zorder=1)
             draw_poses(axes, mechanism, plan, seen)
             axes.set_aspect("equal", adjustable="datalim")
-        what = "seen from above, from the front and from the side; grey: the mechanism at home"
     named = axes.get_legend_handles_labels()
     drawn.legend(*named, loc="lower center", ncols=4, frameon=False)
-    return drawn, f"The {len(plan.poses)} measured poses of the platform, {what}."
+    plane = mechanism.platform.space == 2
+    return drawn, words.poses(len(plan.poses), plane=plane, turns=found.turns)
 
 
 def _bars(p: IdentifiedParameter) -> tuple[float, ...]:
@@ -128,13 +126,9 @@ def changes_figure(found: Findings) -> Drawn:
         )
     axes.axhline(0.0, color="0.5", lw=0.8)
     name_places(axes, names, per)
-    axes.set_ylabel("identified − nominal, ± 95 %")
+    axes.set_ylabel(words.IDENTIFIED_LESS_NOMINAL)
     _legend_outside(axes)
-    return drawn, (
-        "Change of each parameter from nominal, with its 95 % interval. Where the interval "
-        "holds zero, the measurements do not distinguish the nominal value from the identified "
-        "one."
-    )
+    return drawn, words.CHANGES
 
 
 @on_page("figure-drawing")
@@ -148,11 +142,7 @@ def drawing_figure(found: Findings) -> Drawn:
         return None
     keys = [Line2D([], [], color=colour, lw=3, label=said) for _, colour, said in LEVELS]
     drawn.legend(handles=keys, loc="lower center", ncols=3, frameon=False)
-    alike = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
-    return drawn, (
-        f"Where the parameters of {leg} are{alike}: lines in the colours of their changes. Values "
-        "stand in the table above; diamonds are parameters that are zero."
-    )
+    return drawn, words.dimensions(leg, several=len(kinds_of_legs(result)[0]) > 1)
 
 
 @on_page("figure-rms")
@@ -161,13 +151,13 @@ def platform_figure(found: Findings) -> Drawn:
     if (errors := found.errors) is None:
         return None
     parts: dict[str, dict[str, Array]] = {}
-    caption = "Root mean square errors before and after: "
+    where = ""
     if found.result.explained:
         both = np.array([errors.mean_before(), errors.mean_after()]).T
-        heads = ("platform:\nposition", "m"), ("platform: orien-\ntation", "rad")
-        for own, (head, unit) in zip(both, heads[: 1 + found.turns], strict=False):
+        heads = zip(words.PLATFORM, ("m", "rad"), strict=True)
+        for own, (head, unit) in zip(both, list(heads)[: 1 + found.turns], strict=False):
             parts[f"{head} [{SMALL[unit]}]"] = {errors.where: per_si(unit) * own}
-        caption += f"the platform's {errors.where} (after: as expected), and "
+        where = errors.where
     series = noisy_series(found.result)
     for one in series:
         sizes = np.array([shown_in(value, one.unit) for value in one.rms[:2]])
@@ -178,7 +168,7 @@ def platform_figure(found: Findings) -> Drawn:
     widths = [1.4 + 0.6 * len(bars) for bars in parts.values()]
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
     for axes, (title, bars) in zip(panels, parts.items(), strict=True):
-        when = enumerate(("before", "after"))
+        when = enumerate(words.BEFORE_AFTER)
         draw_bars(
             axes, {k: {name: own[i] for name, own in bars.items()} for i, k in when}, before_after
         )
@@ -191,7 +181,7 @@ def platform_figure(found: Findings) -> Drawn:
             axes.tick_params(axis="x", labelrotation=45)
         axes.margins(y=0.18)
     drawn.legend(*panels[0].get_legend_handles_labels(), loc="lower center", ncols=2)
-    return drawn, f"{caption}the residuals of each {whose(series)}."
+    return drawn, words.errors(where, whose(series))
 
 
 @on_page("figure-observability")
@@ -201,20 +191,15 @@ def observability_figure(found: Findings) -> Drawn:
     read = {"m"} if mechanism.by_readings else set(mechanism.reading_units)
     unit = read.pop() if len(read) == 1 else "reading"
     units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
-    what = "the leg's end" if mechanism.by_readings else "the readings"
     names = list(dict.fromkeys(name for own in found.observability.values() for name in own))
     per = [unit if units[name] == "1" else f"{unit}/{units[name]}" for name in names]
     below = height_of_names(names, per)
     drawn = _figure(2.3 + below, bottom=below, right=_beside(list(found.observability)))
     axes = draw_bars(drawn.subplots(), found.observability)
     name_places(axes, names, per)
-    axes.set_ylabel("|R_ii|")
+    axes.set_ylabel(words.OBSERVABILITY)
     _legend_outside(axes)
-    return drawn, (
-        f"Observability of each parameter at the poses used: what it moves {what} by, all "
-        "poses together, less what the parameters to its left can explain. Compare legs "
-        "with it; parameters differ in their units."
-    )
+    return drawn, words.observability(by_readings=mechanism.by_readings)
 
 
 def _legend_outside(axes: Axes) -> None:
@@ -252,18 +237,13 @@ def residuals_figure(found: Findings) -> Drawn:
         for axes in (left, right):
             axes.axhline(0.0, color="0.5", lw=0.6, zorder=0)
             axes.tick_params(labelleft=True)
-    for axes, title in zip(panels[0], ("nominal", "identified"), strict=True):
-        axes.set_title(f"{title} parameters ({'before' if title == 'nominal' else 'after'})")
+    for axes, title in zip(panels[0], words.NOMINAL_IDENTIFIED, strict=True):
+        axes.set_title(title)
     for axes in panels[-1]:
-        axes.set_xlabel("data row")
+        axes.set_xlabel(words.ROW)
     for axes in panels[:-1].flat:  # ticks are most of what is drawn
         axes.tick_params(axis="x", bottom=False)
-    return drawn, (
-        f"Residuals of each {whose(series)} against the row of the measurements, before and "
-        "after; the scales differ. Grey bars: where 95 of 100 are expected, the noise less what "
-        "the fit takes up of it, ±1.96 σ√(1−h). Rings: rows that do not fit the "
-        "others; crosses at the upper edge: rows that were rejected."
-    )
+    return drawn, words.residuals(whose(series))
 
 
 def _mark_outliers(axes: Axes, found: Findings, series: Series, factor: float) -> None:
@@ -299,20 +279,16 @@ def histogram_figure(found: Findings) -> Drawn:
     looks: dict[str, Any] = {
         "color": IDENTIFIED,
         "edgecolor": "white",
-        "label": f"{len(white)} residuals",
+        "label": words.counted(len(white)),
     }
     axes.hist(white.clip(-shown, shown), bins, density=True, **looks)
     z = np.linspace(-shown, shown, 200)
     normal = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
-    axes.set(xlabel="residual [standard deviations]", ylabel="density")
+    axes.plot(z, normal, "k--", lw=1.2, label=words.NORMALLY)
+    axes.set(xlabel=words.WHITE, ylabel=words.DENSITY)
     axes.legend(frameon=False)
     outside = 100 * float((np.abs(white) > NORMAL).mean())
-    return drawn, (
-        "Distribution of the residuals after the calibration, each over its own standard "
-        "deviation: the noise, less what the fit takes up of it. "
-        f"{outside:.0f} % are larger than 1.96; expected are 5 %."
-    )
+    return drawn, words.distribution(outside)
 
 
 @on_page("figure-maps")
@@ -324,7 +300,9 @@ def maps_figure(found: Findings) -> Drawn:
     rows = [
         (f"{what} {when}", SMALL[unit], per_si(unit) * values[..., column])
         for column, what, unit in quantities
-        for when, values in (("before", maps.before), ("after, expected", maps.after))
+        for when, values in zip(
+            (words.BEFORE_AFTER[0], words.AFTER_EXPECTED), (maps.before, maps.after), strict=True
+        )
         if np.isfinite(values[..., column]).any()  # nominal zeros of motors may lead nowhere
     ]
     if not rows:
@@ -343,18 +321,13 @@ def maps_figure(found: Findings) -> Drawn:
         limits = float(np.nanmin(alike)), float(np.nanmax(alike))
         for axes, error, level in zip(own, values, maps.heights, strict=True):
             draw_map(axes, (maps.x, maps.y), error, limits, decades=True)
-            axes.set_title(height(level))
+            axes.set_title(words.height(level))
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
         bar = drawn.colorbar(own[0].images[0], ax=own if spatial else own[0], label=unit)
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         bar.ax.yaxis.set_minor_formatter(NullFormatter())
     for axes in panels:
         axes.set_axis_off()
-    drawn.supxlabel(along("x"), size=8)
-    drawn.supylabel(along("y"), size=8)
-    where = "the workspace at home orientation" if found.turns else "the workspace"
-    return drawn, (
-        f"Error of the platform over {where}: how far the nominal model is off, and what is "
-        "to be expected of the calibrated one (standard error). One scale of decades for both; "
-        "white: not in the workspace."
-    )
+    drawn.supxlabel(words.along("x"), size=8)
+    drawn.supylabel(words.along("y"), size=8)
+    return drawn, words.maps(turns=found.turns)
