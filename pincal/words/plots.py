@@ -181,10 +181,17 @@ def was(value: str) -> str:
     return f"nominal {value}"
 
 
-def foot(noise: str, date: str) -> str:
-    """Return what values of a drawing are worth, and when it was made if that is said."""
+def foot(noise: str, date: str, excess: float | None = None) -> str:
+    """Return what values of a drawing are worth, and when it was made if that is said.
+
+    Args:
+        noise: Standard deviations of what was measured.
+        date: When it was drawn; empty if that is not said.
+        excess: How many times as large as the noise residuals are, if that says that no ± holds.
+    """
     made = f" Drawn {date}." if date else ""
-    return f"±: half of the 95 % interval. Noise: {noise}. ◆ zero on the drawing.{made}"
+    doubt = f" Residuals are {excess:.3g} times as large: no ± can be relied on." if excess else ""
+    return f"±: half of the 95 % interval. Noise: {noise}.{doubt} ◆ zero on the drawing.{made}"
 
 
 def poses(count: int, *, plane: bool, turns: bool) -> str:
