@@ -90,16 +90,17 @@ def _round_levels(known: Array) -> tuple[Array, int]:
 
 
 def _label_places(lines: QuadContourSet) -> list[tuple[float, float]]:
-    """Return a place for each line's number, on its longest piece, far from the others."""
+    """Return places for the lines' numbers, on pieces that are long, far from each other."""
     found: list[Array] = []
     for path in lines.get_paths():
         pieces = [np.asarray(one) for one in path.to_polygons(closed_only=False)]
-        if not pieces:
-            continue
-        piece = max(pieces, key=len)
-        piece = piece[len(piece) // 6 : len(piece) - len(piece) // 6]  # not at its ends
-        away = [np.linalg.norm(piece - one, axis=1) for one in found]
-        found.append(piece[np.argmax(np.min(away, axis=0)) if away else len(piece) // 2])
+        longest = max(map(len, pieces), default=0)
+        for piece in pieces:
+            if 2 * len(piece) > longest:
+                inner = piece[len(piece) // 6 : len(piece) - len(piece) // 6]  # not its ends
+                away = [np.linalg.norm(inner - one, axis=1) for one in found]
+                place = np.argmax(np.min(away, axis=0)) if away else len(inner) // 2
+                found.append(inner[place])
     return [(float(x), float(y)) for x, y in found]
 
 
