@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 NORMAL = 1.96
 #: Of lines over a map, which is as light on dark ground: no colour that pages change there.
 _LINES = "#101010"
+#: Of a map's width, from where a line's second number has room.
+_APART = 0.45
 #: Behind numbers of lines: dark letters are read on it wherever a map is dark.
 _PLATE = {"boxstyle": "square,pad=0.1", "facecolor": "#EFEFEF", "edgecolor": "none", "alpha": 0.75}
 #: Entries of a legend from which it is set closely.
@@ -90,16 +92,21 @@ def _round_levels(known: Array) -> tuple[Array, int]:
 
 
 def _label_places(lines: QuadContourSet) -> list[tuple[float, float]]:
-    """Return places for the lines' numbers, on pieces that are long, far from each other."""
+    """Return places for the lines' numbers: on the longest piece of each, on others with room."""
     found: list[Array] = []
-    for path in lines.get_paths():
-        pieces = [np.asarray(one) for one in path.to_polygons(closed_only=False)]
+    levels = [
+        [np.asarray(one) for one in p.to_polygons(closed_only=False)] for p in lines.get_paths()
+    ]
+    every = [piece for pieces in levels for piece in pieces]
+    span = float(np.ptp(np.concatenate(every), axis=0).max()) if every else 0.0
+    for pieces in levels:
         longest = max(map(len, pieces), default=0)
-        for piece in pieces:
-            if 2 * len(piece) > longest:
-                inner = piece[len(piece) // 6 : len(piece) - len(piece) // 6]  # not its ends
-                away = [np.linalg.norm(inner - one, axis=1) for one in found]
-                place = np.argmax(np.min(away, axis=0)) if away else len(inner) // 2
+        for rank, piece in enumerate(sorted(pieces, key=len, reverse=True)):
+            inner = piece[len(piece) // 6 : len(piece) - len(piece) // 6]  # not its ends
+            away = [np.linalg.norm(inner - one, axis=1) for one in found]
+            far = np.min(away, axis=0) if away else np.full(len(inner), np.inf)
+            place = int(np.argmax(far)) if away else len(inner) // 2
+            if rank == 0 or (2 * len(piece) > longest and far[place] > _APART * span):
                 found.append(inner[place])
     return [(float(x), float(y)) for x, y in found]
 
