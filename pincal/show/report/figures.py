@@ -28,6 +28,7 @@ from pincal.show.pictures.parts import (
     height_of_names,
     label,
     name_places,
+    wrapped,
 )
 from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.report.findings import Findings
@@ -156,14 +157,15 @@ def platform_figure(found: Findings) -> Drawn:
         both = np.array([errors.mean_before(), errors.mean_after()]).T
         heads = zip(words.PLATFORM, ("m", "rad"), strict=True)
         for own, (head, unit) in zip(both, list(heads)[: 1 + found.turns], strict=False):
-            parts[f"{head} [{SMALL[unit]}]"] = {errors.where: per_si(unit) * own}
+            parts[f"{head} [{SMALL[unit]}]"] = {wrapped(errors.where, 0.0): per_si(unit) * own}
         where = errors.where
     series = noisy_series(found.result)
     for one in series:
         sizes = np.array([shown_in(value, one.unit) for value in one.rms[:2]])
         parts.setdefault(f"residuals\n[{SMALL[one.unit]}]", {})[one.name] = sizes
     turned = [name for bars in parts.values() if len(bars) > 4 for name in bars]
-    below = 0.3 + PAGE.line + 0.7 * PAGE.letter * max(map(len, turned), default=0)
+    lines = 1 + wrapped(where, 0.0).count("\n")
+    below = 0.3 + PAGE.line * lines + 0.7 * PAGE.letter * max(map(len, turned), default=0)
     drawn = _figure(2.5 + below, bottom=below, left=0.4, top=0.4)
     widths = [1.4 + 0.6 * len(bars) for bars in parts.values()]
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
