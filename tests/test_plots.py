@@ -13,6 +13,7 @@ from arms import robot
 from command_line import done, run
 from lxml import etree
 from matplotlib.axes import Axes
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from measured import machine, seen_from_elsewhere
 
@@ -76,6 +77,15 @@ def test_correlations(result: pincal.CalibrationResult) -> None:
     assert "leg_1.k" not in names
 
 
+def _lines_are_where_they_say(axes: Axes) -> None:
+    """Check that contours lie at the values that their numbers name, at most four."""
+    (lines,) = (one for one in axes.collections if isinstance(one, QuadContourSet))
+    named = {float(text.get_text().replace("−", "-")) for text in lines.labelTexts}
+    assert 0 < len(lines.levels) <= 4
+    assert named <= {float(level) for level in lines.levels}
+    assert named
+
+
 def test_expected_errors_over_the_workspace(
     result: pincal.CalibrationResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,6 +98,7 @@ def test_expected_errors_over_the_workspace(
     y = low + (high - low) * (place[0] + 0.5) / values.shape[0]
     expected = result.expected_error(np.array([[x, y]]))
     assert values[place] == pytest.approx(1e3 * expected.position, rel=1e-6)
+    _lines_are_where_they_say(axes)
 
     def fail(*_: object) -> None:
         raise pincal.WorkspaceError("none")
@@ -263,6 +274,7 @@ def test_a_bed_shows_how_far_the_nozzle_is_off() -> None:
     result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
     image = result.plot.bed().images[0]
     values, (left, right, low, high) = image.get_array(), image.get_extent()
+    _lines_are_where_they_say(result.plot.bed())
     row, column = np.argwhere(np.isfinite(values.filled(np.nan)))[100]
     x = left + (right - left) * (column + 0.5) / values.shape[1]
     y = low + (high - low) * (row + 0.5) / values.shape[0]
@@ -378,3 +390,17 @@ def test_drawings_are_apart(name: str) -> None:
         if one.names and not one.beside and one.kind in ("length", "angle"):
             expected = (one.line + apart[one.part]) @ V.T
             np.testing.assert_allclose(lines[MARK + one.names[0]], expected, atol=1e-12)
+
+
+def test_labels_of_a_drawing_are_whole() -> None:
+    """A parameter's label stands in the table in one line or two, none of it cut off."""
+    mechanism = pincal.load_mechanism("linear_delta")
+    plan = pincal.sample_configurations(mechanism, 20, 0)
+    noise = pincal.Noise(1e-5)
+    data = pincal.simulate(mechanism, mechanism, plan, noise, 3).measurements
+    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+    page = result.plot.drawing().figure
+    text = " ".join(text.get_text() for one in page.axes for text in one.texts)
+    words = set(mechanism.label("leg_1", "endstop").split())
+    assert words <= set(text.split())
+    assert "…" not in text

@@ -555,6 +555,13 @@ def test_a_telephone_shows_all_of_the_mechanism(name: str, opened: Any) -> None:
         box = tag.bounding_box()
         beside = box["x"] >= scale["x"] + scale["width"] or box["x"] + box["width"] <= scale["x"]
         assert beside or box["y"] + box["height"] <= scale["y"] + 1
+    sliders, values = page.locator("#jog input"), page.locator("#jog output")
+    for index in range(sliders.count()):
+        sliders.nth(index).evaluate(
+            "(one) => { one.value = one.min; one.dispatchEvent(new Event('input')); }"
+        )
+    lines = [one.bounding_box()["height"] for one in values.all()]
+    assert all(high < 30 for high in lines)  # values are not broken
     panel = page.locator("aside")
     assert panel.evaluate("(one) => one.scrollWidth <= one.clientWidth")
 

@@ -24,6 +24,17 @@ IMAGES = (
     "What cameras saw: arrows from each point as seen towards where it is predicted, magnified "
     "alike in all images. Where arrows of a region point one way, the lens is other than its model."
 )
+IDENTIFIED_LESS_NOMINAL = "identified − nominal, ± 95 %"
+OBSERVABILITY = "|Rᵢᵢ|"
+WHITE, DENSITY, NORMALLY = "residual [standard deviations]", "density", "normal distribution"
+BEFORE_AFTER = "before", "after"
+NOMINAL_IDENTIFIED = "nominal parameters (before)", "identified parameters (after)"
+PLATFORM = "platform:\nposition", "platform: orien-\ntation"
+AFTER_EXPECTED = "after, expected"
+CHANGES = (
+    "Change of each parameter from nominal, with its 95 % interval. Where the interval holds "
+    "zero, the measurements do not distinguish the nominal value from the identified one."
+)
 CLEAR, WITHIN = "changed by more than its ±", "by less"
 
 
@@ -49,7 +60,7 @@ def along(axis: str) -> str:
 
 def height(value: float | None) -> str:
     """Return at which z something is drawn, [m]; nothing where there is no z."""
-    return "" if value is None else f"z = {amount(value, 'm', 3, STORED)}"
+    return "" if value is None else minus(f"z = {amount(value, 'm', 3, STORED)}")
 
 
 def rejected(rows: Iterable[int], most: int) -> str:
@@ -170,7 +181,82 @@ def was(value: str) -> str:
     return f"nominal {value}"
 
 
-def foot(noise: str, date: str) -> str:
-    """Return what values of a drawing are worth, and when it was made if that is said."""
+def foot(noise: str, date: str, excess: float | None = None) -> str:
+    """Return what values of a drawing are worth, and when it was made if that is said.
+
+    Args:
+        noise: Standard deviations of what was measured.
+        date: When it was drawn; empty if that is not said.
+        excess: How many times as large as the noise residuals are, if that says that no ± holds.
+    """
     made = f" Drawn {date}." if date else ""
-    return f"±: half of the 95 % interval. Noise: {noise}. ◆ zero on the drawing.{made}"
+    doubt = f" Residuals are {excess:.3g} times as large: no ± can be relied on." if excess else ""
+    return f"±: half of the 95 % interval. Noise: {noise}.{doubt} ◆ zero on the drawing.{made}"
+
+
+def poses(count: int, *, plane: bool, turns: bool) -> str:
+    """Return what a report shows of measured poses, in a plane or from three sides."""
+    what = "seen from above, from the front and from the side; grey: the mechanism at home"
+    if plane:
+        what = "over its workspace (grey), and the mechanism at home"
+        what += "; strokes show the orientation" if turns else ""
+    return f"The {count} measured poses of the platform, {what}."
+
+
+def dimensions(leg: str, *, several: bool) -> str:
+    """Return what a report's drawing of a leg shows, of several alike or of one."""
+    alike = ", those of the others alike" if several else ""
+    return (
+        f"Where the parameters of {leg} are{alike}: lines in the colours of their changes. Values "
+        "stand in the table above; diamonds are parameters that are zero."
+    )
+
+
+def errors(where: str, whose: str) -> str:
+    """Return what bars of errors show: the platform's ``where``, if any is promised, and whose."""
+    platform = f"the platform's {where} (after: as expected), and " if where else ""
+    return f"Root mean square errors before and after: {platform}the residuals of each {whose}."
+
+
+def observability(*, by_readings: bool) -> str:
+    """Return what the observability of each parameter is."""
+    what = "the leg's end" if by_readings else "the readings"
+    return (
+        f"Observability of each parameter at the poses used: what it moves {what} by, all poses "
+        "together, less what the parameters to its left can explain. Compare legs with it; "
+        "parameters differ in their units."
+    )
+
+
+def residuals(whose: str) -> str:
+    """Return what residuals of legs or coordinates are drawn with."""
+    return (
+        f"Residuals of each {whose} against the row of the measurements, before and after; the "
+        "scales differ. Grey bars: where 95 of 100 are expected, the noise less what the fit "
+        "takes up of it, ±1.96 σ√(1−h). Rings: rows that do not fit the others; crosses at the "
+        "upper edge: rows that were rejected."
+    )
+
+
+def counted(count: int) -> str:
+    """Return how many residuals a distribution holds."""
+    return f"{count} residuals"
+
+
+def distribution(percent: float) -> str:
+    """Return what a distribution of residuals shows, so many beyond what 5 % are."""
+    return (
+        "Distribution of the residuals after the calibration, each over its own standard "
+        "deviation: the noise, less what the fit takes up of it. "
+        f"{percent:.0f} % are larger than 1.96; expected are 5 %."
+    )
+
+
+def maps(*, turns: bool) -> str:
+    """Return what maps of errors show, of a platform that turns or not."""
+    where = "the workspace at home orientation" if turns else "the workspace"
+    return (
+        f"Error of the platform over {where}: how far the nominal model is off, and what is to be "
+        "expected of the calibrated one (standard error). One scale of decades for both; white: "
+        "not in the workspace."
+    )

@@ -73,7 +73,7 @@ function Labels({ data, viewer, pane, node, element, coloured, turned }) {
     return Math.min(widest + 12, pane.clientWidth / 5);
   }
 
-  const place = () => [placeTags, placeLetters, placeScale].forEach((one) => one());
+  const place = () => [placeScale, placeTags, placeLetters].forEach((one) => one()); // names keep off the scale
 
   return { place, beside, show: (on) => tags.forEach(({ tag }) => (tag.hidden = !on)) };
 }

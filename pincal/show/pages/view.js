@@ -320,7 +320,7 @@
 
   function fit() {
     data.sets.forEach((_, index) => node(`meshcat/sets/${index + 1}`).object.traverse(({ isPoints, material }) => {
-      if (isPoints) material.size = pane.clientWidth < 500 ? 4 : 7; // pixels
+      if (isPoints) material.size = Math.min(pane.clientWidth, pane.clientHeight) < 500 ? 4 : 7; // pixels
     }));
     const aspect = (pane.clientWidth - 2 * labels.beside()) / pane.clientHeight;
     viewer.controls.target.copy(centre);

@@ -33,6 +33,7 @@ _NAMED = 3  # parameters of a direction
 _ACROSS = 31  # cells of a bed
 _SAME = 0.02  # by which the error of all rows may differ from the result's own
 _BAR = 0.125  # height of a bar with its name, [inch]
+_LEGEND = 0.35  # height of a legend of two lines, [inch]
 
 
 def refuse_unexplained(result: CalibrationResult) -> None:
@@ -175,7 +176,7 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     every = [p for _, p in parameters(result)]
     own = [(p, one) for p, one in zip(every, per.tolist(), strict=True) if p.high > p.low]
     own.sort(key=lambda one: abs(one[0].change) * one[1])
-    count, most = len(own), int(room(axes)[1] / _BAR)
+    count, most = len(own), int((room(axes)[1] - _LEGEND) / _BAR)
     own = own[-most:]
     places, scale = np.arange(len(own)), per_si("m")
     changes = np.array([scale * one * abs(p.change) for p, one in own])
@@ -190,6 +191,8 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     keys = ((IDENTIFIED, words.CLEAR), (NOMINAL, words.WITHIN))
     axes.legend(handles=[Patch(color=one, label=said) for one, said in keys], loc="lower right")
     axes.set_xlim(left=0.0)
+    legend = _LEGEND * (len(own) + 1.0) / (room(axes)[1] - _LEGEND)  # in bars
+    axes.set_ylim(-0.7 - legend, len(own) - 0.4)
     if count > len(own):
         axes.set_title(words.some_of(len(own), count), fontsize=8)
     return axes

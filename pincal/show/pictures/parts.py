@@ -11,8 +11,10 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, LogNorm, Normalize
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from pincal.kinematics.inverse import inverse
@@ -20,7 +22,7 @@ from pincal.kinematics.readers import skeleton
 from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look, other_look
-from pincal.words.numbers import STORED, per_si
+from pincal.words.numbers import STORED, minus, per_si
 from pincal.words.plots import along
 
 Array = NDArray[np.float64]
@@ -30,6 +32,10 @@ Drawn = tuple[Figure, str] | None
 NORMAL = 1.96
 #: Of lines over a map, which is as light on dark ground: no colour that pages change there.
 _LINES = "#101010"
+#: Of a map's width, from where a line's second number has room.
+_APART = 0.45
+#: Behind numbers of lines: dark letters are read on it wherever a map is dark.
+_PLATE = {"boxstyle": "square,pad=0.1", "facecolor": "#EFEFEF", "edgecolor": "none", "alpha": 0.75}
 #: Entries of a legend from which it is set closely.
 _LONG = 8
 #: Of a figure, that its axes are wide beside a legend.
@@ -82,17 +88,46 @@ def draw_map(
     low, high = limits or (known.min(), known.max())
     norm = (LogNorm if decades and low > 0.0 else Normalize)(low, high)
     image = axes.imshow(values, origin="lower", extent=extent, norm=norm, cmap=_LIGHT)
-    levels = np.quantile(known, (0.25, 0.5, 0.75)) if known.size else np.zeros(3)
-    if (np.diff(levels) > 1e-6 * levels[-1]).all():
+    levels, places = _round_levels(known)
+    if levels.size:
         masked = np.ma.masked_invalid(values)
-        lines = axes.contour(x, y, masked, levels, colors=_LINES, linewidths=0.7)
-        axes.clabel(lines, fmt=f"%.{_places(np.diff(levels).min())}f", fontsize=7)
+        lines = axes.contour(
+            x, y, masked, levels, colors=_LINES, linewidths=0.7, negative_linestyles="solid"
+        )
+        fmt = {level: minus(f"{level:.{places}f}") for level in levels}
+        for text in axes.clabel(lines, fmt=fmt, fontsize=7, manual=_label_places(lines)):
+            text.set_bbox(_PLATE)
     return image
 
 
-def _places(step: float) -> int:
-    """Return how many decimal places numbers need to differ that are a step apart."""
-    return max(0, int(np.ceil(-np.log10(step))))
+def _round_levels(known: Array) -> tuple[Array, int]:
+    """Return up to four round values among others, and how many decimal places they have."""
+    if not known.size:
+        return np.zeros(0), 0
+    low, high = np.quantile(known, (0.05, 0.95))
+    ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
+    places = max(0, int(np.ceil(-np.log10(ticks[1] - ticks[0]) - 1e-9)))
+    return ticks[(ticks > low) & (ticks < high)].round(places) + 0.0, places  # no -0
+
+
+def _label_places(lines: QuadContourSet) -> list[tuple[float, float]]:
+    """Return places for the lines' numbers: on the longest piece of each, on others with room."""
+    found: list[Array] = []
+    levels = [
+        [np.asarray(one) for one in p.to_polygons(closed_only=False)] for p in lines.get_paths()
+    ]
+    every = [piece for pieces in levels for piece in pieces]
+    span = float(np.ptp(np.concatenate(every), axis=0).max()) if every else 0.0
+    for pieces in levels:
+        longest = max(map(len, pieces), default=0)
+        for rank, piece in enumerate(sorted(pieces, key=len, reverse=True)):
+            inner = piece[len(piece) // 6 : len(piece) - len(piece) // 6]  # not its ends
+            away = [np.linalg.norm(inner - one, axis=1) for one in found]
+            far = np.min(away, axis=0) if away else np.full(len(inner), np.inf)
+            place = int(np.argmax(far)) if away else len(inner) // 2
+            if rank == 0 or (2 * len(piece) > longest and far[place] > _APART * span):
+                found.append(inner[place])
+    return [(float(x), float(y)) for x, y in found]
 
 
 def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:

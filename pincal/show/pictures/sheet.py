@@ -7,6 +7,7 @@ weakly determined together.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -35,7 +36,7 @@ _SIZE = (PAGE_WIDTH / 25.4, 257.0 / 25.4)
 _LEGS = 3  # columns of a table, at most
 _LINE = 0.165  # height of a line of a table, [inch]
 _NOMINAL = 0.345  # where the column of nominal values ends, of the width
-_LABEL = 23  # letters of a label
+_LABEL = 30  # letters of a line of a label, its symbol among them
 #: Changes over ± from which a colour is used, with what it says.
 LEVELS = (
     (0.0, NOMINAL, words.CHANGED[0]),
@@ -74,7 +75,7 @@ def sheet(result: CalibrationResult, name: str = "", date: str = "") -> Figure:
     leg = mechanism.leg(name or mechanism.leg_names[0]).name
     legs = next(one for one in kinds_of_legs(result) if leg in [own.name for own in one])
     blocks = [legs[i : i + _LEGS] for i in range(0, len(legs), _LEGS)]
-    lines = sum(_lines(own) for own in blocks)
+    lines = sum(_lines(own, mechanism) for own in blocks)
     table = min(_LINE * lines / _SIZE[1], 0.7)
     with drawing():
         figure = Figure(figsize=_SIZE)
@@ -90,7 +91,8 @@ def sheet(result: CalibrationResult, name: str = "", date: str = "") -> Figure:
         noise = (
             f"{facts.SOURCES.get(result.noise_source, result.noise_source)}, {facts.noise(result)}"
         )
-        foot = wrapped(words.foot(noise, date), 0.96 * _SIZE[0])
+        excess = None if result.explained else result.excess
+        foot = wrapped(words.foot(noise, date, excess), 0.96 * _SIZE[0])
         figure.text(0.02, 0.045, foot, size=7, va="center")
     return figure
 
@@ -125,7 +127,7 @@ def _table(
         for p in legs[0].parameters:
             rows[p.name] = line
             _row(axes, line, p.name, (legs, places), result.nominal)
-            line += 1.0 if _alike(legs, p.name) else 1.8
+            line += _height(legs, p.name, result.nominal)
         for leg, at in zip(legs, places, strict=True):
             _links(axes, result, leg, (rows, at + 0.006))
         line += 1.0
@@ -136,9 +138,23 @@ def _alike(legs: Sequence[LegResult], name: str) -> bool:
     return len({p.nominal for leg in legs for p in leg.parameters if p.name == name}) == 1
 
 
-def _lines(legs: Sequence[LegResult]) -> float:
+def _label(mechanism: Mechanism, leg: str, name: str) -> list[str]:
+    """Return the lines of a parameter's label, two at most."""
+    letters = len(name) if r"\mathit" in symbol(name) else 2  # Greek ones are one letter
+    beside = " " * (letters + 4)  # the symbol, and what the column of values needs
+    text = clean(mechanism.label(leg, name))
+    lines = wrap(text, _LABEL, initial_indent=beside, max_lines=2, placeholder="…")
+    return [line.strip() for line in lines]
+
+
+def _height(legs: Sequence[LegResult], name: str, mechanism: Mechanism) -> float:
+    """Return how many lines a parameter takes."""
+    return 1.0 if _alike(legs, name) and len(_label(mechanism, legs[0].name, name)) < 2 else 1.8
+
+
+def _lines(legs: Sequence[LegResult], mechanism: Mechanism) -> float:
     """Return how many lines a block takes."""
-    return 2.2 + sum(1.0 if _alike(legs, p.name) else 1.8 for p in legs[0].parameters)
+    return 2.2 + sum(_height(legs, p.name, mechanism) for p in legs[0].parameters)
 
 
 def _row(
@@ -151,10 +167,11 @@ def _row(
     """Write a parameter of several legs: nominal values, then identified ones at places."""
     legs, places = where
     own = [next(p for p in leg.parameters if p.name == name) for leg in legs]
-    label = clean(mechanism.label(legs[0].name, name))
-    label = label if len(label) <= _LABEL else f"{label[: _LABEL - 1]}…"
-    said = symbol(name) + f"  {label}".replace("$", r"\$") * bool(label)
+    first, *rest = _label(mechanism, legs[0].name, name) or [""]
+    said = symbol(name) + f"  {first}".replace("$", r"\$") * bool(first)
     axes.text(0.0, line, said, size=7, va="center", parse_math=True)
+    for more in rest:
+        axes.text(0.027, line + 0.8, more, size=7, va="center")
     alike = _alike(legs, name)
     nominal = measured(own[0].nominal, 0.0, own[0].unit) if alike else words.SHEET["beneath"]
     axes.text(_NOMINAL, line, minus(nominal), size=7, ha="right", va="center")

@@ -27,6 +27,7 @@ from pincal.show.pictures.parts import (
     label,
     name_places,
     page_figure,
+    wrapped,
 )
 from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.pictures.svg import SvgFigure
@@ -35,8 +36,8 @@ from pincal.show.report.image_figure import images_figure
 from pincal.show.report.residual_figures import histogram_figure, residuals_figure
 from pincal.show.results import noisy_series, parameters, whose
 from pincal.show.style import PAGE, look
+from pincal.words import plots as words
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
-from pincal.words.plots import along, height
 
 Array = NDArray[np.float64]
 
@@ -63,8 +64,6 @@ def poses_figure(found: Findings) -> Drawn:
             draw_strokes(axes, sampled, sampled + dot, colors="0.75", lw=1.3, zorder=0)
         draw_poses(axes, mechanism, plan)
         axes.set_aspect("equal")
-        what = "over its workspace (grey), and the mechanism at home"
-        what += "; strokes show the orientation" if found.turns else ""
     else:
         drawn = page_figure(3.0, bottom=below)
         home = joints_at(mechanism, home_of(mechanism)).joints
@@ -75,10 +74,10 @@ def poses_figure(found: Findings) -> Drawn:
                     axes.plot(*points.T, "-", color="0.75", lw=1.5, zorder=1)
             draw_poses(axes, mechanism, plan, seen)
             axes.set_aspect("equal", adjustable="datalim")
-        what = "seen from above, from the front and from the side; grey: the mechanism at home"
     named = axes.get_legend_handles_labels()
     drawn.legend(*named, loc="lower center", ncols=4, frameon=False)
-    return drawn, f"The {len(plan.poses)} measured poses of the platform, {what}."
+    plane = mechanism.platform.space == 2
+    return drawn, words.poses(len(plan.poses), plane=plane, turns=found.turns)
 
 
 def _bars(p: IdentifiedParameter) -> tuple[float, ...]:
@@ -114,13 +113,9 @@ def changes_figure(found: Findings) -> Drawn:
         )
     axes.axhline(0.0, color="0.5", lw=0.8)
     name_places(axes, names, per)
-    axes.set_ylabel("identified − nominal, ± 95 %")
+    axes.set_ylabel(words.IDENTIFIED_LESS_NOMINAL)
     _legend_outside(axes)
-    return drawn, (
-        "Change of each parameter from nominal, with its 95 % interval. Where the interval "
-        "holds zero, the measurements do not distinguish the nominal value from the identified "
-        "one."
-    )
+    return drawn, words.CHANGES
 
 
 @on_page("figure-drawing")
@@ -134,11 +129,7 @@ def drawing_figure(found: Findings) -> Drawn:
         return None
     keys = [Line2D([], [], color=colour, lw=3, label=said) for _, colour, said in LEVELS]
     drawn.legend(handles=keys, loc="lower center", ncols=3, frameon=False)
-    alike = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
-    return drawn, (
-        f"Where the parameters of {leg} are{alike}: lines in the colours of their changes. Values "
-        "stand in the table above; diamonds are parameters that are zero."
-    )
+    return drawn, words.dimensions(leg, several=len(kinds_of_legs(result)[0]) > 1)
 
 
 @on_page("figure-rms")
@@ -147,24 +138,25 @@ def platform_figure(found: Findings) -> Drawn:
     if (errors := found.errors) is None:
         return None
     parts: dict[str, dict[str, Array]] = {}
-    caption = "Root mean square errors before and after: "
+    where = ""
     if found.result.explained:
         both = np.array([errors.mean_before(), errors.mean_after()]).T
-        heads = ("platform:\nposition", "m"), ("platform: orien-\ntation", "rad")
-        for own, (head, unit) in zip(both, heads[: 1 + found.turns], strict=False):
-            parts[f"{head} [{SMALL[unit]}]"] = {errors.where: per_si(unit) * own}
-        caption += f"the platform's {errors.where} (after: as expected), and "
+        heads = zip(words.PLATFORM, ("m", "rad"), strict=True)
+        for own, (head, unit) in zip(both, list(heads)[: 1 + found.turns], strict=False):
+            parts[f"{head} [{SMALL[unit]}]"] = {wrapped(errors.where, 0.0): per_si(unit) * own}
+        where = errors.where
     series = noisy_series(found.result)
     for one in series:
         sizes = np.array([shown_in(value, one.unit) for value in one.rms[:2]])
         parts.setdefault(f"residuals\n[{SMALL[one.unit]}]", {})[one.name] = sizes
     turned = [name for bars in parts.values() if len(bars) > 3 for name in bars]
-    below = 0.3 + PAGE.line + 0.7 * PAGE.letter * max(map(len, turned), default=0)
+    lines = 1 + wrapped(where, 0.0).count("\n")
+    below = 0.3 + PAGE.line * lines + 0.7 * PAGE.letter * max(map(len, turned), default=0)
     drawn = page_figure(2.5 + below, bottom=below, left=0.4, top=0.4)
     widths = [1.4 + 0.6 * len(bars) for bars in parts.values()]
     panels = np.atleast_1d(drawn.subplots(1, len(parts), width_ratios=widths))
     for axes, (title, bars) in zip(panels, parts.items(), strict=True):
-        when = enumerate(("before", "after"))
+        when = enumerate(words.BEFORE_AFTER)
         draw_bars(
             axes, {k: {name: own[i] for name, own in bars.items()} for i, k in when}, before_after
         )
@@ -177,7 +169,7 @@ def platform_figure(found: Findings) -> Drawn:
             axes.tick_params(axis="x", labelrotation=45)
         axes.margins(y=0.18)
     drawn.legend(*panels[0].get_legend_handles_labels(), loc="lower center", ncols=2)
-    return drawn, f"{caption}the residuals of each {whose(series)}."
+    return drawn, words.errors(where, whose(series))
 
 
 @on_page("figure-observability")
@@ -187,20 +179,15 @@ def observability_figure(found: Findings) -> Drawn:
     read = {"m"} if mechanism.by_readings else set(mechanism.reading_units)
     unit = read.pop() if len(read) == 1 else "reading"
     units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
-    what = "the leg's end" if mechanism.by_readings else "the readings"
     names = list(dict.fromkeys(name for own in found.observability.values() for name in own))
     per = [unit if units[name] == "1" else f"{unit}/{units[name]}" for name in names]
     below = height_of_names(names, per)
     drawn = page_figure(2.3 + below, bottom=below, right=_beside(list(found.observability)))
     axes = draw_bars(drawn.subplots(), found.observability)
     name_places(axes, names, per)
-    axes.set_ylabel("|R_ii|")
+    axes.set_ylabel(words.OBSERVABILITY)
     _legend_outside(axes)
-    return drawn, (
-        f"Observability of each parameter at the poses used: what it moves {what} by, all "
-        "poses together, less what the parameters to its left can explain. Compare legs "
-        "with it; parameters differ in their units."
-    )
+    return drawn, words.observability(by_readings=mechanism.by_readings)
 
 
 def _legend_outside(axes: Axes) -> None:
@@ -219,7 +206,9 @@ def maps_figure(found: Findings) -> Drawn:
     rows = [
         (f"{what} {when}", SMALL[unit], per_si(unit) * values[..., column])
         for column, what, unit in quantities
-        for when, values in (("before", maps.before), ("after, expected", maps.after))
+        for when, values in zip(
+            (words.BEFORE_AFTER[0], words.AFTER_EXPECTED), (maps.before, maps.after), strict=True
+        )
         if np.isfinite(values[..., column]).any()  # nominal zeros of motors may lead nowhere
     ]
     if not rows:
@@ -242,7 +231,7 @@ def maps_figure(found: Findings) -> Drawn:
         limits = float(np.nanmin(alike)), float(np.nanmax(alike))
         for axes, error, level in zip(own, values, maps.heights, strict=True):
             draw_map(axes, (maps.x, maps.y), error, limits, decades=True)
-            axes.set_title(height(level))
+            axes.set_title(words.height(level))
         own[0].set_title("\n".join((title, own[0].get_title())) if spatial else title)
         if paired and len(beside) < 2:
             continue
@@ -252,14 +241,9 @@ def maps_figure(found: Findings) -> Drawn:
         bar.ax.yaxis.set_minor_locator(NullLocator())
     for axes in panels:
         axes.set_axis_off()
-    drawn.supxlabel(along("x"), size=8)
-    drawn.supylabel(along("y"), size=8)
-    where = "the workspace at home orientation" if found.turns else "the workspace"
-    return drawn, (
-        f"Error of the platform over {where}: how far the nominal model is off, and what is "
-        "to be expected of the calibrated one (standard error). One scale of decades for both; "
-        "white: not in the workspace."
-    )
+    drawn.supxlabel(words.along("x"), size=8)
+    drawn.supylabel(words.along("y"), size=8)
+    return drawn, words.maps(turns=found.turns)
 
 
 #: By what a report calls them.

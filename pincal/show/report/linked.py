@@ -32,7 +32,12 @@ class LinkedPage(Page):
         result = report.found.result
         whole = np.flatnonzero(np.isfinite(result.poses).all(axis=1))[:MOST_POSES]
         read = result.measurements.readings
-        plan = Plan(result.poses[whole], readings=None if read is None else read[whole])
+        sets = result.measurements.sets
+        plan = Plan(
+            result.poses[whole],
+            None if sets is None else tuple(sets[row] for row in whole),
+            readings=None if read is None else read[whole],
+        )
         identified = result.identified if result.converged else None
         shown = scene(result.nominal, plan_of(result.nominal, plan), None, identified, magnify)
         shown = calibrated(shown, result, report.found.errors)

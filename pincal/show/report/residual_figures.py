@@ -15,6 +15,7 @@ from pincal.show.pictures.parts import NORMAL, Drawn, draw_strokes, page_figure
 from pincal.show.report.findings import Findings
 from pincal.show.results import Series, noisy_series, whose
 from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look, other_look
+from pincal.words import plots as words
 from pincal.words.numbers import SMALL, per_si
 
 Array = NDArray[np.float64]
@@ -84,16 +85,11 @@ def residuals_figure(found: Findings) -> Drawn:
         said: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "center", "size": 8}
         name = f"{one.name}\n[{SMALL[one.unit]}]"
         left.text(*place, name, transform=left.get_yaxis_transform(), **said)
-    for axes, own, title in zip((left, right), lanes, ("before", "after"), strict=True):
+    for axes, own, title in zip((left, right), lanes, words.NOMINAL_IDENTIFIED, strict=True):
         _name_lanes(axes, own)
-        axes.set_title(f"{'nominal' if title == 'before' else 'identified'} parameters ({title})")
-        axes.set_xlabel("data row")
-    return drawn, (
-        f"Residuals of each {whose(series)} against the row of the measurements, before and "
-        "after; the scales differ. Grey bars: where 95 of 100 are expected, the noise less what "
-        "the fit takes up of it, ±1.96 σ√(1−h). Rings: rows that do not fit the "
-        "others; crosses at the upper edge: rows that were rejected."
-    )
+        axes.set_title(title)
+        axes.set_xlabel(words.ROW)
+    return drawn, words.residuals(whose(series))
 
 
 def _name_lanes(axes: Axes, lanes: list[_Lane]) -> None:
@@ -153,17 +149,13 @@ def histogram_figure(found: Findings) -> Drawn:
     looks: dict[str, Any] = {
         "color": IDENTIFIED,
         "edgecolor": "white",
-        "label": f"{len(white)} residuals",
+        "label": words.counted(len(white)),
     }
     axes.hist(white.clip(-shown, shown), bins, density=True, **looks)
     z = np.linspace(-shown, shown, 200)
     normal = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    axes.plot(z, normal, "k--", lw=1.2, label="normal distribution")
-    axes.set(xlabel="residual [standard deviations]", ylabel="density")
+    axes.plot(z, normal, "k--", lw=1.2, label=words.NORMALLY)
+    axes.set(xlabel=words.WHITE, ylabel=words.DENSITY)
     axes.legend(frameon=False)
     outside = 100 * float((np.abs(white) > NORMAL).mean())
-    return drawn, (
-        "Distribution of the residuals after the calibration, each over its own standard "
-        "deviation: the noise, less what the fit takes up of it. "
-        f"{outside:.0f} % are larger than 1.96; expected are 5 %."
-    )
+    return drawn, words.distribution(outside)
