@@ -53,3 +53,14 @@ def test_alike_legs_demand_what_each_alone_does(name: str) -> None:
             np.testing.assert_allclose(met.joints, expected.joints, rtol=0.0, atol=1e-7)
             (one,) = alone.after([changes[place]], twists)
             np.testing.assert_allclose(there, one, rtol=0.0, atol=1e-7)
+
+
+def test_no_rows_demand_nothing() -> None:
+    """Legs that are asked at no pose answer with no rows."""
+    robot = pincal.load_mechanism("3RRR")
+    data = pincal.Measurements(np.zeros((1, 3)), readings=np.zeros((1, 3)))
+    calibration = Calibration(robot, data)
+    conditions = [calibration.condition(leg, np.arange(0)) for leg in range(3)]
+    nominal = [leg.nominal for leg in robot.legs]
+    found = evaluated(conditions, nominal, np.empty((0, 4, 4)), [None] * 3)
+    assert [one.demand.value.shape for one in found.legs] == [(0, 1)] * 3

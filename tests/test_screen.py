@@ -51,9 +51,8 @@ def test_a_term_adds_its_white_rows_to_residuals() -> None:
     found = screen(fit_of(warm.with_parameters({ids[TRUE][0]: AMPLITUDE})), every)
     ((residuals, terms),) = trials(fit_of(plain), every)
     rows_of_term = next(one.rows for one in terms if (one.reading, one.kind) == TRUE)
-    along = residuals.along(rows_of_term)
-    more = along @ (along.T @ rows_of_term.reshape(-1, 1)) * AMPLITUDE
-    left = residuals.left - more.reshape(residuals.left.shape)  # residuals: predicted less read
+    more = rows_of_term - residuals.Q @ over_rows(residuals.Q, rows_of_term)
+    left = residuals.left - AMPLITUDE * more[:, :, 0]  # residuals: predicted less read
     moved = replace(residuals, left=left, chi2=float((left**2).sum()))
     by_place = {(one.reading, one.kind): one for one in screened([(moved, terms)])}
     for one in found:
