@@ -16,6 +16,7 @@ from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import Kind, every_pair
 from pincal.calibration.terms.screen import Candidate, inseparable, screen, screened, trials
+from pincal.kinematics.batches import over_rows
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 TRUE = ("leg_1", Kind.of("temperature"))
