@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measured import workspace
@@ -53,3 +55,38 @@ def test_alike_legs_demand_what_each_alone_does(name: str) -> None:
             np.testing.assert_allclose(met.joints, expected.joints, rtol=0.0, atol=1e-7)
             (one,) = alone.after([changes[place]], twists)
             np.testing.assert_allclose(there, one, rtol=0.0, atol=1e-7)
+
+
+def test_no_rows_demand_nothing() -> None:
+    """Legs that are asked at no pose answer with no rows."""
+    robot = pincal.load_mechanism("3RRR")
+    data = pincal.Measurements(np.zeros((1, 3)), readings=np.zeros((1, 3)))
+    calibration = Calibration(robot, data)
+    conditions = [calibration.condition(leg, np.arange(0)) for leg in range(3)]
+    nominal = [leg.nominal for leg in robot.legs]
+    found = evaluated(conditions, nominal, np.empty((0, 4, 4)), [None] * 3)
+    assert [one.demand.value.shape for one in found.legs] == [(0, 1)] * 3
+
+
+def test_each_leg_is_measured_by_its_own_size() -> None:
+    """Beside a leg a hundred times as long, one that does not reach comes as near as it does alone.
+
+    How far is far, when steps are worked out with curvature, is a matter of the leg's own size.
+    """
+    plain = pincal.load_mechanism("3RRR")
+    robot = plain.with_parameters({f"leg_1.{name}": 150.0 for name in ("l", "L")})
+    rng = np.random.default_rng(1)
+    poses = rng.uniform(-4.0, 4.0, (20, 3))
+    data = pincal.Measurements(poses, readings=rng.uniform(-1.0, 1.0, (20, 3)))
+    calibration, rows = Calibration(plain, data), np.arange(20)
+    conditions = [calibration.condition(leg, rows) for leg in range(2)]
+    conditions[0] = replace(conditions[0], leg=robot.legs[0])
+    assert conditions[0].form == conditions[1].form
+    values = [one.leg.nominal for one in conditions]
+    matrices = robot.platform.transforms(poses).as_matrix()
+    start: list[np.ndarray | None] = [rng.uniform(-3.0, 3.0, (20, 2)) for _ in conditions]
+    together = evaluated(conditions, values, matrices, start)
+    (alone,) = evaluated(conditions[1:], values[1:], matrices, start[1:]).legs
+    met = together.legs[1]
+    np.testing.assert_allclose(met.demand.value, alone.demand.value, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(met.joints, alone.joints, rtol=0.0, atol=1e-6)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cramer_rao import Machine, drawn, machine
+from measured import workspace
 from numpy.typing import NDArray
 from scipy.stats import beta
 
@@ -16,6 +17,8 @@ from pincal.calibration.fits import fitted
 from pincal.calibration.terms.kinds import every_pair
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.estimation.residuals.chances import Form, above, of_forms, together
+from pincal.estimation.residuals.courses import scores
+from pincal.estimation.residuals.score import Residuals
 from pincal.estimation.residuals.slips import slips
 
 Array = NDArray[np.float64]
@@ -64,6 +67,45 @@ def test_tests_together_find_nothing_once_in_a_hundred_times() -> None:
     single = np.ones(30)
     single[0] = 1e-3
     assert together(few, weights) < 0.5 * together(single, weights)
+
+
+def test_what_is_known_beforehand_is_measured_too() -> None:
+    """With priors: χ² is the fit's, and terms are found as least squares of all rows find them."""
+    mechanism, tolerance = pincal.load_mechanism("5R"), {"m": 2e-4, "rad": 2e-4, "1": 2e-4}
+    truth = pincal.disturb(mechanism, 2e-4, seed=1)
+    plan = pincal.Plan(
+        mechanism.platform.home + np.random.default_rng(2).uniform(-0.3, 0.3, (9, 2))
+    )
+    noise = pincal.Noise(1e-4, 1e-4, 1e-4)
+    data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
+    result = pincal.calibrate(mechanism, data, noise=noise, tolerance=tolerance)
+    (one,) = fitted(result.calibration).fits
+    left, r = Residuals.of(one.fit), one.fit.last.value
+    assert left.chi2 == pytest.approx(one.fit.chi2, rel=1e-6)  # it ends near the optimum
+    W = np.random.default_rng(4).standard_normal((*r.shape, 2))
+    held, prior = one.fit.unknowns.prior_rows(one.fit.parameters)
+    J = (one.fit.last.jacobian @ one.fit.unknowns.map).reshape(r.size, -1)
+    every = np.block([[J, W.reshape(r.size, 2)], [prior, np.zeros((len(prior), 2))]])
+    white = np.append(r.ravel(), held)
+    step, (rest,), *_ = np.linalg.lstsq(every, -white)
+    found = left.amplitudes(W)
+    np.testing.assert_allclose(found.values, step[-2:], rtol=1e-6)
+    assert left.chi2 - found.inside == pytest.approx(rest, rel=1e-9)
+    assert left.without(W).chi2 == pytest.approx(rest, rel=1e-9)
+
+
+def test_few_rows_with_priors_lack_nothing() -> None:
+    """Three rows of machines as exact as their tolerances say: no course is less than likely."""
+    tolerance = {"m": 1e-3, "rad": 1e-3, "1": 1e-3}
+    noise = pincal.Noise(1e-4, 1e-4, 5e-5)
+    for name in ("5R", "3RRR", "4cable"):
+        mechanism = pincal.load_mechanism(name)
+        truth, plan = pincal.disturb(mechanism, 1e-3, seed=1), pincal.Plan(workspace(name, 3, 2))
+        data = pincal.simulate(mechanism, truth, plan, noise, 1).measurements
+        result = pincal.calibrate(mechanism, data, noise=noise, tolerance=tolerance)
+        (one,) = fitted(result.calibration).fits
+        tests = scores(one.fit)
+        assert min(test.p_value for test in tests) > 0.1 / len(tests)
 
 
 def waves(one: Machine) -> Array:

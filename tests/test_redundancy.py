@@ -124,6 +124,39 @@ def test_redundancy_is_the_share_that_shows() -> None:
     assert moved == pytest.approx(-share[row] * error, rel=0.05)
 
 
+def test_two_readings_of_one_equation_share_what_it_misses() -> None:
+    """A leg whose motor slides on a rail, both read: residuals of each, standardised alike."""
+    plain = pincal.load_mechanism("3RRR")
+
+    def railed(leg: pincal.Leg) -> pincal.Leg:
+        first, *others = leg.joints
+        rail = pincal.Joint(
+            f"rail_{leg.name}", "prismatic", axis=(1.0, 0.0, 0.0), lower=-0.5, upper=0.5
+        )
+        drive = replace(first, name=f"drive_{leg.name}")
+        own = replace(leg.sensors[0], joint=drive.name), pincal.Sensor(rail.name)
+        return replace(leg, joints=(rail, drive, *others), sensors=own)
+
+    mechanism = replace(plain, legs=tuple(map(railed, plain.legs)))
+    rng = np.random.default_rng(0)
+    poses = plain.platform.home + rng.uniform(-0.2, 0.2, (20, 3))
+    straight = pincal.simulate(plain, plain, pincal.Plan(poses), pincal.Noise(), 0).measurements
+    readings = np.zeros((20, 6))
+    readings[:, ::2] = straight.readings
+    noise = pincal.Noise(1e-4, 1e-4, 1e-4)
+    readings += 1e-4 * rng.standard_normal(readings.shape)
+    data = pincal.Measurements(straight.poses, readings=readings)
+    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+    for leg in result.legs:
+        assert leg.redundancy is not None
+        assert leg.redundancy.shape == leg.residuals.shape == (40,)
+        assert 0.0 < leg.redundancy.min() < leg.redundancy.max() < 1.0
+        # both follow one equation: they are the same number but for how it follows each reading
+        np.testing.assert_allclose(
+            (leg.residuals**2 / leg.redundancy)[::2], (leg.residuals**2 / leg.redundancy)[1::2]
+        )
+
+
 def test_old_results_have_no_leverage_and_load(tmp_path: Path) -> None:
     """Redundancies come back from a file; a file without them loads, and says what it draws."""
     noise, options = CASES["exact readings"]

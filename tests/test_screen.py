@@ -16,6 +16,7 @@ from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import Kind, every_pair
 from pincal.calibration.terms.screen import Candidate, inseparable, screen, screened, trials
+from pincal.kinematics.batches import over_rows
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 TRUE = ("leg_1", Kind.of("temperature"))
@@ -51,9 +52,8 @@ def test_a_term_adds_its_white_rows_to_residuals() -> None:
     found = screen(fit_of(warm.with_parameters({ids[TRUE][0]: AMPLITUDE})), every)
     ((residuals, terms),) = trials(fit_of(plain), every)
     rows_of_term = next(one.rows for one in terms if (one.reading, one.kind) == TRUE)
-    along = residuals.along(rows_of_term)
-    more = along @ (along.T @ rows_of_term.reshape(-1, 1)) * AMPLITUDE
-    left = residuals.left - more.reshape(residuals.left.shape)  # residuals: predicted less read
+    more = rows_of_term - residuals.Q @ over_rows(residuals.Q, rows_of_term)
+    left = residuals.left - AMPLITUDE * more[:, :, 0]  # residuals: predicted less read
     moved = replace(residuals, left=left, chi2=float((left**2).sum()))
     by_place = {(one.reading, one.kind): one for one in screened([(moved, terms)])}
     for one in found:

@@ -66,16 +66,17 @@ def nearest_closures(
         joints: Where the search for passive joints starts, shape (L N, n_joints …); overwritten.
         steps: Most Gauss-Newton steps.
     """
-    leg = legs[0].leg
+    leg, scales = legs[0].leg, _scales(legs, len(joints))
+    sizes = np.repeat([one.size for one in legs], len(joints) // len(legs))
     for _ in range(steps):
         closed = evaluate(legs, joints, matrices)
         step = closed.passive_step()
         if leg.passive and closed.gap.shape[1] <= 3:  # of points
-            far = lengths(closed.gap) > _FAR * leg.size
+            far = lengths(closed.gap) > _FAR * sizes
             if far.any():
                 step[far] = _curved_step(closed, far)
         joints[:, leg.passive] += step
-        if np.abs(step / leg.passive_scales).max(initial=0.0) <= _NEWTON.small:
+        if np.abs(step / scales).max(initial=0.0) <= _NEWTON.small:
             break
     return closed, joints
 
@@ -116,9 +117,14 @@ def followed(
     change += product(closed.pose, np.tile(twists, (len(legs), 1))[:, :, None])[:, :, 0]
     step = closed.passive_step(change)
     with np.errstate(invalid="ignore"):
-        far = (~(np.abs(step / legs[0].leg.passive_scales) <= _NEWTON.largest)).any(axis=1)
+        far = (~(np.abs(step / _scales(legs, len(step))) <= _NEWTON.largest)).any(axis=1)
     step[far] = 0.0
     return step
+
+
+def _scales(legs: Sequence[LegClosure], rows: int) -> Array:
+    """Return what steps of passive joints are measured by, each leg's own, (rows, n_passive)."""
+    return np.repeat([one.leg.passive_scales for one in legs], rows // len(legs), axis=0)
 
 
 def each(count: int, rows: int) -> list[slice]:

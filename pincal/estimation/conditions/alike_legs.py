@@ -105,7 +105,7 @@ def evaluated(
     each = zip(legs, known, joints, strict=True)
     start = np.concatenate([begun(leg, matrices, own, near) for leg, own, near in each])
     closed, found = nearest_closures(legs, np.tile(matrices, (len(legs), 1, 1)), start)
-    settled = found.reshape(len(legs), len(matrices), -1)
+    settled = found.reshape(len(legs), len(matrices), found.shape[1])
 
     def after(changes: Sequence[Array], twists: Array) -> list[Array]:
         there = found.copy()

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pincal.estimation.linear import Linear
 from pincal.estimation.problem import Problem
+from pincal.kinematics.batches import least_squares
 
 Array = NDArray[np.float64]
 
@@ -39,16 +40,17 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     demand = linear.stack.demands[index]
     condition, own = problem.conditions[index], problem.reading_columns[index]
     by_reading = demand.reading * problem.sigma_readings[:, None, own]
-    rows = problem.leg_rows[index]
-    follows = np.zeros((len(demand.value), demand.value.shape[1], linear.stack.value.shape[1]))
-    follows[:, :, rows] = np.eye(demand.value.shape[1])
+    rows, (count, k) = problem.leg_rows[index], demand.value.shape
+    follows = np.zeros((count, k, linear.stack.value.shape[1]))
+    follows[:, :, rows] = np.eye(k)
     if problem.pose_roots is not None:
         noise = np.concatenate((by_reading, demand.pose @ problem.pose_roots), axis=2)
         what = ("m", "closure") if problem.weighted else (condition.reading_unit, "reading")
         return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), *what, follows)
-    if problem.sigma_readings[:, own].any() and demand.value.shape[1] == 1:
-        sigma = problem.sigma_readings[:, own]
-        follows[:, :, rows] = 1.0 / demand.reading
+    if problem.sigma_readings[:, own].any() and k == 1:
+        sigma = problem.sigma_readings[:, own]  # of as many readings as there are
+        follows = np.repeat(follows, sigma.shape[1], axis=1)
+        follows[:, :, rows] = -least_squares(demand.reading, np.ones((count, 1, 1)))
         value = demand.as_joint().value
         return LegResiduals(value, sigma, condition.reading_unit, "reading", follows)
     n_legs = problem.leg_rows[-1].stop

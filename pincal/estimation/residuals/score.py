@@ -3,7 +3,7 @@
 An error b(n) of one measured quantity appears in the white rows as w = L⁻¹Nᵀ s b, s how the
 conditions follow that quantity. With M the projection on what parameters do not take up, the part
 of the residuals that lies in M w is, if the model lacks nothing, a share of χ² like any other: an F
-test without a new fit (C. R. Rao's score test).
+test without a new fit (C. R. Rao's score test). Priors are rows too, in which no error appears.
 """
 
 from __future__ import annotations
@@ -79,16 +79,23 @@ class Residuals:
     """M r, shape (n_used, m)."""
     Q: Array
     """Shape (n_used, m, n_free)."""
+    prior: Array
+    """Rows of Q that are the priors', shape (k, n_free)."""
+    beside: Array
+    """M r of the priors, shape (k,): they are measurements, too."""
     chi2: float
     degrees_of_freedom: int
 
     @classmethod
     def of(cls, one: Fit) -> Residuals:
         """Return those of a fit."""
-        used, Q = np.flatnonzero(one.good), one.Q
-        r = one.last.value[used]
-        left = r - Q @ over_rows(Q, r[:, :, None])[:, 0]
-        return cls(used, left, Q, float((left**2).sum()), one.degrees_of_freedom)
+        used, Q, r = np.flatnonzero(one.good), one.Q, one.last.value[one.good]
+        held, rows = one.unknowns.prior_rows(one.system.values(one.last.state))
+        prior = one.orthonormal(rows)
+        taken = over_rows(Q, r[:, :, None])[:, 0] + held @ prior
+        left, beside = r - Q @ taken, held - prior @ taken
+        chi2 = float((left**2).sum() + (beside**2).sum())
+        return cls(used, left, Q, prior, beside, chi2, one.degrees_of_freedom)
 
     def error(self, w: Array) -> Error:
         """Return an error of white rows of shape (n_used, m)."""
@@ -137,14 +144,13 @@ class Residuals:
         """
         lengths = np.linalg.norm(W, axis=(0, 1))
         lengths = np.where(lengths > 0.0, lengths, 1.0)
-        flat = (W - self.Q @ over_rows(self.Q, W)).reshape(-1, W.shape[2]) / lengths
-        U, s, V = np.linalg.svd(flat, full_matrices=False)
+        U, s, V = np.linalg.svd(self._seen(W / lengths), full_matrices=False)
         kept = s > RANK_TOLERANCE
         rank = int(kept.sum())
         if not 0 < rank < self.degrees_of_freedom:
             none = np.full(W.shape[2], np.inf)
             return Amplitudes(np.zeros(W.shape[2]), none, 0.0, 0, 0.0, 1.0)
-        along = U[:, kept].T @ self.left.ravel()
+        along = U[:, kept].T @ self._whole
         inside = float(along @ along)
         rest = max(self.chi2 - inside, 1e-300) / (self.degrees_of_freedom - rank)
         back = V[kept].T / s[kept] / lengths[:, None]
@@ -152,21 +158,6 @@ class Residuals:
         std = np.where(taken, np.inf, np.sqrt(rest * (back**2).sum(axis=1)))
         p_value = float(self.chance(inside, rank))
         return Amplitudes(-back @ along, std, inside / rank / rest, rank, inside, p_value)
-
-    def along(self, W: Array) -> Array:
-        """Return orthonormal directions of terms that parameters do not take up.
-
-        Args:
-            W: White rows of the terms, shape (n_used, m, f).
-
-        Returns:
-            Shape (n_used m, rank).
-        """
-        flat, Q = W.reshape(-1, W.shape[2]), self.Q.reshape(-1, self.Q.shape[2])
-        lengths = np.linalg.norm(flat, axis=0)
-        flat = flat / np.where(lengths > 0.0, lengths, 1.0)
-        U, s, _ = np.linalg.svd(flat - Q @ (Q.T @ flat), full_matrices=False)
-        return np.asarray(U[:, s > RANK_TOLERANCE], np.float64)
 
     def size(self, error: Error, course: Array) -> float:
         """Return how large an error of some course is, shape (n_used,)."""
@@ -213,8 +204,25 @@ class Residuals:
 
     def without(self, W: Array) -> Residuals:
         """Return the residuals with errors of white rows W taken up, shape (n_used, m, f)."""
-        U, Q = self.along(W), self.Q.reshape(-1, self.Q.shape[2])
-        left = self.left - (U @ (U.T @ self.left.ravel())).reshape(self.left.shape)
-        every = np.concatenate((Q, U), axis=1).reshape(*self.left.shape, -1)
+        lengths = np.linalg.norm(W, axis=(0, 1))
+        U, s, _ = np.linalg.svd(
+            self._seen(W / np.where(lengths > 0.0, lengths, 1.0)), full_matrices=False
+        )
+        U = U[:, s > RANK_TOLERANCE]  # that parameters do not take up
+        whole, size = self._whole - U @ (U.T @ self._whole), self.left.size
+        left, beside = whole[:size].reshape(self.left.shape), whole[size:]
+        Q = np.concatenate((self.Q, U[:size].reshape(*self.left.shape, -1)), axis=2)
+        prior = np.concatenate((self.prior, U[size:]), axis=1)
         free = self.degrees_of_freedom - U.shape[1]
-        return Residuals(self.used, left, every, float((left**2).sum()), free)
+        return Residuals(self.used, left, Q, prior, beside, float((whole**2).sum()), free)
+
+    @property
+    def _whole(self) -> Array:
+        """What is left of rows and of priors, flat."""
+        return np.concatenate((self.left.ravel(), self.beside))
+
+    def _seen(self, W: Array) -> Array:
+        """Return what parameters leave of white rows W, of priors too, in as many rows, flat."""
+        taken = over_rows(self.Q, W)
+        rows = (W - self.Q @ taken).reshape(-1, W.shape[2])
+        return np.concatenate((rows, -self.prior @ taken))
