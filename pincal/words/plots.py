@@ -29,7 +29,7 @@ OBSERVABILITY = "|Rᵢᵢ|"
 WHITE, DENSITY, NORMALLY = "residual [standard deviations]", "density", "normal distribution"
 BEFORE_AFTER = "before", "after"
 NOMINAL_IDENTIFIED = "nominal parameters (before)", "identified parameters (after)"
-PLATFORM = "platform:\nposition", "platform: orien-\ntation"
+PLATFORM = "position", "orientation"
 AFTER_EXPECTED = "after, expected"
 CHANGES = (
     "Change of each parameter from nominal, with its 95 % interval. Where the interval holds "

@@ -143,7 +143,7 @@ def platform_figure(found: Findings) -> Drawn:
         both = np.array([errors.mean_before(), errors.mean_after()]).T
         heads = zip(words.PLATFORM, ("m", "rad"), strict=True)
         for own, (head, unit) in zip(both, list(heads)[: 1 + found.turns], strict=False):
-            parts[f"{head} [{SMALL[unit]}]"] = {wrapped(errors.where, 0.0): per_si(unit) * own}
+            parts[f"{head}\n[{SMALL[unit]}]"] = {wrapped(errors.where, 0.0): per_si(unit) * own}
         where = errors.where
     series = noisy_series(found.result)
     for one in series:
