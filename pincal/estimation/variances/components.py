@@ -223,14 +223,16 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
     lengths = np.array([name == "m" for name in units], dtype=bool)
     U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
     r = linear.value[rows]
+    held, prior = one.unknowns.prior_rows(one.system.values(one.last.state))
     if given and (rows == one.good).all():
         by, Q = one.orthonormal, one.Q
     else:
         J = linear.jacobian[rows] @ one.unknowns.map
-        _, prior = one.unknowns.prior_rows(one.unknowns.start)
         by = Orthonormal.of(J, prior)
         Q = by(J)
-    left = r - Q @ over_rows(Q, r[:, :, None])[:, 0]
+    beside = by(prior)  # priors are rows too
+    taken = over_rows(Q, r[:, :, None])[:, 0] + held @ beside
+    left, held = r - Q @ taken, held - beside @ taken
     V = [part @ part.transpose(0, 2, 1) for part in U]
     VQ = [part @ Q for part in V]
     P = [over_rows(Q, part) for part in VQ]
@@ -249,4 +251,5 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
     q = np.array([float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U])
     rest = [[over_rows(a, b) - A @ B for b, B in both] for a, A in both]
     back = by(one.unknowns.map).T
-    return Normal(F, q, float((left**2).sum()), np.array(P), np.array(rest), back)
+    chi2 = float((left**2).sum() + (held**2).sum())
+    return Normal(F, q, chi2, np.array(P), np.array(rest), back)
