@@ -16,6 +16,7 @@ from command_line import undated
 import pincal
 from pincal.calibration.calibrate import identified, prepared
 from pincal.calibration.checks.missed import _times
+from pincal.calibration.checks.validation import with_held_out
 from pincal.cli.drawing import drawer, ready_to_draw
 from pincal.collection import no_collection
 from pincal.show.report import beside
@@ -72,7 +73,7 @@ def test_figures_of_fits_wait_for_no_check(table: Path) -> None:
     """Held-out rows change none of the figures that are drawn meanwhile."""
     result, fits = identified(prepared("5R", table))
     early = Findings(result, None)
-    late = Findings(result.validated(3, whole=fits), None)
+    late = Findings(with_held_out(result, 3, whole=fits), None)
     for name in OF_FITS:
         one, other = FIGURES[name](early), FIGURES[name](late)
         assert (one is None) == (other is None)
@@ -129,7 +130,7 @@ def test_only_reports_have_a_process(typed: str, monkeypatch: pytest.MonkeyPatch
 def test_held_out_rows_go_on_from_the_fit(table: Path) -> None:
     """With the fits at hand the answers are those of fits made again, to 1e-9."""
     result, fits = identified(prepared("5R", table, noise=pincal.Noise(1e-4)))
-    again, on = result.validated(3).validation, result.validated(3, whole=fits).validation
+    again, on = result.validated(3).validation, with_held_out(result, 3, whole=fits).validation
     assert again is not None
     assert on is not None
     numbers = [

@@ -37,7 +37,6 @@ from pincal.words.sentences import sentences
 if TYPE_CHECKING:
     from pincal.calibration.checks.runs import RunComparison
     from pincal.calibration.checks.validation import Validation
-    from pincal.calibration.fits import Fits
     from pincal.show.plots import Plots
     from pincal.show.report.report import Report
 
@@ -289,29 +288,21 @@ class CalibrationResult:
         """Return the result with these findings."""
         return replace(self, findings=findings)
 
-    def validated(
-        self, folds: int = FOLDS, by: By = "region", whole: Fits | None = None
-    ) -> CalibrationResult:
+    def validated(self, folds: int = FOLDS, by: By = "region") -> CalibrationResult:
         """Return the result with its errors at held-out rows, and what these contradict.
 
         Args:
             folds: How many times a share of the rows is held out.
             by: What is held out together: see ``validate``.
-            whole: The fits of all rows, if they are at hand.
 
         Raises:
             MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not
                 converge.
             ObservabilityError: what is left does not determine the parameters.
         """
-        from pincal.calibration.checks.validation import held_out
+        from pincal.calibration.checks.validation import with_held_out
 
-        found, own = (
-            held_out(self.calibration, folds, by, whole),
-            {one.code for one in self.findings},
-        )
-        more = (one for one in found.findings if one.code not in own)
-        return replace(self, validation=found, findings=(*self.findings, *more))
+        return with_held_out(self, folds, by)
 
     def compared(self) -> CalibrationResult:
         """Return the result with how well the runs of its measurements agree.

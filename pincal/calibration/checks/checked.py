@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pincal.calibration.checks.folds import FOLDS, By
+from pincal.calibration.checks.validation import with_held_out
 from pincal.calibration.fits import Fits
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import PincalError
@@ -27,7 +28,7 @@ def checked(
     said = [] if folds else ["no rows were held out (--folds 0)"]
     try:
         if folds:
-            result = result.validated(folds, by, whole)
+            result = with_held_out(result, folds, by, whole)
     except PincalError as error:
         said.append(f"no held-out validation: {error}")
     try:

@@ -8,7 +8,7 @@ fit's own χ² says that the model follows its rows more closely than the machin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import Options
 from pincal.calibration.promise import UNEXPLAINED
+from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
 from pincal.estimation.linear import State
 from pincal.estimation.residuals.losses import UNLIKELY
@@ -123,6 +124,24 @@ def validate(
     """
     calibration = prepared(mechanism, measurements, options, folds=folds, **more)
     return held_out(started(calibration), calibration.options.folds, by)
+
+
+def with_held_out(
+    result: CalibrationResult, folds: int = FOLDS, by: By = "region", whole: Fits | None = None
+) -> CalibrationResult:
+    """Return a result with its errors at held-out rows, and what these contradict.
+
+    Errors are those of ``validate``.
+
+    Args:
+        result: A calibration.
+        folds: How many times a share of the rows is held out.
+        by: What is held out together.
+        whole: The fits of all its rows, if they are at hand; else they are made again.
+    """
+    found, own = held_out(result.calibration, folds, by, whole), {f.code for f in result.findings}
+    more = (one for one in found.findings if one.code not in own)
+    return replace(result, validation=found, findings=(*result.findings, *more))
 
 
 @on_one_thread
