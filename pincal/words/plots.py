@@ -244,7 +244,7 @@ def counted(count: int) -> str:
 
 
 def distribution(percent: float) -> str:
-    """Return what a distribution of residuals shows, so many beyond what 5 % are."""
+    """Return what a distribution of residuals shows, and how many are larger than 5 % should be."""
     return (
         "Distribution of the residuals after the calibration, each over its own standard "
         "deviation: the noise, less what the fit takes up of it. "

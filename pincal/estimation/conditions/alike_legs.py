@@ -105,12 +105,12 @@ def evaluated(
     each = zip(legs, known, joints, strict=True)
     start = np.concatenate([begun(leg, matrices, own, near) for leg, own, near in each])
     closed, found = nearest_closures(legs, np.tile(matrices, (len(legs), 1, 1)), start)
-    settled = found.reshape(len(legs), len(matrices), found.shape[1])
+    by_leg = found.reshape(len(legs), len(matrices), found.shape[1])
 
     def after(changes: Sequence[Array], twists: Array) -> list[Array]:
         there = found.copy()
         there[:, legs[0].leg.passive] += followed(legs, closed, known, changes, twists)
-        return list(there.reshape(settled.shape))
+        return list(there.reshape(by_leg.shape))
 
-    met = zip(demands(legs, closed, known), settled, strict=True)
+    met = zip(demands(legs, closed, known), by_leg, strict=True)
     return AlikeMet(tuple(Met(*pair) for pair in met), after)
