@@ -22,6 +22,7 @@ from command_line import done, run
 from lxml import html as lxml_html
 from marks import some_slow
 from matplotlib.figure import Figure
+from measured import workspace
 from rich.console import Console
 
 import pincal
@@ -693,3 +694,18 @@ def test_in_a_browser(
     assert said == []
     assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
     page.close()
+
+
+@pytest.mark.slow
+def test_a_leg_that_was_never_read_has_no_residuals() -> None:
+    """Its parameters are held; page and report say nothing of its residuals, and nothing warns."""
+    mechanism, noise = pincal.load_mechanism("6UPS"), pincal.Noise(1e-4, 1e-4, 1e-5)
+    truth = pincal.disturb(mechanism, 2e-3, 1)
+    plan = pincal.Plan(workspace("6UPS", 40))
+    data = pincal.simulate(mechanism, truth, plan, noise, 2).measurements
+    readings = data.readings.copy()
+    readings[:, 2] = np.nan
+    data = replace(data, readings=readings)
+    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+    assert "nan" not in str(result)
+    assert "leg_3" in result.report().html()

@@ -52,7 +52,9 @@ class Series:
 
     @property
     def rms(self) -> tuple[float, float, float]:
-        """Root mean squares before, after, and of the standard deviations."""
+        """Root mean squares before, after, and of the standard deviations; NaN of no rows."""
+        if not len(self.rows):
+            return np.nan, np.nan, np.nan
         three = np.array([self.before, self.after, self.sigma])
         before, after, sigma = np.sqrt(np.mean(three**2, axis=1)).tolist()
         return before, after, sigma

@@ -44,7 +44,9 @@ class Quantity(NamedTuple):
     """``"+"`` to show the sign of what is positive too."""
 
     def text(self, units: Mapping[str, str]) -> str:
-        """Return the number in the unit in which it is read."""
+        """Return the number in the unit in which it is read; nothing of NaN."""
+        if self.value != self.value:
+            return ""
         if self.format:
             return f"{shown_in(self.value, self.unit, units):{self.format}}"
         return fixed(self.value, self.half, self.unit, units, self.sign)
