@@ -19,6 +19,7 @@ from measured import machine, seen_from_elsewhere
 
 import pincal
 from pincal.calibration.fits import fitted
+from pincal.estimation.residuals.redundancy import Left, every_residual
 from pincal.kinematics.configurations import home_of
 from pincal.show.pictures.dimension_lines import MARK
 from pincal.show.pictures.exploded import GAP, draw_leg, shifts
@@ -253,7 +254,12 @@ def test_residuals_over_workspace_and_time(result: pincal.CalibrationResult) -> 
     first = (leg.residuals / leg.sigma)[:3].sum()
     assert len(line.get_ydata()) == 10
     assert abs(line.get_ydata()[0]) > abs(first) / np.sqrt(3)  # the fit took up a part of them
-    assert line.get_ydata()[0] == pytest.approx(first / np.sqrt(3), rel=1.0)
+    fit = fitted(result.calibration).fits[0].fit
+    _, follows, (own, *_) = every_residual(fit)
+    factors = np.zeros(follows.shape[:2])
+    factors[:3, own] = 1.0 / leg.sigma[:3, None]
+    spread = np.sqrt(Left.of(fit, follows).of_sum(factors))
+    assert line.get_ydata()[0] == pytest.approx(first / spread, rel=1e-6)
 
 
 def test_a_bed_needs_x_y_and_z(result: pincal.CalibrationResult) -> None:

@@ -19,7 +19,7 @@ from pincal.calibration.promise import excess_of
 from pincal.calibration.result import CalibrationResult
 from pincal.estimation.fit import Fit
 from pincal.estimation.profile import profile
-from pincal.estimation.residuals.leg_residuals import leg_residuals
+from pincal.estimation.residuals.leg_residuals import LegResiduals, leg_residuals
 from pincal.estimation.residuals.redundancy import redundancy
 from pincal.estimation.residuals.robust import Outlier, Robust
 from pincal.model.measuring.measurements import Noise
@@ -54,11 +54,11 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     parts = np.split(np.sqrt(variances), np.cumsum(sizes)[:-1], axis=1)
     std = dict(zip(mechanism.leg_names, parts, strict=True))
     covariance = covariance + off
-    left = [_left(one.fit) for one in found.fits]
+    left = [redundancy(one.fit) for one in found.fits]
     by_name = {
         leg.name: leg
         for one, freedoms, own in zip(found.fits, sure.of_unknowns, left, strict=True)
-        for leg in _leg_results(calibration, one, std, quantiles(freedoms), own)
+        for leg in _leg_results(calibration, one, std, quantiles(freedoms), *own)
     }
     legs = tuple(by_name[name] for name in mechanism.leg_names)
     directions = None if held is None or not held.of_legs.shape[1] else held.of_legs
@@ -90,7 +90,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         frames_moved=None if gauge is None else gauge.frames,
         undetermined_directions=directions,
         ties=() if without_ties is None else tie_tests(without_ties),
-        observed=_observed(found, left[0][-1]) if found.latent else (),
+        observed=_observed(found, left[0][1][-1]) if found.latent else (),
         outside=found.external if len(calibration.observation.external) else None,
         estimated_poses=mechanism.platform.from_matrices(fits[0].last.state.matrices)
         if found.latent
@@ -151,21 +151,12 @@ def _identified(
     )
 
 
-def _left(one: Fit) -> list[Array]:
-    """Return redundancies of the legs' residuals, then those of what was measured, (N, k) each."""
-    problem = one.problem
-    n_legs, r = problem.leg_rows[-1].stop, one.last.stack.value.shape[1]
-    legs = [leg_residuals(problem, one.last, index) for index in range(len(problem.legs))]
-    seen = np.broadcast_to(np.eye(r)[n_legs:], (len(problem.used), r - n_legs, r))
-    sigma = problem.sigma_observed[:, : r - n_legs]
-    return redundancy(one, [*((leg.follows, leg.sigma) for leg in legs), (seen, sigma)])
-
-
 def _leg_results(
     calibration: Calibration,
     one: Robust,
     std: dict[str, Array],
     quantile: Array,
+    residuals: Sequence[LegResiduals],
     left: Sequence[Array],
 ) -> list[LegResult]:
     """Return the results of the legs of a fit.
@@ -175,7 +166,8 @@ def _leg_results(
         one: The fit.
         std: Standard errors by noise, and by what is off in all rows, shape (2, n) of each leg.
         quantile: How many of them half an interval is, of the fit's unknowns, shape (n,).
-        left: Redundancies of the legs' residuals, (N, k) each.
+        residuals: Of the legs.
+        left: Redundancies of these, (N, k) each.
     """
     found, problem = one.fit, one.fit.problem
     nominal, results = calibration.mechanism.parameters, []
@@ -185,7 +177,7 @@ def _leg_results(
     for index, (leg, columns) in enumerate(zip(problem.legs, problem.columns, strict=True)):
         own = problem.used[:, index] & (found.weights > 0.0)
         before = leg_residuals(problem, found.first, index)
-        after = leg_residuals(problem, found.last, index)
+        after = residuals[index]
         rank, condition = found.ranks[index]
         values = after.value[own]
         parameters = [nominal[f"{leg.name}.{name}"] for name in leg.parameter_names]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pincal.estimation.conditions.external import External
 from pincal.estimation.conditions.leg_condition import Met
 from pincal.estimation.rows import WhiteRows
+from pincal.kinematics.batches import over_rows
 from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.derivatives import Demand
 
@@ -177,6 +178,19 @@ class Orthonormal:
         """Return Q of rows, of the same shape (…, n)."""
         scaled = (rows / self.lengths).swapaxes(-1, -2)
         return np.asarray(np.linalg.solve(self.R.T, scaled)).swapaxes(-1, -2)
+
+
+def left_over(Q: Array, r: Array, prior: Array, held: Array) -> tuple[Array, Array]:
+    """Return what orthonormal columns do not take up: of rows, (N, m), and of priors, (k,).
+
+    Args:
+        Q: Rows of the columns, shape (N, m, n).
+        r: Residuals there, shape (N, m).
+        prior: Rows of the columns that are the priors', shape (k, n): these are measurements, too.
+        held: Residuals of the priors, shape (k,).
+    """
+    taken = over_rows(Q, r[:, :, None])[:, 0] + held @ prior
+    return r - Q @ taken, held - prior @ taken
 
 
 def joined(R: Array, rows: Array) -> Array:

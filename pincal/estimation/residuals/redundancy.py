@@ -9,13 +9,13 @@ Conditions follow from white rows, e = −S ν = S Wᵀ r, so that unknown poses
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.residuals.leg_residuals import LegResiduals, leg_residuals
 from pincal.kinematics.batches import product
 
 Array = NDArray[np.float64]
@@ -65,6 +65,11 @@ class Left:
         mixed = (self.taken * self.given).sum(axis=2)
         return np.asarray(alone - 2.0 * mixed + (self.taken @ self.estimate * self.taken).sum(2))
 
+    def part(self, columns: slice) -> Left:
+        """Return what is left of some of the quantities."""
+        noise, taken, given = (one[:, columns] for one in (self.noise, self.taken, self.given))
+        return Left(noise, taken, given, self.estimate)
+
     def of_sum(self, factors: Array) -> float:
         """Return the variance of a sum of the quantities times factors, shape (N, q)."""
         noise = np.einsum("nq,nqs->ns", factors, self.noise)
@@ -72,21 +77,34 @@ class Left:
         return float((noise**2).sum() - 2.0 * taken @ given + taken @ self.estimate @ taken)
 
 
-def redundancy(fit: Fit, residuals: Sequence[tuple[Array, Array]]) -> list[Array]:
-    """Return the variances of residuals after a fit over those of their noise, 1 − h.
-
-    Args:
-        fit: The fit.
-        residuals: Of each kind derivatives by the conditions, shape (N, q, k), and standard
-            deviations by the noise, shape (N, q).
+def every_residual(fit: Fit) -> tuple[list[LegResiduals], Array, list[slice]]:
+    """Return the residuals of legs and what they and those of all that was measured follow.
 
     Returns:
-        Of each kind, shape (N, q); zero where there is no noise.
+        Residuals of each leg; derivatives by the conditions of these and, behind them, of what was
+        measured of the platform, shape (N, q, k); and the columns of each leg, then of that.
     """
-    left = Left.of(fit, np.concatenate([one for one, _ in residuals], axis=1)).variances
-    sigmas = [sigma for _, sigma in residuals]
-    ends = np.cumsum([sigma.shape[1] for sigma in sigmas])[:-1]
-    return [
-        np.maximum(own, 0.0) / np.where(sigma > 0.0, sigma, np.inf) ** 2
-        for own, sigma in zip(np.split(left, ends, axis=1), sigmas, strict=True)
+    problem, linear = fit.problem, fit.last
+    legs = [leg_residuals(problem, linear, index) for index in range(len(problem.legs))]
+    n_legs, (count, k) = problem.leg_rows[-1].stop, linear.stack.value.shape
+    seen = np.broadcast_to(np.eye(k)[n_legs:], (count, k - n_legs, k))
+    parts = [*(leg.follows for leg in legs), seen]
+    ends = np.cumsum([one.shape[1] for one in parts]).tolist()
+    columns = [slice(end - one.shape[1], end) for one, end in zip(parts, ends, strict=True)]
+    return legs, np.concatenate(parts, axis=1), columns
+
+
+def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
+    """Return the residuals of legs, and variances after a fit over those of the noise, 1 − h.
+
+    Of each leg, then of what was measured of the platform, shape (N, q); zero where there is no
+    noise.
+    """
+    legs, follows, columns = every_residual(fit)
+    left = Left.of(fit, follows).variances
+    measured = columns[-1].stop - columns[-1].start
+    sigmas = [*(leg.sigma for leg in legs), fit.problem.sigma_observed[:, :measured]]
+    return legs, [
+        np.maximum(left[:, own], 0.0) / np.where(sigma > 0.0, sigma, np.inf) ** 2
+        for own, sigma in zip(columns, sigmas, strict=True)
     ]

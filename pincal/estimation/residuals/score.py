@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.linear import left_over
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.estimation.residuals.chances import Form
 from pincal.kinematics.batches import over_rows
@@ -92,8 +93,7 @@ class Residuals:
         used, Q, r = np.flatnonzero(one.good), one.Q, one.last.value[one.good]
         held, rows = one.unknowns.prior_rows(one.system.values(one.last.state))
         prior = one.orthonormal(rows)
-        taken = over_rows(Q, r[:, :, None])[:, 0] + held @ prior
-        left, beside = r - Q @ taken, held - prior @ taken
+        left, beside = left_over(Q, r, prior, held)
         chi2 = float((left**2).sum() + (beside**2).sum())
         return cls(used, left, Q, prior, beside, chi2, one.degrees_of_freedom)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.linear import Orthonormal
+from pincal.estimation.linear import Orthonormal, left_over
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
 from pincal.kinematics.batches import over_rows
@@ -230,9 +230,7 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
         J = linear.jacobian[rows] @ one.unknowns.map
         by = Orthonormal.of(J, prior)
         Q = by(J)
-    beside = by(prior)  # priors are rows too
-    taken = over_rows(Q, r[:, :, None])[:, 0] + held @ beside
-    left, held = r - Q @ taken, held - beside @ taken
+    left, held = left_over(Q, r, by(prior), held)
     V = [part @ part.transpose(0, 2, 1) for part in U]
     VQ = [part @ Q for part in V]
     P = [over_rows(Q, part) for part in VQ]

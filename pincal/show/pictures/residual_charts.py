@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.result import CalibrationResult
 from pincal.estimation.linear import State
-from pincal.estimation.residuals.leg_residuals import leg_residuals
-from pincal.estimation.residuals.redundancy import Left
+from pincal.estimation.residuals.redundancy import Left, every_residual
 from pincal.show.pictures.parts import NORMAL, label, marks, outside, room, wrapped
 from pincal.show.results import CONTROLLED, Series, noisy_series
 from pincal.show.style import OUTLIER
@@ -137,14 +136,15 @@ def _left(result: CalibrationResult) -> dict[tuple[bool, str], _Kind]:
     found = {}
     for robust in _again(result).fits:
         fit, problem = robust.fit, robust.fit.problem
-        for index, leg in enumerate(problem.legs):
-            follows = leg_residuals(problem, fit.last, index).follows
-            found[True, leg.name] = _Kind(Left.of(fit, follows), robust.rows, fit.noise_scale)
-        rows = fit.last.stack.value.shape[1]
-        for row, name in enumerate(problem.observation.names, problem.leg_rows[-1].stop):
-            if problem.latent:
-                one = np.broadcast_to(np.eye(rows)[row], (len(robust.rows), 1, rows))
-                found[False, name] = _Kind(Left.of(fit, one), robust.rows, fit.noise_scale)
+        _, follows, columns = every_residual(fit)
+        left = Left.of(fit, follows)
+        own = [((True, leg.name), one) for leg, one in zip(problem.legs, columns, strict=False)]
+        if problem.latent:
+            places = range(columns[-1].start, columns[-1].stop)
+            names = zip(problem.observation.names, places, strict=True)
+            own += [((False, name), slice(place, place + 1)) for name, place in names]
+        for kind, one in own:
+            found[kind] = _Kind(left.part(one), robust.rows, fit.noise_scale)
     return found
 
 
