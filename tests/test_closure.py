@@ -17,7 +17,7 @@ from pincal.kinematics.batches import left_null, product, solve
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import demand
-from pincal.kinematics.forest import Elementary, forest
+from pincal.kinematics.forest import Elementary, forest, placements_of_joints
 from pincal.kinematics.nearest_closure import nearest_closure
 
 Array = NDArray[np.float64]
@@ -131,6 +131,24 @@ def test_forest_equals_one_chain_at_a_time(count: int) -> None:
         pin.updateFramePlacement(model, data, frame)
         np.testing.assert_allclose(tips[n], data.oMf[frame].translation, atol=1e-12)
         np.testing.assert_allclose(columns[:, n], J, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 40])
+def test_placements_of_joints_lie_one_after_the_other(size: int) -> None:
+    """Read where they lie in Pinocchio's memory they are those that it gives one by one.
+
+    A Pinocchio that keeps them in another way fails here: forests cannot be used with it.
+    """
+    model, parent = pin.Model(), 0
+    for element in _random_chain(np.random.default_rng(size), size):
+        joint, placement = element.pinocchio_joint(), element.pinocchio_placement()
+        parent = model.addJoint(parent, joint, placement, f"j{parent}")
+    data = model.createData()
+    lie = placements_of_joints(data)
+    for _ in range(3):
+        pin.computeJointJacobians(model, data, np.random.default_rng(0).standard_normal(size))
+        for own, one in zip(lie, data.oMi, strict=True):
+            np.testing.assert_array_equal(own, [*one.rotation.T.ravel(), *one.translation])
 
 
 @pytest.mark.parametrize(("m", "p"), [(2, 0), (2, 1), (3, 1), (3, 2), (6, 4), (6, 5)])

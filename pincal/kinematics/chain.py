@@ -33,7 +33,7 @@ class Chain:
     """
 
     still: Forest
-    """The first s elementary joints, without dummies."""
+    """The first s elementary joints."""
     first: tuple[float, ...]
     """Constant placement of the next one, row by row; empty for the identity."""
     forest: Forest
@@ -179,7 +179,7 @@ def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None 
     if begins:
         moving_ones = (replace(elements[first], placement=()), *moving_ones[1:])
     return Chain(
-        Forest(tuple(elements[:first]), spatial=True, copies=1),
+        Forest(tuple(elements[:first]), (), spatial=True, copies=1),
         begins,
         forest(moving_ones, _key(pending), spatial=spatial, copies=copies),
         np.array([parameter for parameter, _ in rows]).reshape(len(rows), len(names)),

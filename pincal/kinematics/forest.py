@@ -14,6 +14,7 @@ from threading import Lock
 
 import numpy as np
 import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import cross
@@ -67,19 +68,16 @@ class Base:
 
 
 class Forest:
-    """Copies of one chain of elementary joints, evaluated together.
+    """Copies of one chain of elementary joints, evaluated together."""
 
-    Dummy revolute joints at the end of the chain carry its tip: the column of a
-    revolute joint about a unit axis a through p is (p × a, a), so a × (p × a) is
-    p less its part along a. One dummy gives the tip in the plane across z, two
-    give it in space.
-    """
-
-    def __init__(self, chain: tuple[Elementary, ...], spatial: bool, copies: int) -> None:
+    def __init__(
+        self, chain: tuple[Elementary, ...], tip: tuple[float, ...], spatial: bool, copies: int
+    ) -> None:
         self.chain = chain
         self.spatial = spatial
         self.copies = copies
         self.width = len(chain)
+        self._tip = np.array(tip).reshape(4, 4) if tip else None
         self._model = pin.Model()
         for copy in range(copies):
             parent = 0
@@ -92,6 +90,7 @@ class Forest:
                 )
         self._data = self._model.createData()
         self._roots = range(1, 1 + copies * self.width, max(self.width, 1))
+        self._placements = placements_of_joints(self._data)
         self._turn = Lock()  # Pinocchio's data are one thread's at a time
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
         self._base: Base | None = None  # where the copies begin now
@@ -100,7 +99,7 @@ class Forest:
         """Return where the first copy ends, and how it moves: where another chain may begin.
 
         Args:
-            configuration: Of the chain, shape (n,); it has no dummies.
+            configuration: Of the chain, shape (n,).
             rates: Of the chain's joints in k motions, shape (k, n).
         """
         with self._turn:
@@ -114,40 +113,67 @@ class Forest:
         """Return where the tips of L alike chains are and how they move.
 
         Args:
-            configurations: N configurations of each chain, shape (L, N, n), without dummies.
+            configurations: N configurations of each chain, shape (L, N, n).
             rates: Of the chains' joints in k motions, shape (k, n).
             bases: Where each chain begins, if not at the base's origin.
         """
         legs, count, n = configurations.shape
-        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]
+        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
         with self._turn:
-            columns = self._columns(configurations, bases)
-        kept = np.empty((len(rows), self.width, legs * count))
-        for target, row in zip(kept, rows, strict=True):  # across z the others are zero
-            target.reshape(self.width, legs, count)[:] = columns[row].transpose(2, 0, 1)
-        tips, turns = (_tips_in_space if self.spatial else _tips_in_plane)(kept[:, n:])
+            columns, ends = self._evaluated(configurations, bases)
+        kept = np.empty((len(rows), n, legs, count))
+        for target, row in zip(kept, rows, strict=True):
+            target[:] = columns[:, :, :n, row].transpose(2, 0, 1)
+        tips, turns = self._tips(ends.reshape(legs * count, 12))
         begun = None
         if any(base is not None and base.twists.any() for base in bases):
             still = np.zeros((6, len(rates)))
             begun = np.stack([still if base is None else base.twists for base in bases])[:, rows]
-        return Motion(tips, turns, kept[:, :n], rates, begun)
+        return Motion(tips, turns, kept.reshape(len(rows), n, legs * count), rates, begun)
 
-    def _columns(self, configurations: Array, bases: Sequence[Base | None]) -> Array:
-        """Return Pinocchio's joint columns at the base's origin, shape (6, L, N, width)."""
+    def _evaluated(
+        self, configurations: Array, bases: Sequence[Base | None]
+    ) -> tuple[Array, Array]:
+        """Return Pinocchio's joint columns at the base's origin, and where chains end.
+
+        Shapes (L, N, width, 6) and (L, N, 12), see ``where_they_lie``.
+        """
         legs, count, n = configurations.shape
-        blocks = -(-count // self.copies)
+        blocks, size = -(-count // self.copies), self.copies * self.width
         padded = np.zeros((legs, blocks * self.copies, self.width))
         padded[:, :count, :n] = configurations
-        out = np.empty((6, legs, blocks, self.copies * self.width))
+        columns = np.empty((legs, blocks, size, 6))
+        placements = np.empty((legs, blocks, 1 + size, 12))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        columns = data.J  # Pinocchio's own memory: a copy of what each call returns costs as much
-        for leg, base in enumerate(bases):
+        to, also_to = _bytes(columns), _bytes(placements)
+        here, also_here = _bytes(data.J.T), _bytes(self._placements)
+        step, also = len(here), len(also_here)
+        at = also_at = 0
+        for own, base in zip(padded.reshape(legs, blocks, size), bases, strict=True):
             self._begin_at(base)
-            own = padded[leg].reshape(blocks, self.copies * self.width)
-            for target, q in zip(out[:, leg].swapaxes(0, 1), own, strict=True):
+            for q in own:
                 evaluate(model, data, q)
-                target[:] = columns
-        return out.reshape(6, legs, blocks * self.copies, self.width)[:, :, :count]
+                to[at : at + step] = here  # copied whole, as they lie
+                also_to[also_at : also_at + also] = also_here
+                at, also_at = at + step, also_at + also
+        ends = placements[:, :, self.width :: self.width]
+        every = blocks * self.copies
+        return (
+            columns.reshape(legs, every, self.width, 6)[:, :count],
+            ends.reshape(legs, every, 12)[:, :count],
+        )
+
+    def _tips(self, ends: Array) -> tuple[Array, Array]:
+        """Return tips, shape (2 or 3, N), and their turns, of where the last joints are, (N, 12).
+
+        In the plane across z no turns, shape (0, 3, 3).
+        """
+        turns, m = ends[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), 3 if self.spatial else 2
+        tips = np.ascontiguousarray(ends[:, 9 : 9 + m].T)
+        if self._tip is not None:
+            tips += (turns[:, :m] @ self._tip[:3, 3]).T
+            turns = turns @ self._tip[:3, :3]
+        return tips, turns if self.spatial else np.empty((0, 3, 3))
 
     def _begin_at(self, base: Base | None) -> None:
         """Let all copies begin at a base."""
@@ -253,19 +279,26 @@ def _at(tips: Array, twists: Array) -> Array:
     return twists
 
 
-def _tips_in_plane(dummy: Array) -> tuple[Array, Array]:
-    """Return the tip and no turn, of the dummy's twist at the base's origin, shape (3, 1, N)."""
-    tips = dummy[1::-1, 0] * dummy[2, 0]  # (y, −x, 0) = ωz p × z, and ωz = ±1
-    tips[0] *= -1.0
-    return tips, np.empty((0, 3, 3))
+def placements_of_joints(data: pin.Data) -> Array:
+    """Return placements of all joints in Pinocchio's own memory, shape (n_joints + 1, 12).
+
+    Rotation matrices column by column, then positions: they change with each call.
+
+    Raises:
+        TypeError: this Pinocchio keeps them in another way.
+    """
+    first, last, size = data.oMi[0].rotation, data.oMi[-1], data.oMi[0].rotation.itemsize
+    begin, end, position = (
+        one.__array_interface__["data"][0] for one in (first, last.rotation, last.translation)
+    )
+    if end - begin != 12 * size * (len(data.oMi) - 1) or position - end != 9 * size:
+        raise TypeError(f"pin {pin.__version__} keeps placements of joints in another way")
+    return as_strided(first, (len(data.oMi), 12), (12 * size, size))
 
 
-def _tips_in_space(dummies: Array) -> tuple[Array, Array]:
-    """Return tips and turns, of the dummies' twists at the base's origin, shape (6, 2, N)."""
-    (moment, second), (a, b) = dummies[:3].swapaxes(0, 1), dummies[3:].swapaxes(0, 1)
-    across = cross(a.T, b.T).T
-    tips = cross(a.T, moment.T).T + a * (second * across).sum(axis=0)  # (p × b)·(a × b) = p·a
-    return tips, np.array((b, across, a)).transpose(2, 1, 0)  # they turn about the tip's z and x
+def _bytes(array: Array) -> memoryview:
+    """Return a contiguous array's memory."""
+    return array.reshape(-1).data.cast("B")
 
 
 @lru_cache(maxsize=64)
@@ -284,6 +317,5 @@ def forest(
         spatial: Whether tips are wanted in space, or in the plane across z only.
         copies: Number of chains side by side.
     """
-    dummies = (Elementary("rz", tip), *((Elementary("rx"),) if spatial else ()))
-    width = len(chain) + len(dummies)
-    return Forest(chain + dummies, spatial, copies or max(1, _COLUMNS // width))
+    chain = chain or (Elementary("rz"),)  # one that nobody turns
+    return Forest(chain, tip, spatial, copies or max(1, _COLUMNS // len(chain)))
