@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.adjusted import last_steps
+from pincal.estimation.adjusted import adjusts, last_steps
 from pincal.estimation.linear import Linear, Orthonormal, State
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
-from pincal.estimation.solve import near_start, search
+from pincal.estimation.solve import BY, near_start, search
 from pincal.estimation.spread import Spread
 from pincal.estimation.system import ROWS_FOLLOW, System
 from pincal.estimation.unknowns import Unknowns
@@ -141,7 +141,9 @@ def fit(
     if start is not None:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
     near, more = near_start(system, first, progress) if start is None else (first, 0)
-    found = last_steps(system, search(system, near, progress, highest=highest, most=most))
+    enough = BY.slow if adjusts(problem) else 0.0  # the last steps go on from there
+    found = search(system, near, progress, highest=highest, enough=enough, most=most)
+    found = last_steps(system, found)
     linear, weights = found.linear, found.weights
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, linear))

@@ -13,7 +13,7 @@ from pincal.kinematics.closure import Newton, largest_size
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-_POSES = Newton(steps=10, small=1e-6, largest=0.2)  # solved again until first order away
+_POSES = Newton(steps=10, small=1e-4, largest=0.2)  # solved again until first order away
 _SHORTEST = 1e-2  # of a step: poses that need shorter ones stay where they are
 _ASTRAY = 1e-3  # of the machine's size, or [rad]: a pose that wants to move farther is not solved
 

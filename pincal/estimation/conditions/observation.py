@@ -76,6 +76,7 @@ class Observation:
         if platform.turns == 3:
             part = np.where(whole[:, None], np.nan, data.poses[:, lengths:])
             single |= dict(zip(platform.coordinates[lengths:], part.T, strict=True))
+        single = {name: own for name, own in single.items() if np.isfinite(own).any()}
         self._angle_names = tuple(single)
         values |= single
         turn_names = platform.freedoms[lengths:]
