@@ -10,13 +10,16 @@ from __future__ import annotations
 import gc
 import os
 import pickle
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
+from importlib import import_module
+from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,7 +75,10 @@ class Drawer:
             return {}  # it has ended, or says nothing that is understood
 
     def end(self) -> None:
-        """End the process, whatever it does."""
+        """End the process and its forks, whatever they do."""
+        if hasattr(os, "killpg") and self._process.returncode is None:
+            with suppress(OSError):
+                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
         self._talk.shutdown()
         with suppress(OSError), self._process:  # closes its pipes
@@ -101,7 +107,7 @@ def drawing_beside() -> Iterator[Drawer | None]:
         run = [sys.executable, "-P", "-c", _RUN]
         to, by = subprocess.PIPE, subprocess.DEVNULL
         with suppress(OSError):
-            process = subprocess.Popen(run, stdin=to, stdout=to, stderr=by)
+            process = subprocess.Popen(run, stdin=to, stdout=to, stderr=by, start_new_session=True)
     found = None if process is None else Drawer(process)
     try:
         yield found
@@ -114,16 +120,37 @@ def answer() -> None:
     """Draw what is asked for on stdin until that ends, then write the figures to stdout."""
     gc.disable()  # it lives for a moment
     out, sys.stdout = sys.stdout.buffer, sys.stderr
+    import_module("pincal.show.report.figures")  # before forks of this process draw
+    asked: dict[str, Future[SvgFigure | None]] = {}
+    with _hands() as hands:
+        while (one := _asked()) is not None:
+            data = pickle.dumps(one)
+            asked |= {name: hands.submit(_figure, data, name) for name in one[1]}
+        drawn = {name: figure.result() for name, figure in asked.items()}
+    pickle.dump(drawn, out)
+    out.flush()
+
+
+def _hands() -> Executor:
+    """Return what draws: two forks of this process, or itself where there are no forks."""
+    if "fork" not in get_all_start_methods():
+        return ThreadPoolExecutor(1)
+    return ProcessPoolExecutor(2, get_context("fork"))
+
+
+def _figure(data: bytes, name: str) -> SvgFigure | None:
+    """Return a figure of what was asked for."""
     from pincal.show.report.figures import FIGURES
     from pincal.words.numbers import reading_in
 
-    drawn: dict[str, SvgFigure | None] = {}
-    while (asked := _asked()) is not None:
-        found, names, units = asked
-        with reading_in(units):
-            drawn |= {name: FIGURES[name](found) for name in names}
-    pickle.dump(drawn, out)
-    out.flush()
+    found, _, units = _understood(data)
+    with reading_in(units):
+        return FIGURES[name](found)
+
+
+@lru_cache(maxsize=2)
+def _understood(data: bytes) -> Any:
+    return pickle.loads(data)
 
 
 def _asked() -> Any:
