@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import subprocess
 import sys
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,35 @@ def test_a_process_that_draws_for_ever_is_ended() -> None:
     found = started("import time; time.sleep(1000)")
     found.end()
     assert found._process.returncode not in (None, 0)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="no /proc says what runs")
+def test_forks_end_with_their_process(tmp_path: Path) -> None:
+    """What draws beside a command does not outlive it."""
+    file = tmp_path / "fork"
+    code = (
+        "import os, pathlib, sys, time; fork = os.fork(); "
+        "fork and pathlib.Path(sys.argv[1]).write_text(f'{fork} '); time.sleep(1000)"
+    )
+    run, pipe = [sys.executable, "-c", code, str(file)], subprocess.PIPE
+    found = Drawer(subprocess.Popen(run, stdin=pipe, stdout=pipe, start_new_session=True))
+    while not (file.is_file() and file.read_text().endswith(" ")):
+        time.sleep(0.01)
+    state = Path("/proc", file.read_text().strip(), "stat")
+    assert running(state)
+    found.end()
+    begin = time.monotonic()
+    while running(state) and time.monotonic() - begin < 10.0:
+        time.sleep(0.01)
+    assert not running(state)
+
+
+def running(state: Path) -> bool:
+    """Return whether a process runs, by what the system says of it."""
+    try:
+        return state.read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
 
 
 def test_without_processes_figures_are_drawn_here(monkeypatch: pytest.MonkeyPatch) -> None:

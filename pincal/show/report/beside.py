@@ -14,12 +14,11 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache, lru_cache
 from importlib import import_module
-from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -133,6 +132,9 @@ def answer() -> None:
 
 def _hands() -> Executor:
     """Return what draws: two forks of this process, or itself where there are no forks."""
+    from concurrent.futures import ProcessPoolExecutor  # a tenth of what a page of help takes
+    from multiprocessing import get_all_start_methods, get_context
+
     if "fork" not in get_all_start_methods():
         return ThreadPoolExecutor(1)
     return ProcessPoolExecutor(2, get_context("fork"))
