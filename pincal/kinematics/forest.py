@@ -136,7 +136,7 @@ class Forest:
     ) -> tuple[Array, Array]:
         """Return Pinocchio's joint columns at the base's origin, and where chains end.
 
-        Shapes (L, N, width, 6) and (L, N, 12), see ``where_they_lie``.
+        Shapes (L, N, width, 6) and (L, N, 12), see ``placements_of_joints``.
         """
         legs, count, n = configurations.shape
         blocks, size = -(-count // self.copies), self.copies * self.width

@@ -132,7 +132,7 @@ def answer() -> None:
 
 def _hands() -> Executor:
     """Return what draws: two forks of this process, or itself where there are no forks."""
-    from concurrent.futures import ProcessPoolExecutor  # a tenth of what a page of help takes
+    from concurrent.futures import ProcessPoolExecutor  # slow to import, needed here only
     from multiprocessing import get_all_start_methods, get_context
 
     if "fork" not in get_all_start_methods():
