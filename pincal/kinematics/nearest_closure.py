@@ -156,7 +156,8 @@ def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:
     values, vectors = np.linalg.eigh(product(transposed, J) + bend)
     downhill = vectors.transpose(0, 2, 1) @ product(transposed, gap[:, :, None])
     steepest = np.abs(values).max(axis=1, keepdims=True)
-    steps = vectors @ (downhill[:, :, 0] / np.maximum(np.abs(values), EXACT * steepest))[:, :, None]
+    least = np.maximum(EXACT * steepest, np.finfo(float).tiny)  # a slide of no length goes nowhere
+    steps = vectors @ (downhill[:, :, 0] / np.maximum(np.abs(values), least))[:, :, None]
     return -np.asarray(steps)[:, :, 0]
 
 
