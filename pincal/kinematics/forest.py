@@ -90,7 +90,9 @@ class Forest:
                 )
         self._data = self._model.createData()
         self._roots = range(1, 1 + copies * self.width, max(self.width, 1))
-        self._placements = placements_of_joints(self._data)
+        # Pinocchio's own memory, which each call writes again
+        self._columns = _bytes(self._data.J.T)
+        self._placements = _bytes(placements_of_joints(self._data))
         self._turn = Lock()  # Pinocchio's data are one thread's at a time
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
         self._base: Base | None = None  # where the copies begin now
@@ -145,17 +147,14 @@ class Forest:
         columns = np.empty((legs, blocks, size, 6))
         placements = np.empty((legs, blocks, 1 + size, 12))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        to, also_to = _bytes(columns), _bytes(placements)
-        here, also_here = _bytes(data.J.T), _bytes(self._placements)
-        step, also = len(here), len(also_here)
-        at = also_at = 0
-        for own, base in zip(padded.reshape(legs, blocks, size), bases, strict=True):
+        to_columns, to_placements = _bytes(columns), _bytes(placements)
+        each, each_too = len(self._columns), len(self._placements)
+        for leg, base in enumerate(bases):
             self._begin_at(base)
-            for q in own:
-                evaluate(model, data, q)
-                to[at : at + step] = here  # copied whole, as they lie
-                also_to[also_at : also_at + also] = also_here
-                at, also_at = at + step, also_at + also
+            for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
+                evaluate(model, data, q)  # then all is copied as it lies
+                to_columns[block * each : (block + 1) * each] = self._columns
+                to_placements[block * each_too : (block + 1) * each_too] = self._placements
         ends = placements[:, :, self.width :: self.width]
         every = blocks * self.copies
         return (

@@ -94,7 +94,7 @@ class Observation:
         """Which quantity is measured in which row, shape (N, r)."""
         self._values = np.where(self.measured[:, : stacked.shape[1]], stacked, 0.0)
         self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
-        oriented = bool(whole.any() or self._any(self._angle_names))
+        oriented = bool(whole.any() or single)
         self.external = ExternalUnknowns(platform, setup, oriented)
         self._axes = axes
 
@@ -118,9 +118,6 @@ class Observation:
         found.measured, found._values = self.measured[chosen], self._values[chosen]
         found.orientations, found._own = self.orientations[chosen], self._own[chosen]
         return found
-
-    def _any(self, names: tuple[str, ...]) -> bool:
-        return any(self.measured[:, self.names.index(name)].any() for name in names)
 
     def noise(self, data: Measurements, noise: Noise) -> RowNoise:
         """Return the noise of all that is measured: each row's own, else that given.

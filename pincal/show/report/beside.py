@@ -61,7 +61,7 @@ class Drawer:
         silent = replace(calibration.options, progress=None)  # code does not go through pipes
         result = replace(found.result, calibration=replace(calibration, options=silent))
         with suppress(AttributeError, TypeError, pickle.PicklingError):  # then drawn here
-            self._write((replace(found, result=result), names, dict(units)))
+            self._write((names, pickle.dumps((replace(found, result=result), dict(units)))))
 
     def drawn(self) -> Mapping[str, SvgFigure | None]:
         """Return all figures that were asked for, none of them if the process failed."""
@@ -123,8 +123,8 @@ def answer() -> None:
     asked: dict[str, Future[SvgFigure | None]] = {}
     with _hands() as hands:
         while (one := _asked()) is not None:
-            data = pickle.dumps(one)
-            asked |= {name: hands.submit(_figure, data, name) for name in one[1]}
+            names, data = one
+            asked |= {name: hands.submit(_figure, data, name) for name in names}
         drawn = {name: figure.result() for name, figure in asked.items()}
     pickle.dump(drawn, out)
     out.flush()
@@ -145,14 +145,16 @@ def _figure(data: bytes, name: str) -> SvgFigure | None:
     from pincal.show.report.figures import FIGURES
     from pincal.words.numbers import reading_in
 
-    found, _, units = _understood(data)
+    found, units = _understood(data)
     with reading_in(units):
         return FIGURES[name](found)
 
 
 @lru_cache(maxsize=2)
-def _understood(data: bytes) -> Any:
-    return pickle.loads(data)
+def _understood(data: bytes) -> tuple[Findings, dict[str, str]]:
+    """Return what figures show, and in which units: once for all figures of one process."""
+    found, units = pickle.loads(data)
+    return found, units
 
 
 def _asked() -> Any:
