@@ -1,5 +1,6 @@
 """What people type: the ``pincal`` command."""
 
+import gc
 import os
 import sys
 
@@ -17,4 +18,8 @@ def main(argv: list[str] | None = None) -> None:
         with no_collection():
             from pincal.cli.run import run  # loads much: a process that draws does so meanwhile
 
-        run(argv)
+        try:
+            run(argv)
+        finally:
+            if argv is None:
+                gc.freeze()  # the process ends: no rings are looked for among all that it holds

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: Figures that follow from the fits alone, and those that wait for the checks of a result.
 OF_FITS = ("images", "changes", "drawing", "residuals", "histogram", "observability")
-OF_CHECKS = ("poses", "rms", "maps")
+OF_CHECKS = ("maps", "poses", "rms")  # the longest first
 #: What the process runs: modules are found where this process finds them.
 _RUN = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -65,11 +65,14 @@ class Drawer:
 
     def drawn(self) -> Mapping[str, SvgFigure | None]:
         """Return all figures that were asked for, none of them if the process failed."""
+        into, out = self._process.stdin, self._process.stdout
+        if into is None or out is None:
+            return {}
         try:
             for one in self._written:
                 one.result()
-            said, _ = self._talk.submit(self._process.communicate).result()
-            return dict(pickle.loads(said)) if self._process.returncode == 0 else {}
+            self._talk.submit(into.close).result()  # nothing more is asked
+            return dict(pickle.load(out))
         except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError):
             return {}  # it has ended, or says nothing that is understood
 
@@ -126,8 +129,8 @@ def answer() -> None:
             names, data = one
             asked |= {name: hands.submit(_figure, data, name) for name in names}
         drawn = {name: figure.result() for name, figure in asked.items()}
-    pickle.dump(drawn, out)
-    out.flush()
+        pickle.dump(drawn, out)
+        out.flush()  # no one waits for forks and modules to be put away
 
 
 def _hands() -> Executor:
