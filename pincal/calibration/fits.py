@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.near import Near
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.conditions.external import External
-from pincal.estimation.linear import State
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.unobservable import Held, hold_unobservable
 from pincal.estimation.problem import Problem
@@ -85,7 +85,7 @@ class Fits:
         return {name: found[name] for name in mechanism.leg_names}
 
 
-def fitted(calibration: Calibration, *, tied: bool = True, near: State | None = None) -> Fits:
+def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = None) -> Fits:
     """Return the fits of a calibration, the noise estimated by group if it was not given.
 
     Args:
@@ -197,7 +197,7 @@ def _loss(calibration: Calibration) -> Loss | None:
 
 
 def _all_legs(
-    calibration: Calibration, tied: bool, before: Fits | None, near: State | None = None
+    calibration: Calibration, tied: bool, before: Fits | None, near: Near | None = None
 ) -> Fits:
     """Return the fit of all legs, poses and frames at once.
 
@@ -211,12 +211,17 @@ def _all_legs(
     problem, unknowns = calibration.latent_problem, calibration.unknowns(tied=tied)
     if options.setup.plain and not (options.tied or options.hold_undetermined):
         calibration.check_counts()
-    if before is None:
-        problem = calibration.started(problem)
-        gauge = find_gauge(mechanism, problem, unknowns)
-    else:
+    start = gauge = None
+    if before is not None:
         problem = replace(problem, first=before.fits[0].fit.problem.first)
-        gauge = before.gauge or find_gauge(mechanism, problem, unknowns)
+        start, gauge = before.fits[0].fit.last.state, before.gauge
+    elif near is not None:
+        start, gauge = near.state, near.gauge(problem, unknowns)
+        problem = replace(problem, first=start)
+    else:
+        problem = calibration.started(problem)
+    if gauge is None:
+        gauge = find_gauge(mechanism, problem, unknowns)
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
     held = hold_unobservable(mechanism, problem, free) if options.hold_undetermined else None
     free = free if held is None else held.unknowns
@@ -224,7 +229,6 @@ def _all_legs(
     kept = calibration.counts
     system = System(problem, free, calibration.noise.known, kept=None if kept.all() else kept)
     every = np.arange(len(calibration.measurements))
-    start = near if before is None else before.fits[0].fit.last.state
     found = robust_fit(
         mechanism, system, every, _loss(calibration), start, progress=options.progress
     )

@@ -10,7 +10,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -29,7 +30,8 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.given import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.derivatives import leg_demands_at
 from pincal.model.checks import ALIKE, count_of, described
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
@@ -187,10 +189,7 @@ def select_poses(
         plan, efficiencies, references = _by_symmetry(search, count, orbits=protocol == "orbits")
     if protocol in ("independent", "common"):
         plan = Plan(poses, sets)
-    legs = tuple(
-        replace(_leg_design(mechanism, name, plan, efficiency), reference=reference)
-        for name, efficiency, reference in zip(names, efficiencies, references, strict=True)
-    )
+    legs = _leg_designs(mechanism, plan, efficiencies, references)
     return Selection(plan, protocol, legs, search.usable, search.unreachable)
 
 
@@ -250,10 +249,30 @@ def _refuse_ranks(mechanism: Mechanism) -> None:
             )
 
 
-def _leg_design(mechanism: Mechanism, leg: str, plan: Plan, efficiency: float) -> LegDesign:
-    poses = plan.poses[plan.serves(leg)]
-    rows = leg_demand(mechanism, leg, poses).as_joint()
-    C = -rows.parameter.reshape(-1, rows.parameter.shape[2])
-    names = [f"{leg}.{name}" for name in mechanism.leg(leg).parameter_names]
-    condition = identifiability(C, names).condition
-    return LegDesign(leg, len(poses), efficiency, indices(C), r_diagonal(C), condition)
+def _leg_designs(
+    mechanism: Mechanism, plan: Plan, efficiencies: Sequence[float], references: Sequence[str]
+) -> tuple[LegDesign, ...]:
+    """Return what a plan gives each leg, whose efficiency and reference leg are known."""
+    matrices, legs = mechanism.platform.matrices(plan.poses), nominal_legs(mechanism)
+    served = [matrices[plan.serves(name)] for name in mechanism.leg_names]
+    if len(set(map(len, served))) == 1:
+        demands = leg_demands_at(legs, served)
+    else:
+        demands = [leg_demands_at([leg], [own])[0] for leg, own in zip(legs, served, strict=True)]
+    found = []
+    parts = zip(mechanism.legs, demands, efficiencies, references, strict=True)
+    for leg, demand, efficiency, reference in parts:
+        C = -demand.as_joint().parameter.reshape(-1, len(leg.parameters))
+        names = [f"{leg.name}.{name}" for name in leg.parameter_names]
+        found.append(
+            LegDesign(
+                leg.name,
+                len(demand.value),
+                efficiency,
+                indices(C),
+                r_diagonal(C),
+                identifiability(C, names).condition,
+                reference,
+            )
+        )
+    return tuple(found)

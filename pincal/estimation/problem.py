@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.estimation.conditions.alike_legs import alike_legs, all_met
+from pincal.estimation.conditions.alike_legs import all_met
 from pincal.estimation.conditions.covariances import RowNoise
 from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
 from pincal.estimation.linear import Block, Linear, Stack, State
 from pincal.estimation.rows import NoNoiseError, white_rows
 from pincal.kinematics.closing import CHUNK
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import LegClosure, alike
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.model.leg import Leg
@@ -87,7 +87,7 @@ class Problem:
         """Places of legs that may be evaluated in one call; each alone where rows are many."""
         if len(self.used) > CHUNK:
             return [[place] for place in range(len(self.conditions))]
-        return alike_legs(self.conditions)
+        return alike(one.form for one in self.conditions)
 
     @cached_property
     def columns(self) -> list[slice]:

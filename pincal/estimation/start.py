@@ -136,7 +136,8 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     ]
     redundant = mechanism.redundant  # of which the type-2 margin has no sign
     known = _leg_equations(problem) >= mechanism.platform.dof  # readings alone give the pose
-    good = known & (redundant | (platform_margin(mechanism, closures) > 0.0))
+    lines = [one.constraint_by_pose for one in closures]
+    good = known & (redundant | (platform_margin(mechanism, lines) > 0.0))
     missed = np.zeros(len(good))
     for leg, closure, own in zip(legs, closures, problem.used.T, strict=True):
         missed = np.fmax(missed, np.where(own, np.abs(closure.gap).max(axis=1) / leg.size, 0.0))

@@ -1,4 +1,4 @@
-"""One leg closed at poses, in its working mode, and what its sensors read there.
+"""Legs closed at poses, in their working modes, and what their sensors read there.
 
 Newton's method on closure from a start in the mode. A pose that a leg cannot reach in
 its mode is NaN, never a wrong branch. A homed sensor counts from the joint's
@@ -7,21 +7,26 @@ position at the platform's home pose, which is a leg closed too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import wrapped
-from pincal.kinematics.closure import Closure, LegClosure, Newton, nominal_legs
-from pincal.kinematics.starts import in_home_mode, start_joints
+from pincal.kinematics.closure import (
+    Closure,
+    LegClosure,
+    Newton,
+    each,
+    evaluate,
+)
+from pincal.kinematics.starts import in_home_modes, start_joints
 from pincal.model.checks import ROUNDING
-from pincal.model.mechanism import Mechanism
 from pincal.model.sensors.sensor import SensorLaw, sensor_laws
 
 Array = NDArray[np.float64]
@@ -33,8 +38,8 @@ _EXACT = 2e-15  # of a leg's size, what rounding leaves of a closed form
 
 
 @dataclass(frozen=True)
-class ClosedLeg:
-    """One leg closed at N poses."""
+class Closed:
+    """One leg closed at N poses; or alike legs, rows of each below those of the one before."""
 
     joints: Array
     """Positions of the moving joints, shape (N, n_joints), [rad] or [m]; NaN where not reached."""
@@ -46,7 +51,7 @@ class ClosedLeg:
 
 def close(
     leg: LegClosure, matrices: Array, influences: Array | None = None, near: Array | None = None
-) -> ClosedLeg:
+) -> Closed:
     """Return one leg closed at poses.
 
     Args:
@@ -57,32 +62,68 @@ def close(
         near: Positions of the moving joints near those that close it, shape (N, n_joints); where
             NaN it counts as not reached. Found in its working mode if not given.
     """
+    return close_alike((leg,), matrices, influences, near)
+
+
+def close_alike(
+    legs: Sequence[LegClosure],
+    matrices: Array,
+    influences: Array | None = None,
+    near: Array | None = None,
+) -> Closed:
+    """Return L alike legs closed at poses, N rows of each below those of the one before.
+
+    Args:
+        legs: Legs of one form, at their parameter values; influences are those of one alone.
+        matrices: Poses ``T_base_platform``, shape (L N, 4, 4).
+        influences: See ``close``.
+        near: See ``close``, shape (L N, n_joints).
+    """
+    rows, count = each(len(legs), len(matrices)), len(matrices) // len(legs)
     if near is None:
-        start, possible = start_joints(leg, matrices)
-        attempts, about = _ATTEMPTS, leg.leg.home[None]
+        starts = [start_joints(leg, matrices[own]) for leg, own in zip(legs, rows, strict=True)]
+        start = below([joints for joints, _ in starts])
+        possible, about = below([one for _, one in starts]), _homes(legs, count)
+        attempts = _ATTEMPTS
     else:
         possible = np.asarray(np.isfinite(near).all(axis=1))
-        attempts, start = 1, np.where(possible[:, None], near, leg.leg.home)
+        attempts, start = 1, np.where(possible[:, None], near, _homes(legs, count))
         about = start
-    joints, n = leg.deformed(start, influences), start.shape[1]
+    joints, n = legs[0].deformed(start, influences), start.shape[1]
     if near is None:
         possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
-    closure = leg.evaluate(joints, matrices)
-    closed = possible & _small(leg, closure)
-    if not (closed & _small(leg, closure, _EXACT)).all():  # else a step is rounding
-        step = _newton_step(leg, closure)
+    closure = evaluate(legs, joints, matrices)
+    closed = possible & _small(legs, closure)
+    if not (closed & _small(legs, closure, _EXACT)).all():  # else a step is rounding
+        step = _newton_step(legs[0], closure)
         last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
         joints = np.where((closed & ~last)[:, None], joints, joints + step)
     if not (closed | ~possible).all():
-        joints, closed = _search(leg, matrices, joints, closed, possible, attempts)
-        turning = [i for i, joint in enumerate(leg.leg.moving) if joint.kind == "revolute"]
+        for leg, own in zip(legs, rows, strict=True):
+            joints[own], closed[own] = _search(
+                leg, matrices[own], joints[own], closed[own], possible[own], attempts
+            )
+        turning = [i for i, joint in enumerate(legs[0].leg.moving) if joint.kind == "revolute"]
         around = wrapped(joints[:, turning] - about[:, turning])
         joints[:, turning] = about[:, turning] + around  # Newton's method may have gone round
-        home = leg.deformed(leg.leg.home[None])
-        closure = leg.evaluate(np.where(closed[:, None], joints, home), matrices)
-    joints = _within_limits(leg, joints[:, :n]) if near is None else joints[:, :n]
-    reached = closed & in_home_mode(leg, closure)
-    return ClosedLeg(np.where(reached[:, None], joints, np.nan), reached, closure)
+        home = legs[0].deformed(_homes(legs, count))
+        closure = evaluate(legs, np.where(closed[:, None], joints, home), matrices)
+    joints = joints[:, :n]
+    if near is None:
+        for leg, own in zip(legs, rows, strict=True):
+            joints[own] = _within_limits(leg, joints[own])
+    reached = closed & in_home_modes(legs, closure)
+    return Closed(np.where(reached[:, None], joints, np.nan), reached, closure)
+
+
+def below(parts: Sequence[Any]) -> Any:
+    """Return arrays below each other; a single one as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _homes(legs: Sequence[LegClosure], rows: int) -> Array:
+    """Return the home joints of legs, so many rows of each, shape (L rows, n_joints)."""
+    return np.repeat([leg.leg.home for leg in legs], rows, axis=0)
 
 
 def _within_limits(leg: LegClosure, joints: Array) -> Array:
@@ -113,13 +154,13 @@ def _search(
         for _ in range(_NEWTON.steps):
             part = leg.evaluate(joints[rows], matrices[rows])
             joints[rows] += _newton_step(leg, part)
-            going = ~_small(leg, part) & np.isfinite(joints[rows]).all(axis=1)
+            going = ~_small((leg,), part) & np.isfinite(joints[rows]).all(axis=1)
             rows = rows[going]
             if not len(rows):
                 break
         found = found[np.isfinite(joints[found]).all(axis=1)]
         part = leg.evaluate(joints[found], matrices[found])
-        closed[found] = _small(leg, part) & in_home_mode(leg, part)
+        closed[found] = _small((leg,), part) & in_home_modes((leg,), part)
         if (closed | ~possible).all():
             break
     return joints, closed
@@ -137,8 +178,12 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
         return step
 
 
-def _small(leg: LegClosure, closure: Closure, within: float = _NEWTON.closed) -> Mask:
-    return np.asarray((np.abs(closure.gap) <= within * leg.size).all(axis=1))
+def _small(legs: Sequence[LegClosure], closure: Closure, within: float = _NEWTON.closed) -> Mask:
+    """Return where gaps of alike legs are small against their sizes, shape (L N,)."""
+    sizes: Any = legs[0].size
+    if len(legs) > 1:
+        sizes = np.repeat([leg.size for leg in legs], len(closure.gap) // len(legs))[:, None]
+    return np.asarray((np.abs(closure.gap) <= within * sizes).all(axis=1))
 
 
 @lru_cache(maxsize=64)
@@ -188,35 +233,3 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = -least_squares(closed.closure.drive, closed.closure.constraint_by_parameter)
     return closed.joints[0, leg.leg.active], slopes[0]
-
-
-def close_chunks(
-    mechanism: Mechanism,
-    placed: RigidTransform | Array,
-    influences: Array | None = None,
-    near: Mapping[str, Array] | None = None,
-) -> Iterator[tuple[slice, Array, list[ClosedLeg]]]:
-    """Yield the closed legs of poses in chunks of bounded memory: rows, matrices, one per leg.
-
-    Args:
-        mechanism: The mechanism, at its nominal parameters.
-        placed: N poses.
-        influences: Of all legs, shape (N, n_influences); at their reference if not given.
-        near: By leg, positions of its moving joints near those that close it, found if not given.
-    """
-    legs = nominal_legs(mechanism)
-    for rows, matrices in matrix_chunks(placed):
-        closed = []
-        for index, leg in enumerate(legs):
-            own = None if influences is None else mechanism.influences_at(index, influences[rows])
-            start = None if near is None else near[leg.leg.name][rows]
-            closed.append(close(leg, matrices, own, start))
-        yield rows, matrices, closed
-
-
-def matrix_chunks(placed: RigidTransform | Array) -> Iterator[tuple[slice, Array]]:
-    """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
-    for begin in range(0, len(placed), CHUNK):
-        rows = slice(begin, min(begin + CHUNK, len(placed)))
-        part = placed[rows]
-        yield rows, part.as_matrix() if isinstance(part, RigidTransform) else part

@@ -296,6 +296,20 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     return Closure(placed.gap, active, passive, placed)
 
 
+def alike(forms: Iterable[object]) -> list[list[int]]:
+    """Return the places of what has one form (see ``LegClosure.form``), by form."""
+    groups: dict[object, list[int]] = {}
+    for place, form in enumerate(forms):
+        groups.setdefault(form, []).append(place)
+    return list(groups.values())
+
+
+def each(count: int, rows: int) -> list[slice]:
+    """Return the rows of each of so many alike legs."""
+    own = rows // count
+    return [slice(leg * own, (leg + 1) * own) for leg in range(count)]
+
+
 def _padded(rows: Array) -> Array:
     """Return points (2 or 3, N) as points in space, shape (N, 3)."""
     return np.concatenate((rows, np.zeros((3 - len(rows), rows.shape[1])))).T

@@ -16,7 +16,7 @@ from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.batches import block_diagonal, least_squares
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.derivatives import Demand, leg_demand
+from pincal.kinematics.derivatives import Demand, leg_demands_at
 from pincal.kinematics.forward import forward, with_loads
 from pincal.kinematics.influences.columns import influences_of
 from pincal.kinematics.inverse import InverseSolution, inverse
@@ -154,19 +154,14 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
 
 def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
     """Return what each leg demands at configurations, poses in reach: see ``leg_demand``."""
-    influences = planned_influences(mechanism, plan)
-    return [
-        leg_demand(
-            mechanism,
-            leg.name,
-            plan.poses,
-            readings=None if plan.readings is None else plan.readings[:, own],
-            influences=None if influences is None else mechanism.influences_at(index, influences),
-        )
-        for index, (leg, own) in enumerate(
-            zip(mechanism.legs, mechanism.reading_columns, strict=True)
-        )
-    ]
+    columns, legs = planned_influences(mechanism, plan), nominal_legs(mechanism)
+    readings = influences = None
+    if plan.readings is not None:
+        readings = [plan.readings[:, own] for own in mechanism.reading_columns]
+    if columns is not None:
+        influences = [mechanism.influences_at(index, columns) for index in range(len(legs))]
+    placed = mechanism.platform.placed(plan.poses)
+    return leg_demands_at(legs, [placed] * len(legs), readings, influences)
 
 
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:

@@ -7,7 +7,7 @@ residual (predicted less measured reading), whose rows are those of e over âˆ’âˆ
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +16,15 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
-from pincal.kinematics.closing import close, matrix_chunks, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure
-from pincal.kinematics.nearest_closure import each, nearest_closure
+from pincal.kinematics.closing import CHUNK, close_alike, sensor_law
+from pincal.kinematics.closure import Closure, LegClosure, each
+from pincal.kinematics.every_leg import alike_few, chunks, matrices_of, matrix_chunks
+from pincal.kinematics.nearest_closure import begun, nearest_closures
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -99,26 +101,84 @@ def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> A
     return found
 
 
-def _closed_chunks(
-    leg: LegClosure,
-    placed: RigidTransform | Array,
-    readings: Array | None = None,
-    influences: Array | None = None,
-) -> Iterator[tuple[slice, Closure, Array, NDArray[np.bool_]]]:
-    """Yield rows, closure, what is known and which rows are reached, in chunks of bounded memory.
+def _closed(
+    legs: Sequence[LegClosure],
+    matrices: Array,
+    readings: Sequence[Array] | None = None,
+    influences: Sequence[Array] | None = None,
+) -> tuple[Closure, list[Array], Mask]:
+    """Return closures of alike legs, what is known of each, and which rows are reached.
 
-    Known are readings, and influences if there are any.
+    Known are readings, and influences if there are any; rows of each leg stand below those of the
+    one before.
     """
-    for rows, matrices in matrix_chunks(placed):
-        more = np.zeros((len(matrices), 0)) if influences is None else influences[rows]
-        if readings is not None:
-            known = np.hstack((readings[rows], more))
-            closure, _ = nearest_closure(leg, matrices, known)
-            yield rows, closure, known, np.ones(len(matrices), dtype=bool)
-            continue
-        closed = close(leg, matrices, more)
-        psi = sensor_law(leg).reading(closed.joints[:, leg.leg.active], more)
-        yield rows, closed.closure, np.hstack((psi, more)), closed.reached
+    rows = each(len(legs), len(matrices))
+    more = influences or [np.zeros((len(matrices[own]), 0)) for own in rows]
+    if readings is not None:
+        known = [np.hstack(pair) for pair in zip(readings, more, strict=True)]
+        parts = zip(legs, rows, known, strict=True)
+        start = np.concatenate([begun(leg, matrices[own], said, None) for leg, own, said in parts])
+        closure, _ = nearest_closures(legs, matrices, start)
+        return closure, known, np.ones(len(matrices), dtype=bool)
+    closed = close_alike(legs, matrices, more[0] if len(legs) == 1 else None)
+    known = []
+    for leg, own, said in zip(legs, rows, more, strict=True):
+        psi = sensor_law(leg).reading(closed.joints[own][:, leg.leg.active], said)
+        known.append(np.hstack((psi, said)))
+    return closed.closure, known, closed.reached
+
+
+def leg_demands_at(
+    legs: Sequence[LegClosure],
+    placed: Sequence[RigidTransform | Array],
+    readings: Sequence[Array] | None = None,
+    influences: Sequence[Array] | None = None,
+) -> list[Demand]:
+    """Return what legs demand, each at as many poses of its own: see ``leg_demand``.
+
+    Args:
+        legs: The legs at their parameter values; alike ones are evaluated in one call.
+        placed: Of each leg N transforms, or matrices (N, 4, 4).
+        readings: Of each leg, shape (N, n_active); those of inverse kinematics if not given.
+        influences: Of each leg, shape (N, n_influences); at their reference if not given.
+    """
+    count = len(placed[0])
+    if 0 < count <= CHUNK:
+        return _demands_of(legs, [matrices_of(one) for one in placed], readings, influences)
+    found = []
+    for leg in legs:
+        n_rows = len(leg.platform.closing(leg.leg.closes)) - len(leg.leg.passive)
+        sizes = (len(leg.parameters), leg.platform.dof, len(leg.leg.sensors))
+        derivatives = (np.empty((count, n_rows, size)) for size in sizes)
+        found.append(Demand(np.empty((count, n_rows)), *derivatives))
+    for rows in chunks(count):
+        given = ([one[rows] for one in own] if own else None for own in (readings, influences))
+        parts = _demands_of(legs, [matrices_of(one[rows]) for one in placed], *given)
+        for whole, part in zip(found, parts, strict=True):
+            for target, values in zip(vars(whole).values(), vars(part).values(), strict=True):
+                target[rows] = values
+    return found
+
+
+def _demands_of(
+    legs: Sequence[LegClosure],
+    matrices: Sequence[Array],
+    readings: Sequence[Array] | None,
+    influences: Sequence[Array] | None,
+) -> list[Demand]:
+    """Return what legs demand at so many poses as memory holds well: see ``leg_demands_at``."""
+    found: dict[int, Demand] = {}
+    for places in alike_few(legs, len(matrices[0])):
+        some, there = [legs[i] for i in places], np.concatenate([matrices[i] for i in places])
+        given = ([one[i] for i in places] if one else None for one in (readings, influences))
+        closure, known, reached = _closed(some, there, *given)
+        parts = demands(some, closure, known)
+        for place, one, rows in zip(places, parts, each(len(some), len(there)), strict=True):
+            if not reached[rows].all():
+                for values in vars(one).values():
+                    values[~reached[rows]] = np.nan
+            found[place] = one
+    return [found[place] for place in range(len(legs))]
 
 
 def leg_demand(
@@ -157,18 +217,9 @@ def leg_demand_at(
     influences: Array | None = None,
 ) -> Demand:
     """Return what a leg demands at transforms, or matrices (N, 4, 4): see ``leg_demand``."""
-    platform, one = mechanism.platform, mechanism.leg(leg)
-    closure = LegClosure(one, platform, parameters)
-    count, k = len(placed), len(platform.closing(one.closes)) - len(one.passive)
-    sizes = (len(one.parameters), platform.dof, len(one.sensors))
-    whole = Demand(np.empty((count, k)), *(np.empty((count, k, size)) for size in sizes))
-    for rows, closed, known, reached in _closed_chunks(closure, placed, readings, influences):
-        part = demand(closure, closed, known)
-        for target, values in zip(vars(whole).values(), vars(part).values(), strict=True):
-            target[rows] = values
-            if not reached.all():
-                target[rows][~reached] = np.nan
-    return whole
+    closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
+    given = (None if part is None else [part] for part in (readings, influences))
+    return leg_demands_at((closure,), (placed,), *given)[0]
 
 
 def identification_jacobian(
@@ -202,7 +253,8 @@ def identification_jacobian(
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     law = sensor_law(closure)
     C = np.empty((len(placed), len(law.slope), len(closure.parameters)))
-    for rows, closed, psi, reached in _closed_chunks(closure, placed):
+    for rows, matrices in matrix_chunks(placed):
+        closed, (psi,), reached = _closed((closure,), matrices)
         drive = closed.drive * law.slopes(psi)[..., None, :]
         C[rows] = least_squares(
             -drive, _by_parameter(closure, closed.constraint_by_parameter, closed.drive, psi)

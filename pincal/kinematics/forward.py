@@ -311,7 +311,7 @@ def _reasons(
         closable = closure.gap - left[:, :, 0]  # by motions of platform and passive joints
         closes &= (np.abs(closable) <= _NEWTON.closed * leg.size).all(axis=1)
         in_mode &= in_home_mode(leg, closure)
-    in_mode &= platform_margin(mechanism, closures) > 0.0
+    in_mode &= platform_margin(mechanism, [one.constraint_by_pose for one in closures]) > 0.0
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
     gaps = np.stack([np.linalg.norm(closure.gap, axis=1) for closure in closures], axis=1)
     return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], gaps

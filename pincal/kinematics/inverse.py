@@ -16,8 +16,9 @@ from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closing import close, close_chunks, matrix_chunks, sensor_law
+from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.every_leg import by_leg, close_chunks, matrix_chunks
 from pincal.kinematics.forward import LOADS, needs_loads, with_loads
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.starts import start_joints
@@ -128,13 +129,20 @@ def _inverse(
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
     readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
-    for rows, _, closed in close_chunks(mechanism, placed, columns, near):
-        for index, (leg, law, one) in enumerate(zip(mechanism.legs, laws, closed, strict=True)):
-            joints[leg.name][rows] = one.joints
+    for rows, closed in close_chunks(mechanism, placed, columns, near):
+        found = zip(
+            mechanism.legs,
+            laws,
+            by_leg(closed, lambda one: one.joints),
+            by_leg(closed, lambda one: one.reached),
+            strict=True,
+        )
+        for index, (leg, law, there, ends) in enumerate(found):
+            joints[leg.name][rows] = there
             own = None if columns is None else mechanism.influences_at(index, columns[rows])
-            at = law.reading(one.joints[:, leg.active], own)
+            at = law.reading(there[:, leg.active], own)
             readings[rows, mechanism.reading_columns[index]] = at
-            reached[rows, index] = one.reached & np.isfinite(at).all(axis=1)
+            reached[rows, index] = ends & np.isfinite(at).all(axis=1)
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
 
 

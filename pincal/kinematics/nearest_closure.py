@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pincal.kinematics.batches import lengths, product
 from pincal.kinematics.closing import driven, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, Newton, evaluate
+from pincal.kinematics.closure import Closure, LegClosure, Newton, each, evaluate
 from pincal.kinematics.starts import start_joints
 from pincal.model.checks import EXACT
 
@@ -125,12 +125,6 @@ def followed(
 def _scales(legs: Sequence[LegClosure], rows: int) -> Array:
     """Return what steps of passive joints are measured by, each leg's own, (rows, n_passive)."""
     return np.repeat([one.leg.passive_scales for one in legs], rows // len(legs), axis=0)
-
-
-def each(count: int, rows: int) -> list[slice]:
-    """Return the rows of each of so many alike legs."""
-    own = rows // count
-    return [slice(leg * own, (leg + 1) * own) for leg in range(count)]
 
 
 def _curved_step(closed: Closure, rows: NDArray[np.bool_]) -> Array:

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import point_velocity
 from pincal.kinematics.closed_forms import rod_directions
-from pincal.kinematics.closing import close, close_chunks, sensor_law
+from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
+from pincal.kinematics.every_leg import Together, by_leg, close_chunks
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -52,22 +53,22 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
     placed = mechanism.platform.placed(poses)
     type1 = np.empty((len(placed), len(mechanism.legs)))
     type2 = np.empty(len(placed))
-    for rows, _, closed in close_chunks(mechanism, placed):
-        reached = np.stack([leg.reached for leg in closed], axis=1)
-        closures = [leg.closure for leg in closed]
-        type1[rows] = np.where(reached, drive_margins(closures), np.nan)
-        signed = platform_margin(mechanism, closures)
+    for rows, closed in close_chunks(mechanism, placed):
+        reached = np.stack(by_leg(closed, lambda one: one.reached), axis=1)
+        type1[rows] = np.where(reached, drive_margins(closed), np.nan)
+        lines = by_leg(closed, lambda one: one.closure.constraint_by_pose)
+        signed = platform_margin(mechanism, lines)
         type2[rows] = np.where(reached.all(axis=1), signed, np.nan)
     return SingularityMargins(type1, type2)
 
 
-def drive_margins(closures: Sequence[Closure]) -> Array:
+def drive_margins(closed: Sequence[Together]) -> Array:
     """Return |Nᵀ ∂c/∂θ| over the drive's lever, one column a leg, shape (N, n_legs).
 
     Of several drives, the least singular value of their columns, each of unit speed at its best.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([_grip(closure) for closure in closures], axis=1)
+        return np.stack(by_leg(closed, lambda one: _grip(one.closure)), axis=1)
 
 
 def _grip(closure: Closure) -> Array:
@@ -78,9 +79,15 @@ def _grip(closure: Closure) -> Array:
     return np.asarray(np.linalg.svd(columns, compute_uv=False)[:, -1])
 
 
-def platform_margin(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
-    """Return the determinant of the legs' unit constraint lines, signed as at home, shape (N,)."""
-    return _determinant(mechanism, closures) * (np.sign(home_determinant(mechanism)) or 1.0)
+def platform_margin(mechanism: Mechanism, lines: Sequence[Array]) -> Array:
+    """Return the determinant of the legs' unit constraint lines, signed as at home, shape (N,).
+
+    Args:
+        mechanism: The mechanism.
+        lines: Of each leg Nᵀ ∂c/∂x, shape (N, k, dof).
+    """
+    side = np.sign(home_determinant(mechanism)) or 1.0
+    return _volume(mechanism, np.concatenate(lines, axis=1)) * side
 
 
 def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
@@ -114,10 +121,6 @@ def _rods(mechanism: Mechanism, matrices: Array) -> Array | None:
     return np.stack(lines, axis=1)
 
 
-def _determinant(mechanism: Mechanism, closures: Sequence[Closure]) -> Array:
-    return _volume(mechanism, np.concatenate([c.constraint_by_pose for c in closures], axis=1))
-
-
 def _volume(mechanism: Mechanism, lines: Array) -> Array:
     """Return what constraint lines span, shape (N,): determinants, if they are as the freedoms."""
     turns = [i for i, row in enumerate(mechanism.platform.twist_rows) if row >= 3]
@@ -143,15 +146,16 @@ def home_determinant(mechanism: Mechanism) -> float:
     Where readings do not follow from poses, with those of home: it need not quite be such a pose.
     """
     matrices = mechanism.platform.home_pose.as_matrix()
-    closures = []
+    lines = []
     for closure in nominal_legs(mechanism):
         if mechanism.by_readings:
             leg = closure.leg
             readings = sensor_law(closure).reading(leg.home[None, leg.active])
-            closures.append(nearest_closure(closure, matrices, readings, leg.home[None])[0])
+            there = nearest_closure(closure, matrices, readings, leg.home[None])[0]
+            lines.append(there.constraint_by_pose)
             continue
         closed = close(closure, matrices)
         if not closed.reached[0]:
             return float("nan")
-        closures.append(closed.closure)
-    return float(_determinant(mechanism, closures)[0])
+        lines.append(closed.closure.constraint_by_pose)
+    return float(_volume(mechanism, np.concatenate(lines, axis=1))[0])

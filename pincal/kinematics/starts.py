@@ -7,6 +7,7 @@ mode. The working mode is the sign of det ∂c/∂(θ, p) at home.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -94,7 +95,14 @@ def mode_sign(closure: Closure) -> Array:
 
 def in_home_mode(leg: LegClosure, closure: Closure) -> NDArray[np.bool_]:
     """Return where a closure of a leg is in the leg's working mode, shape (N,)."""
-    return np.asarray(mode_sign(closure) == _home_mode(leg))
+    return in_home_modes((leg,), closure)
+
+
+def in_home_modes(legs: Sequence[LegClosure], closure: Closure) -> NDArray[np.bool_]:
+    """Return where closures of alike legs are in their working modes, shape (L N,)."""
+    signs = mode_sign(closure)
+    own = np.repeat([_home_mode(leg) for leg in legs], len(signs) // len(legs))
+    return np.asarray(signs == own)
 
 
 @lru_cache(maxsize=256)

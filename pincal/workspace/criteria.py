@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.closing import CHUNK, close, matrix_chunks
+from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.every_leg import by_leg, close_legs, matrix_chunks
 from pincal.kinematics.inverse import beyond_limits
 from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import (
@@ -108,15 +109,16 @@ class Criteria:
     def _closed(self, matrices: Array) -> Mask:
         """Return which poses count, by closing every leg."""
         inside = np.ones(len(matrices), dtype=bool)
-        closed = [close(leg, matrices) for leg in self._legs]
+        closed = close_legs(self._legs, matrices)
         with np.errstate(invalid="ignore"):
-            for leg, one in zip(self._legs, closed, strict=True):
-                inside &= one.reached & ~beyond_limits(leg.leg, one.joints).any(axis=1)
-            closures = [one.closure for one in closed]
+            for leg, joints in zip(self._legs, by_leg(closed, lambda one: one.joints), strict=True):
+                inside &= ~beyond_limits(leg.leg, joints).any(axis=1)
+            inside &= np.all(by_leg(closed, lambda one: one.reached), axis=0)
             least = max(self.least.type1 - ROUNDING, _GRIP)
-            inside &= (drive_margins(closures) >= least).all(axis=1)
+            inside &= (drive_margins(closed) >= least).all(axis=1)
             if self._type2 > -np.inf:
-                inside &= platform_margin(self.mechanism, closures) >= self._type2 - ROUNDING
+                lines = by_leg(closed, lambda one: one.closure.constraint_by_pose)
+                inside &= platform_margin(self.mechanism, lines) >= self._type2 - ROUNDING
         return inside
 
 

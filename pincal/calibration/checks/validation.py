@@ -26,11 +26,11 @@ from pincal.calibration.confidence import confidence, exceeded
 from pincal.calibration.covariance import chi2_freedoms
 from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, fitted
+from pincal.calibration.near import Near
 from pincal.calibration.options import Options
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
-from pincal.estimation.linear import State
 from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
 from pincal.model.measuring.measurements import Measurements
@@ -174,7 +174,7 @@ def held_out(
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
         seen = calibration.rows(groups != fold).at_this_noise()
-        near = whole.fits[0].fit.last.state.rows(groups != fold) if whole.latent else None
+        near = Near.of(whole, groups != fold) if whole.latent else None
         found = _converged(seen, f"fold {fold + 1} of {count}", near)
         unseen = calibration.rows(groups == fold)
         own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]
@@ -212,8 +212,8 @@ def held_out(
     )
 
 
-def _converged(calibration: Calibration, what: str, near: State | None = None) -> Fits:
-    """Return the fits of a calibration, the search begun near a state if one is given.
+def _converged(calibration: Calibration, what: str, near: Near | None = None) -> Fits:
+    """Return the fits of a calibration, the search begun near an optimum if one is given.
 
     Raises:
         MeasurementError: they do not converge.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.selection.criteria import Parts
+from pincal.kinematics.every_leg import chunks
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -60,9 +60,3 @@ def most_of(values: Array, count: int) -> Index:
     """Return where the largest values are, in order of their places."""
     count = min(count, len(values))
     return np.sort(np.argpartition(-values, count - 1)[:count]) if count else np.arange(0)
-
-
-def chunks(count: int, size: int) -> Iterator[slice]:
-    """Yield slices of so many, one after the other."""
-    for begin in range(0, count, size):
-        yield slice(begin, min(begin + size, count))

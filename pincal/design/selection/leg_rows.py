@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.information import leg_rows
-from pincal.design.selection.candidates import Held, Rows, Some, chunks
+from pincal.design.selection.candidates import Held, Rows, Some
 from pincal.design.selection.criteria import Parts
 from pincal.design.selection.orbits import orbit_of, repeated
 from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.derivatives import leg_demand_at
+from pincal.kinematics.every_leg import chunks
 from pincal.model.measuring.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element

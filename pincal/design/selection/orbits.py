@@ -20,7 +20,8 @@ from pincal.design.information import leg_rows
 from pincal.design.selection.distinct import perhaps_alike, places_at, places_of
 from pincal.errors import SymmetryError
 from pincal.files.given import as_noise
-from pincal.kinematics.derivatives import leg_demand_at
+from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.derivatives import Demand, leg_demands_at
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ALIKE
 from pincal.model.measuring.measurements import EVERY_LEG, Noise, Plan
@@ -83,11 +84,13 @@ def leg_orbits(
     """
     found, mechanism = [], group.mechanism
     matrices, noise = mechanism.platform.matrices(poses), as_noise(noise)
+    nominal = dict(zip(mechanism.leg_names, nominal_legs(mechanism), strict=True))
     for legs in group.leg_orbits:
         carriers, alike, first = group.carriers(legs[0]), [True], legs[0]
-        own, white = _rows(mechanism, first, carriers[0].matrices(matrices), noise)
-        for name, element in zip(legs[1:], carriers[1:], strict=True):
-            its, its_white = _rows(mechanism, name, element.matrices(matrices), noise)
+        closures = [nominal[name] for name in legs]
+        demands = leg_demands_at(closures, [element.matrices(matrices) for element in carriers])
+        (own, white), *others = (_rows(demand, mechanism, noise) for demand in demands)
+        for name, element, (its, its_white) in zip(legs[1:], carriers[1:], others, strict=True):
             if not maps(own, its):
                 raise SymmetryError(
                     f"{element} carries {first} onto {name}, but not the parameters of one to "
@@ -110,9 +113,8 @@ def maps(first: Array, second: Array) -> bool:
     return bool((off <= _MAPPED * np.linalg.norm(second, axis=0)).all())
 
 
-def _rows(mechanism: Mechanism, leg: str, matrices: Array, noise: Noise) -> tuple[Array, Array]:
+def _rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> tuple[Array, Array]:
     """Return rows of a leg by readings, and whitened ones, shape (N k, n) each."""
-    demand = leg_demand_at(mechanism, leg, matrices)
     both = demand.as_joint().parameter, leg_rows(demand, mechanism, noise)
     by_reading, white = (rows.reshape(-1, rows.shape[2]) for rows in both)
     return by_reading, white

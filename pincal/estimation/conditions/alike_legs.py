@@ -31,14 +31,6 @@ class AlikeMet:
     of the poses, (N, dof)."""
 
 
-def alike_legs(conditions: Sequence[LegCondition]) -> list[list[int]]:
-    """Return the places of legs that may be evaluated in one call."""
-    groups: dict[object, list[int]] = {}
-    for place, one in enumerate(conditions):
-        groups.setdefault(one.form, []).append(place)
-    return list(groups.values())
-
-
 def all_met(
     conditions: Sequence[LegCondition],
     alike: Sequence[Sequence[int]],

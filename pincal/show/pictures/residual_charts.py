@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from pincal.calibration.fits import Fits, fitted
+from pincal.calibration.near import Near
 from pincal.calibration.result import CalibrationResult
 from pincal.estimation.linear import State
 from pincal.estimation.residuals.redundancy import Left, every_residual
@@ -155,7 +156,7 @@ def _again(result: CalibrationResult) -> Fits:
         values = np.concatenate([leg.identified for leg in result.legs])
         matrices = result.nominal.platform.matrices(poses)
         outside = result.outside or calibration.observation.external.start
-        near = State(values, matrices, (None,) * len(result.legs), outside)
+        near = Near(State(values, matrices, (None,) * len(result.legs), outside))
     return fitted(calibration, near=near)
 
 

@@ -1,0 +1,109 @@
+"""All legs closed at poses, alike ones in one call where poses are few; in chunks where many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from pincal.kinematics.closing import CHUNK, Closed, below, close_alike
+from pincal.kinematics.closure import LegClosure, alike, nominal_legs
+from pincal.model.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Together:
+    """Some of all legs, closed in one call."""
+
+    places: list[int]
+    """Of the legs, among all."""
+    closed: Closed
+
+
+def close_legs(
+    legs: Sequence[LegClosure],
+    matrices: Array,
+    influences: Sequence[Array | None] | None = None,
+    near: Sequence[Array] | None = None,
+) -> list[Together]:
+    """Return all legs closed at the same poses, alike ones in one call where poses are few.
+
+    Args:
+        legs: The legs at their parameter values.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        influences: Of each leg, shape (N, n_influences); at their reference if not given.
+        near: Of each leg, positions of its moving joints near those that close it, shape
+            (N, n_joints); found in its working mode if not given.
+    """
+    found = []
+    for places in alike_few(legs, len(matrices)):
+        own = [legs[place] for place in places]
+        there = matrices if len(own) == 1 else np.tile(matrices, (len(own), 1, 1))
+        at = None if influences is None or len(own) > 1 else influences[places[0]]
+        start = None if near is None else below([near[place] for place in places])
+        found.append(Together(places, close_alike(own, there, at, start)))
+    return found
+
+
+def alike_few(legs: Sequence[LegClosure], rows: int) -> list[list[int]]:
+    """Return the places of legs that are best evaluated in one call, so many rows of each."""
+    groups = alike(leg.form for leg in legs)
+    most = max(map(len, groups), default=0)
+    return groups if most * rows <= CHUNK else [[place] for place in range(len(legs))]
+
+
+def by_leg(closed: Sequence[Together], value: Callable[[Closed], Any]) -> list[Any]:
+    """Return values of all legs in order, shape (N, …) each, from those of each call."""
+    found = {
+        place: own
+        for one in closed
+        for place, own in zip(one.places, np.split(value(one.closed), len(one.places)), strict=True)
+    }
+    return [found[place] for place in sorted(found)]
+
+
+def close_chunks(
+    mechanism: Mechanism,
+    placed: RigidTransform | Array,
+    influences: Array | None = None,
+    near: Mapping[str, Array] | None = None,
+) -> Iterator[tuple[slice, list[Together]]]:
+    """Yield the closed legs of poses in chunks of bounded memory, and their rows.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        placed: N poses.
+        influences: Of all legs, shape (N, n_influences); at their reference if not given.
+        near: By leg, positions of its moving joints near those that close it, found if not given.
+    """
+    legs = nominal_legs(mechanism)
+    for rows, matrices in matrix_chunks(placed):
+        own = start = None
+        if influences is not None:
+            own = [mechanism.influences_at(i, influences[rows]) for i in range(len(legs))]
+        if near is not None:
+            start = [near[leg.leg.name][rows] for leg in legs]
+        yield rows, close_legs(legs, matrices, own, start)
+
+
+def matrix_chunks(placed: RigidTransform | Array) -> Iterator[tuple[slice, Array]]:
+    """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
+    for rows in chunks(len(placed)):
+        yield rows, matrices_of(placed[rows])
+
+
+def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
+    """Yield rows of so many, no more at once than a size: as memory holds well if not given."""
+    for begin in range(0, count, size):
+        yield slice(begin, min(begin + size, count))
+
+
+def matrices_of(placed: RigidTransform | Array) -> Array:
+    """Return transforms as matrices, shape (N, 4, 4); matrices as they are."""
+    return placed.as_matrix() if isinstance(placed, RigidTransform) else placed
