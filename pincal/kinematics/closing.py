@@ -128,14 +128,16 @@ def _homes(legs: Sequence[LegClosure], rows: int) -> Array:
 
 def _within_limits(leg: LegClosure, joints: Array) -> Array:
     """Return joints with full turns added where that brings them within their limits."""
+    turn = 2 * np.pi
     for place, joint in enumerate(leg.leg.moving):
         if joint.kind == "revolute" and joint.limited:
             own = joints[:, place]
-            with np.errstate(invalid="ignore"):  # where the leg does not close
-                turned = joint.lower + (own - joint.lower + ROUNDING) % (2 * np.pi) - ROUNDING
-                outside = (own < joint.lower - ROUNDING) | (own > joint.upper + ROUNDING)
-                fits = outside & (turned <= joint.upper + ROUNDING)
-            joints[:, place] = np.where(fits, turned, own)
+            low, high = joint.lower - ROUNDING, joint.upper + ROUNDING
+            outside = np.flatnonzero(((own < low) | (own > high)) & np.isfinite(own))
+            if len(outside):
+                turned = own[outside] - turn * np.floor((own[outside] - low) / turn)
+                fits = turned <= high
+                own[outside[fits]] = turned[fits]
     return joints
 
 

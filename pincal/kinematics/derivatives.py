@@ -94,7 +94,8 @@ def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> A
 
     A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
     """
-    found = rows + product(drive, sensor_law(leg).by_parameter(known))
+    law, found = sensor_law(leg), rows.copy("K")
+    found[:, :, law.parameters] += product(drive, law.by_parameter(known))
     if leg.leg.deformed:
         by = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :])
         found += rows[:, :, leg.deformations.parameters] @ by

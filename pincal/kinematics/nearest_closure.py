@@ -106,7 +106,8 @@ def followed(
     driven_by = np.empty((len(change), len(legs[0].leg.active)))
     parts = zip(legs, known, parameters, strict=True)
     for rows, (leg, own, delta) in zip(each(len(legs), len(change)), parts, strict=True):
-        driven_by[rows] = sensor_law(leg).by_parameter(own) @ delta
+        law = sensor_law(leg)
+        driven_by[rows] = law.by_parameter(own) @ delta[law.parameters]
         by_parameter = closed.parameter[rows]
         change[rows] = by_parameter @ delta
         if leg.leg.deformed:

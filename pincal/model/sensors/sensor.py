@@ -8,9 +8,9 @@ them, NaN or no column, is at its reference, where its terms are zero.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,12 +117,27 @@ class SensorLaw:
                 slopes[:, one.target] += one.amplitude * by
         return slopes
 
+    @cached_property
+    def parameters(self) -> NDArray[np.intp]:
+        """Places of the leg's parameters by which positions change, in order, shape (k,)."""
+        by: Any = self.slope_by_parameter.any(axis=0) | self.start_by_parameter.any(axis=0)
+        by[[one.parameter for one in self.terms]] = True
+        return np.flatnonzero(by)
+
     def by_parameter(self, known: Array) -> Array:
-        """Return ∂q/∂φ at given readings, shape (N, n_active) to (N, n_active, n_params)."""
-        readings = known[:, : len(self.slope), None]
-        found = readings * self.slope_by_parameter + self.start_by_parameter
-        add_bases(self.terms, known, found)
+        """Return ∂q/∂φ of these at given readings, shape (N, n_active) to (N, n_active, k)."""
+        readings, own = known.T[: len(self.slope), None], self.parameters
+        by_slope, by_start = self.slope_by_parameter[:, own], self.start_by_parameter[:, own]
+        found = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
+        add_bases(self._own_terms, known, found)
         return found
+
+    @cached_property
+    def _own_terms(self) -> tuple[PlacedTerm, ...]:
+        """The terms, amplitudes by their places among ``parameters``."""
+        places = np.searchsorted(self.parameters, [one.parameter for one in self.terms])
+        pairs = zip(self.terms, places.tolist(), strict=True)
+        return tuple(replace(one, parameter=place) for one, place in pairs)
 
 
 @dataclass(frozen=True)
