@@ -31,7 +31,7 @@ from pincal.estimation.observability.drawings import nearest_to_nominal
 from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.estimation.observability.weak import WeakPair, weak_pairs
 from pincal.files.given import as_noise, as_setup
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
 from pincal.model.measuring.measurements import Noise, Plan
 from pincal.model.measuring.setup import Setup

@@ -29,7 +29,7 @@ from pincal.design.selection.search import Search, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.given import as_noise
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import leg_demands_at
 from pincal.model.checks import ALIKE, count_of, described

@@ -29,7 +29,7 @@ from pincal.estimation.observability.indices import (
     scaled_axes,
 )
 from pincal.files.given import as_noise, as_setup
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at
 from pincal.model.checks import count_of

@@ -17,7 +17,7 @@ from pincal.blas import on_one_thread
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.files.given import as_noise, as_plan
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward

@@ -9,9 +9,8 @@ from typing import Any
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
-from pincal.files.mechanism_folders import GivenMechanism as GivenMechanism
-from pincal.files.mechanism_folders import as_mechanism as as_mechanism
-from pincal.files.setups import read_setup
+from pincal.files.given_mechanism import GivenMechanism as GivenMechanism
+from pincal.files.given_mechanism import as_mechanism as as_mechanism
 from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.tables.table import is_dataframe
 from pincal.model.checks import array_of, must_be
@@ -89,6 +88,8 @@ def as_setup(given: Setup | str | Path | None) -> Setup:
     """
     if given is None or isinstance(given, Setup):
         return given or Setup()
+    from pincal.files.setups import read_setup  # reads files: slow to load
+
     return read_setup(must_be(given, (Setup, str, Path), "a setup or its file", MeasurementError))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from pincal.errors import FileError, MechanismError, PincalError
 from pincal.files.mechanism_writing import YAML, write_mechanism
@@ -29,22 +29,6 @@ from pincal.model.sensors.sensor import Sensor
 _log = logging.getLogger(__name__)
 
 
-class Calibrated(Protocol):
-    """What holds a calibrated mechanism, such as a ``CalibrationResult``."""
-
-    @property
-    def identified(self) -> Mechanism:
-        """The calibrated mechanism."""
-
-    @property
-    def converged(self) -> bool:
-        """Whether it is one."""
-
-
-GivenMechanism = Mechanism | str | Path | Calibrated
-"""A mechanism, its bundled name, its folder, or a calibration's result."""
-
-
 def bundled() -> dict[str, Path]:
     """Return the folders of the mechanisms that come with pincal, by name."""
     package = Path(__file__).resolve().parents[1]
@@ -52,24 +36,6 @@ def bundled() -> dict[str, Path]:
         if robots.is_dir():
             return {p.parent.name: p.parent for p in sorted(robots.glob("*/mechanism.yaml"))}
     return {}
-
-
-def as_mechanism(given: GivenMechanism) -> Mechanism:
-    """Return a mechanism that is given as such, by its bundled name, folder, or calibration.
-
-    Raises:
-        FileError: no such folder, or a file in it is missing.
-        MechanismError: something else, a file that does not say what it should, or a calibration
-            that did not converge.
-    """
-    if isinstance(given, Mechanism):
-        return given
-    if isinstance(found := getattr(given, "identified", None), Mechanism):
-        if not getattr(given, "converged", False):
-            raise MechanismError("the calibration did not converge: it has no calibrated mechanism")
-        return found
-    kinds = (Mechanism, str, Path)
-    return load_mechanism(must_be(given, kinds, "a mechanism, its name or folder", MechanismError))
 
 
 def load_mechanism(name_or_path: str | Path) -> Mechanism:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closing import CHUNK, close_alike, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, each

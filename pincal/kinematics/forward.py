@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares, product
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closing import CHUNK, close, driven, sensor_law

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs

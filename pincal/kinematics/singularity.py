@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import point_velocity
 from pincal.kinematics.closed_forms import rod_directions
 from pincal.kinematics.closing import close, sensor_law

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from pincal.errors import SymmetryError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.model.checks import number_of
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.fits import NEARLY, Fits, suggested

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import SAME, Element

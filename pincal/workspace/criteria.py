@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import CHUNK
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.every_leg import by_leg, close_legs, matrix_chunks

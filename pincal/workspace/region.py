@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.files.tables.table import write_table
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism

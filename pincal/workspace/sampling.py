@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import joint_range, nominal_legs
 from pincal.kinematics.forward import forward

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.files.tables.covariances import product_unit
 from pincal.files.tables.table import write_table
 from pincal.files.tables.units import SI, Units

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.files.input import plain_number
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.tables.columns import Source, table_for, unknown_columns
 from pincal.files.tables.covariances import read_covariances
 from pincal.files.tables.level import levelled, tilt_column

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.files.tables.measurement_writing import Columns, columns_of, reason_column
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.kinematics.forward import forward

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of

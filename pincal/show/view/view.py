@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import WorkspaceError
-from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
