@@ -20,6 +20,7 @@ from dataclasses import replace
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
+from time import sleep
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 #: Figures that follow from the fits alone, and those that wait for the checks of a result.
 OF_FITS = ("images", "changes", "drawing", "residuals", "histogram", "observability")
 OF_CHECKS = ("maps", "poses", "rms")  # the longest first
+_LOOKS, _BETWEEN = 4, 1e-3  # at what else computes, [s]
 #: What the process runs: modules are found where this process finds them.
 _RUN = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -94,9 +96,16 @@ def _spare_core() -> bool:
 
 
 def _others() -> float:
-    """Return how many other processes compute at this moment; where no system says so, lately."""
+    """Return how many other processes compute at this moment; where no system says so, lately.
+
+    The fewest of some moments: what starts a command is often still ending.
+    """
+    found = []
     try:  # of Linux: 0.20 0.18 0.12 1/80 11206, of 80 one runs, which asks
-        return float(Path("/proc/loadavg").read_text().split()[3].split("/")[0]) - 1.0
+        for _ in range(_LOOKS):
+            found.append(float(Path("/proc/loadavg").read_text().split()[3].split("/")[0]) - 1.0)
+            sleep(_BETWEEN)
+        return min(found)
     except (OSError, ValueError, IndexError):
         return os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
 
