@@ -108,13 +108,14 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
     ):
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
+    found = noise  # before it is scaled
     for _ in range(BY.refits):
         if not _sound(one):
             break
         then = _noise_of(one, noise, unit)
-        if _alike(noise, then):
+        if _alike(found, then):
             break
-        noise, unit = then, then.reading or unit
+        noise, found, unit = then, then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
         scale = float(np.mean([robust.fit.noise_scale for robust in one.fits]))
         if abs(scale - 1.0) > BY.off and scale > 0.0:  # a group at its floor leaves that to all

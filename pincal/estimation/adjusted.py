@@ -37,9 +37,9 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
     found = linear
     for _ in range(BY.corrections):
         before, noise = noise, _corrections(problem, found)
-        found = _at(problem, linear, noise)
         if np.abs(noise - before).max(initial=0.0) <= BY.same:
             break
+        found = _at(problem, linear, noise)
     return found
 
 
