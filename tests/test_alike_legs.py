@@ -11,8 +11,11 @@ from measured import workspace
 import pincal
 from pincal.calibration.calibration import Calibration
 from pincal.estimation.conditions.alike_legs import evaluated
+from pincal.kinematics.batches import CHUNK
+from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import Demand
+from pincal.kinematics.derivatives import Demand, leg_demand_at, leg_demands_at
+from pincal.kinematics.every_leg import by_leg, close_legs, grouped
 
 FORMS = {"5R": 1, "3RRR": 1, "3RPR": 1, "3PRR": 2, "6UPS": 1, "6RUS": 1, "8cable": 1, "delta": 1}
 """How many forms the legs of a machine have: those of the 3-PRR slide to either side."""
@@ -90,3 +93,62 @@ def test_each_leg_is_measured_by_its_own_size() -> None:
     met = together.legs[1]
     np.testing.assert_allclose(met.demand.value, alone.demand.value, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(met.joints, alone.joints, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_alike_legs_close_as_each_alone_does(name: str) -> None:
+    """Joints, reach and derivatives; also where some legs reach a pose and others do not."""
+    robot = pincal.load_mechanism(name)
+    rng, size = np.random.default_rng(8), max(leg.size for leg in robot.legs)
+    near = workspace(name, 20, 1)
+    shift = np.where(np.array(robot.platform.units) == "m", 0.4 * size, 0.3)
+    poses = np.concatenate((near, near + shift * rng.standard_normal(near.shape)))
+    matrices = robot.platform.matrices(poses)
+    legs = [LegClosure(leg, robot.platform) for leg in pincal.disturb(robot, 1e-3, seed=6).legs]
+    closed = close_legs(legs, matrices)
+    assert len(closed) == FORMS[name]
+    reached = np.stack(by_leg(closed, lambda one: one.reached), axis=1)
+    slides = any(joint.kind == "prismatic" for joint in robot.legs[0].moving[1:])  # reach far
+    assert reached.any()
+    assert slides or not reached.all()
+    joints = by_leg(closed, lambda one: one.joints)
+    rows = by_leg(closed, lambda one: one.closure.constraint_by_parameter)
+    for index, leg in enumerate(legs):
+        alone = close(leg, matrices)
+        np.testing.assert_array_equal(reached[:, index], alone.reached)
+        np.testing.assert_allclose(joints[index], alone.joints, rtol=0.0, atol=1e-12)
+        own = alone.closure.constraint_by_parameter[alone.reached]
+        largest = np.abs(own).max(initial=0.0)
+        there = rows[index][alone.reached]
+        np.testing.assert_allclose(there, own, rtol=0.0, atol=1e-11 * largest)
+
+
+def test_legs_demand_at_poses_of_their_own() -> None:
+    """As many of each or not, in one chunk or several: what each demands when it is asked alone."""
+    robot = pincal.load_mechanism("3RRR")
+    legs = [LegClosure(leg, robot.platform) for leg in robot.legs]
+    every = robot.platform.matrices(workspace("3RRR", 60, 2))
+    many = np.tile(every, (CHUNK // len(every) + 1, 1, 1))
+    for placed in ([every[:5], every[5:10], every[10:15]], [every[:9], every[9:13], many]):
+        found = leg_demands_at(legs, placed)
+        for leg, own, one in zip(legs, placed, found, strict=True):
+            alone = leg_demand_at(robot, leg.leg.name, own)
+            for part, values in vars(one).items():
+                assert len(values) == len(own)
+                wanted = getattr(alone, part)
+                np.testing.assert_allclose(values, wanted, rtol=0.0, atol=1e-13, err_msg=part)
+
+
+def test_legs_that_deform_are_like_no_other() -> None:
+    """Not even an equal one: their influences differ."""
+    plain = pincal.load_mechanism("3RRR")
+    term = pincal.Term("grown", pincal.Share(10.0, 20.0), of="temperature")
+    legs = (
+        replace(leg, terms=(("L", term),), parameters=(*leg.parameters, ("grown", 0.0)))
+        for leg in plain.legs
+    )
+    robot = replace(plain, legs=tuple(legs))
+    forms = [LegClosure(robot.legs[0], robot.platform).form for _ in range(2)]
+    assert grouped(forms, 1) == [[0], [1]]
+    forms = [LegClosure(leg, robot.platform).form for leg in robot.legs]
+    assert grouped(forms, 1) == [[0], [1], [2]]

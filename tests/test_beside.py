@@ -6,7 +6,7 @@ import gc
 import subprocess
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from pincal.calibration.checks.validation import with_held_out
 from pincal.cli.drawing import drawer, ready_to_draw
 from pincal.collection import no_collection
 from pincal.show.report import beside
-from pincal.show.report.beside import OF_CHECKS, OF_FITS, Drawer, drawing_beside
+from pincal.show.report.beside import OF_CHECKS, OF_FITS, OF_NO_OPTIMUM, Drawer, drawing_beside
 from pincal.show.report.figures import FIGURES
 from pincal.show.report.findings import Findings
 from pincal.show.report.residual_figures import _Lane
@@ -48,6 +48,15 @@ def started(code: str) -> Drawer:
 def test_every_figure_is_asked_for_once() -> None:
     """What follows from fits, and what waits for checks, are all the figures of a report."""
     assert sorted((*OF_FITS, *OF_CHECKS)) == sorted(FIGURES)
+
+
+def test_a_report_without_an_optimum_shows_what_is_asked_for_it(table: Path) -> None:
+    """No figure of it is left to the process that waits."""
+    page = replace(pincal.calibrate("5R", table), converged=False).report()
+    shown: list[str] = []
+    page._figure = shown.append  # type: ignore[assignment, attr-defined]
+    page.html()
+    assert tuple(shown) == OF_NO_OPTIMUM
 
 
 @pytest.mark.slow
@@ -126,6 +135,14 @@ def running(state: Path) -> bool:
         return state.read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
+
+
+def test_what_ends_as_a_command_begins_takes_no_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of some moments the one counts at which the fewest processes compute."""
+    said = iter(["4", "2", "3", "1", "9"])
+    told = type("Told", (), {"read_text": lambda _: f"0.2 0.2 0.1 {next(said)}/80 11206"})
+    monkeypatch.setattr(beside, "Path", lambda _: told())
+    assert beside._others() == 0.0
 
 
 def test_without_processes_figures_are_drawn_here(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.given import as_measurements, as_mechanism, as_plan, as_setup
+from pincal.files.given import as_measurements, as_plan, as_setup
+from pincal.files.given_mechanism import as_mechanism
 from pincal.files.mechanism_folders import bundled
 from pincal.files.tables.measurement_writing import write_measurements, write_poses, write_readings
 from pincal.files.tables.measurements import read_readings

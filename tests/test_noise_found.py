@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from measured import workspace
 
 import pincal
 from pincal.calibration import fits
@@ -37,3 +38,17 @@ def test_noise_is_found_in_a_few_rounds(
     before, after = (list(vars(noise).values()) for noise in rounds[-1])
     np.testing.assert_allclose(after, before, rtol=fits.BY.alike)
     assert len(rounds) <= 20  # 31 to 100 in a circle
+
+
+@pytest.mark.parametrize("name", ["3RRR", "5R"])
+def test_noise_that_stays_is_not_fitted_again(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the fit that finds it, one at what was found, and one at all that is left of χ²."""
+    count, robust_fit = [], fits.robust_fit
+    monkeypatch.setattr(fits, "robust_fit", lambda *a, **k: count.append(1) or robust_fit(*a, **k))
+    nominal = pincal.load_mechanism(name)
+    truth, poses = pincal.disturb(nominal, 1e-3, seed=1), workspace(name, 72, 3)
+    noise = pincal.Noise(1e-4, 1e-4, 5e-5)
+    data = pincal.simulate(nominal, truth, pincal.Plan(poses), noise, 2).measurements
+    result = pincal.calibrate(nominal, data)
+    assert len(count) <= 3  # 11, as what was scaled was compared with what was not
+    assert result.reduced_chi2 == pytest.approx(1.0, abs=fits.BY.off)

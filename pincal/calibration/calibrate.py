@@ -32,7 +32,8 @@ from pincal.calibration.terms.kinds import said as said_terms
 from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tolerances
 from pincal.errors import MisfitError, ObservabilityError, PincalError
 from pincal.estimation.conditions.external import External
-from pincal.files.given import as_measurements, as_mechanism
+from pincal.files.given import as_measurements
+from pincal.files.given_mechanism import as_mechanism
 from pincal.finding import Finding
 from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism

@@ -337,7 +337,7 @@ class Calibration:
         for leg, count in zip(self.mechanism.legs, self.used.sum(axis=0), strict=True):
             own = free.part([leg.name])
             n = own.map.shape[1] - int(np.isfinite(own.priors).sum())
-            equations = len(self.mechanism.platform.closing(leg.closes)) - len(leg.passive)
+            equations = self.mechanism.platform.equations(leg)
             scale = not (self.noise.known or self.options.latent)
             least = -(-(n + scale) // equations)
             if count < least:

@@ -91,7 +91,8 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
     Args:
         calibration: What is to be identified.
         tied: Whether ties count, or are left out for the test of the same estimator.
-        near: Where the search for all legs at once begins, if the optimum is known to be near.
+        near: Where the search for all legs at once begins, and what is called its ``first``, if the
+            optimum is known to be near; each leg alone begins at its nominal parameters.
 
     Raises:
         ObservabilityError: too few poses, or poses that leave parameters undetermined.

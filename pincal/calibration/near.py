@@ -1,4 +1,4 @@
-"""An optimum that is known to be near: where the search for all legs at once may begin."""
+"""Where a search for all legs at once begins if most of its rows were fitted before."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Near:
-    """An optimum of all legs at once that is known to be near."""
+    """Where all legs at once were identified from other rows, or from the same ones before."""
 
     state: State
     fits: Fits | None = None
-    """Of which it is, if these are at hand."""
+    """The fits that ended there, whose gauge may be the same; None if they are not at hand."""
 
     @classmethod
     def of(cls, fits: Fits, rows: Mask) -> Near:
@@ -33,10 +33,20 @@ class Near:
         return cls(fits.fits[0].fit.last.state.rows(np.flatnonzero(rows)), fits)
 
     def gauge(self, problem: Problem, unknowns: Unknowns) -> Gauge | None:
-        """Return the fits' gauge if it is a problem's too, as the same is measured there."""
+        """Return the fits' gauge if it is a problem's too: the same is free, measured and known."""
         if self.fits is None or self.fits.unknowns is None:
             return None
-        whole = self.fits.fits[0].fit.problem.observation.measured.any(axis=0)
-        measured = np.array_equal(whole, problem.observation.measured.any(axis=0))
-        same = self.fits.unknowns.labels == unknowns.labels
-        return self.fits.gauge if measured and same else None
+        whole, free = self.fits.fits[0].fit.problem, self.fits.unknowns
+        same = (
+            free.labels == unknowns.labels
+            and np.array_equal(free.map, unknowns.map)
+            and np.array_equal(free.priors, unknowns.priors, equal_nan=True)
+            and _said(whole) == _said(problem)
+        )
+        return self.fits.gauge if same else None
+
+
+def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
+    """Return what is measured in some row, and which influences are known in some."""
+    known = {name: bool(np.isfinite(own).any()) for name, own in problem.influences.items()}
+    return [bool(own.any()) for own in problem.observation.measured.T], known

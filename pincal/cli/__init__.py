@@ -13,7 +13,11 @@ __all__ = ["main"]
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input."""
+    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input.
+
+    Args:
+        argv: What was typed behind ``pincal``; that of the process if not given, which then ends.
+    """
     with ready_to_draw(sys.argv[1:] if argv is None else ()):  # for a process of the command's own
         with no_collection():
             from pincal.cli.run import run  # loads much: a process that draws does so meanwhile

@@ -59,7 +59,7 @@ class LegDesign:
     r_diagonal: Array
     """|R_ii| of the same, shape (n_params,)."""
     condition: float
-    reference: str = ""
+    reference: str
     """Leg whose poses were mapped to this one; the leg itself if none was."""
 
 
@@ -180,15 +180,13 @@ def select_poses(
         parts = [search.own(name, count) for name in names]
         poses = np.concatenate([search.candidates[chosen] for chosen, _ in parts])
         sets = tuple(name for name in names for _ in range(count))
-        efficiencies = [efficiency for _, efficiency in parts]
+        plan, efficiencies = Plan(poses, sets), [efficiency for _, efficiency in parts]
     elif protocol == "common":
         chosen, efficiency = search.common(count)
-        poses, sets = search.candidates[chosen], (EVERY_LEG,) * count
+        plan = Plan(search.candidates[chosen], (EVERY_LEG,) * count)
         efficiencies = [efficiency] * len(names)
     else:
         plan, efficiencies, references = _by_symmetry(search, count, orbits=protocol == "orbits")
-    if protocol in ("independent", "common"):
-        plan = Plan(poses, sets)
     legs = _leg_designs(mechanism, plan, efficiencies, references)
     return Selection(plan, protocol, legs, search.usable, search.unreachable)
 
@@ -239,7 +237,7 @@ def _refuse_ranks(mechanism: Mechanism) -> None:
         ObservabilityError: its rows by readings lack rank, so that no index of them has a meaning.
     """
     for leg in mechanism.legs:
-        rows = len(mechanism.platform.closing(leg.closes)) - len(leg.passive)
+        rows = mechanism.platform.equations(leg)
         if rows > len(leg.sensors):
             raise ObservabilityError(
                 f"{leg.name} of {mechanism.name!r} makes {rows} equations at a pose and has "
@@ -255,14 +253,10 @@ def _leg_designs(
     """Return what a plan gives each leg, whose efficiency and reference leg are known."""
     matrices, legs = mechanism.platform.matrices(plan.poses), nominal_legs(mechanism)
     served = [matrices[plan.serves(name)] for name in mechanism.leg_names]
-    if len(set(map(len, served))) == 1:
-        demands = leg_demands_at(legs, served)
-    else:
-        demands = [leg_demands_at([leg], [own])[0] for leg, own in zip(legs, served, strict=True)]
-    found = []
+    demands, found = leg_demands_at(legs, served), []
     parts = zip(mechanism.legs, demands, efficiencies, references, strict=True)
     for leg, demand, efficiency, reference in parts:
-        C = -demand.as_joint().parameter.reshape(-1, len(leg.parameters))
+        C = demand.as_joint().parameter.reshape(-1, len(leg.parameters))
         names = [f"{leg.name}.{name}" for name in leg.parameter_names]
         found.append(
             LegDesign(

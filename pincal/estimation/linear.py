@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pincal.estimation.conditions.external import External
 from pincal.estimation.conditions.leg_condition import Met
 from pincal.estimation.rows import WhiteRows
-from pincal.kinematics.batches import over_rows
-from pincal.kinematics.closing import CHUNK
+from pincal.kinematics.batches import CHUNK, over_rows
 from pincal.kinematics.derivatives import Demand
 
 Array = NDArray[np.float64]

@@ -24,9 +24,9 @@ from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
 from pincal.estimation.linear import Block, Linear, Stack, State
 from pincal.estimation.rows import NoNoiseError, white_rows
-from pincal.kinematics.closing import CHUNK
-from pincal.kinematics.closure import LegClosure, alike
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
+from pincal.kinematics.every_leg import grouped
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
@@ -84,10 +84,8 @@ class Problem:
 
     @cached_property
     def alike(self) -> list[list[int]]:
-        """Places of legs that may be evaluated in one call; each alone where rows are many."""
-        if len(self.used) > CHUNK:
-            return [[place] for place in range(len(self.conditions))]
-        return alike(one.form for one in self.conditions)
+        """Places of legs that are evaluated in one call."""
+        return grouped([one.form for one in self.conditions], len(self.used))
 
     @cached_property
     def columns(self) -> list[slice]:

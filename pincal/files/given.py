@@ -9,8 +9,6 @@ from typing import Any
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
-from pincal.files.given_mechanism import GivenMechanism as GivenMechanism
-from pincal.files.given_mechanism import as_mechanism as as_mechanism
 from pincal.files.tables.measurements import read_measurements, read_poses
 from pincal.files.tables.table import is_dataframe
 from pincal.model.checks import array_of, must_be

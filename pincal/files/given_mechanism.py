@@ -42,5 +42,5 @@ def as_mechanism(given: GivenMechanism) -> Mechanism:
         return found
     from pincal.files.mechanism_folders import load_mechanism  # reads files: slow to load
 
-    kinds = (Mechanism, str, Path)
-    return load_mechanism(must_be(given, kinds, "a mechanism, its name or folder", MechanismError))
+    kinds, what = (Mechanism, str, Path), "a mechanism, its name or folder, or a result"
+    return load_mechanism(must_be(given, kinds, what, MechanismError))

@@ -1,4 +1,4 @@
-"""Small matrices and turns, one for each of N poses, all at once.
+"""Small matrices and turns, one for each of N poses, all at once, and so many as memory holds well.
 
 Arrays have shape (N, …). They are quickest where memory runs along the poses (``.T`` of arrays of
 shape (…, N)): NumPy then does one long loop instead of N short ones.
@@ -6,15 +6,39 @@ shape (…, N)): NumPy then does one long loop instead of N short ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 Array = NDArray[np.float64]
+CHUNK = 4096  # poses at once: their matrices stay near the processor
 _SERIES = float(np.finfo(float).eps) ** 0.25  # fourth root of rounding errors, [rad]
+
+
+def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
+    """Yield slices of at most a size that cover so many rows, in order."""
+    for begin in range(0, count, size):
+        yield slice(begin, min(begin + size, count))
+
+
+def matrices_of(placed: RigidTransform | Array) -> Array:
+    """Return transforms as matrices, shape (N, 4, 4); matrices as they are."""
+    return placed.as_matrix() if isinstance(placed, RigidTransform) else placed
+
+
+def matrix_chunks(placed: RigidTransform | Array) -> Iterator[tuple[slice, Array]]:
+    """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
+    for rows in chunks(len(placed)):
+        yield rows, matrices_of(placed[rows])
+
+
+def stacked(parts: Sequence[Any]) -> Any:
+    """Return arrays below each other; a single one as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def product(a: Array, b: Array) -> Array:

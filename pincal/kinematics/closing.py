@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
-from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.batches import least_squares, product, stacked
 from pincal.kinematics.closed_forms import wrapped
 from pincal.kinematics.closure import (
     Closure,
     LegClosure,
     Newton,
-    each,
     evaluate,
+    rows_of_each,
 )
 from pincal.kinematics.starts import in_home_modes, start_joints
 from pincal.model.checks import ROUNDING
@@ -31,27 +31,27 @@ from pincal.model.sensors.sensor import SensorLaw, sensor_laws
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-CHUNK = 4096
 _ATTEMPTS = 6
 _NEWTON = Newton(steps=15, small=1e-4, closed=1e-11)  # the step after that is rounding
 _EXACT = 2e-15  # of a leg's size, what rounding leaves of a closed form
 
 
 @dataclass(frozen=True)
-class Closed:
-    """One leg closed at N poses; or alike legs, rows of each below those of the one before."""
+class ClosedLegs:
+    """L alike legs closed at N poses each, rows of each leg below those of the one before."""
 
     joints: Array
-    """Positions of the moving joints, shape (N, n_joints), [rad] or [m]; NaN where not reached."""
+    """Positions of the moving joints, shape (L N, n_joints), [rad] or [m]; NaN where not
+    reached."""
     reached: Mask
-    """Where the leg closes in its working mode, shape (N,)."""
+    """Where a leg closes in its working mode, shape (L N,)."""
     closure: Closure
     """Closure and derivatives there; of no meaning where not reached."""
 
 
 def close(
     leg: LegClosure, matrices: Array, influences: Array | None = None, near: Array | None = None
-) -> Closed:
+) -> ClosedLegs:
     """Return one leg closed at poses.
 
     Args:
@@ -70,20 +70,20 @@ def close_alike(
     matrices: Array,
     influences: Array | None = None,
     near: Array | None = None,
-) -> Closed:
+) -> ClosedLegs:
     """Return L alike legs closed at poses, N rows of each below those of the one before.
 
     Args:
-        legs: Legs of one form, at their parameter values; influences are those of one alone.
+        legs: Legs of one form, at their parameter values.
         matrices: Poses ``T_base_platform``, shape (L N, 4, 4).
-        influences: See ``close``.
+        influences: See ``close``; of no effect unless one leg that deforms is alone.
         near: See ``close``, shape (L N, n_joints).
     """
-    rows, count = each(len(legs), len(matrices)), len(matrices) // len(legs)
+    rows, count = rows_of_each(len(legs), len(matrices)), len(matrices) // len(legs)
     if near is None:
         starts = [start_joints(leg, matrices[own]) for leg, own in zip(legs, rows, strict=True)]
-        start = below([joints for joints, _ in starts])
-        possible, about = below([one for _, one in starts]), _homes(legs, count)
+        start = stacked([joints for joints, _ in starts])
+        possible, about = stacked([one for _, one in starts]), _homes(legs, count)
         attempts = _ATTEMPTS
     else:
         possible = np.asarray(np.isfinite(near).all(axis=1))
@@ -100,9 +100,10 @@ def close_alike(
         joints = np.where((closed & ~last)[:, None], joints, joints + step)
     if not (closed | ~possible).all():
         for leg, own in zip(legs, rows, strict=True):
-            joints[own], closed[own] = _search(
-                leg, matrices[own], joints[own], closed[own], possible[own], attempts
-            )
+            if not (closed[own] | ~possible[own]).all():
+                joints[own], closed[own] = _search(
+                    leg, matrices[own], joints[own], closed[own], possible[own], attempts
+                )
         turning = [i for i, joint in enumerate(legs[0].leg.moving) if joint.kind == "revolute"]
         around = wrapped(joints[:, turning] - about[:, turning])
         joints[:, turning] = about[:, turning] + around  # Newton's method may have gone round
@@ -111,14 +112,9 @@ def close_alike(
     joints = joints[:, :n]
     if near is None:
         for leg, own in zip(legs, rows, strict=True):
-            joints[own] = _within_limits(leg, joints[own])
+            _turn_within_limits(leg, joints[own])
     reached = closed & in_home_modes(legs, closure)
-    return Closed(np.where(reached[:, None], joints, np.nan), reached, closure)
-
-
-def below(parts: Sequence[Any]) -> Any:
-    """Return arrays below each other; a single one as it is."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+    return ClosedLegs(np.where(reached[:, None], joints, np.nan), reached, closure)
 
 
 def _homes(legs: Sequence[LegClosure], rows: int) -> Array:
@@ -126,8 +122,8 @@ def _homes(legs: Sequence[LegClosure], rows: int) -> Array:
     return np.repeat([leg.leg.home for leg in legs], rows, axis=0)
 
 
-def _within_limits(leg: LegClosure, joints: Array) -> Array:
-    """Return joints with full turns added where that brings them within their limits."""
+def _turn_within_limits(leg: LegClosure, joints: Array) -> None:
+    """Add full turns to joints, in place, where that brings them within their limits."""
     turn = 2 * np.pi
     for place, joint in enumerate(leg.leg.moving):
         if joint.kind == "revolute" and joint.limited:
@@ -138,7 +134,6 @@ def _within_limits(leg: LegClosure, joints: Array) -> Array:
                 turned = own[outside] - turn * np.floor((own[outside] - low) / turn)
                 fits = turned <= high
                 own[outside[fits]] = turned[fits]
-    return joints
 
 
 def _search(

@@ -251,11 +251,11 @@ class LegClosure:
     def form(self) -> tuple[object, ...]:
         """What alike legs have in common: they may be evaluated in one call.
 
-        One that deforms, or closes a frame, is like no other.
+        One that deforms, or closes a frame, is like no other, itself included.
         """
         leg, own = self.leg, point_chain(self.leg).moving
         if leg.deformed or self.turns:
-            return (leg,)
+            return (object(),)
         sizes = (len(leg.parameters), len(leg.sensors), *own.tolist())
         return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
 
@@ -296,15 +296,7 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     return Closure(placed.gap, active, passive, placed)
 
 
-def alike(forms: Iterable[object]) -> list[list[int]]:
-    """Return the places of what has one form (see ``LegClosure.form``), by form."""
-    groups: dict[object, list[int]] = {}
-    for place, form in enumerate(forms):
-        groups.setdefault(form, []).append(place)
-    return list(groups.values())
-
-
-def each(count: int, rows: int) -> list[slice]:
+def rows_of_each(count: int, rows: int) -> list[slice]:
     """Return the rows of each of so many alike legs."""
     own = rows // count
     return [slice(leg * own, (leg + 1) * own) for leg in range(count)]

@@ -160,7 +160,7 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
         readings = [plan.readings[:, own] for own in mechanism.reading_columns]
     if columns is not None:
         influences = [mechanism.influences_at(index, columns) for index in range(len(legs))]
-    placed = mechanism.platform.placed(plan.poses)
+    placed = mechanism.platform.matrices(plan.poses)
     return leg_demands_at(legs, [placed] * len(legs), readings, influences)
 
 

@@ -15,10 +15,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import least_squares, product
-from pincal.kinematics.closing import CHUNK, close_alike, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, each
-from pincal.kinematics.every_leg import alike_few, chunks, matrices_of, matrix_chunks
+from pincal.kinematics.batches import (
+    chunks,
+    least_squares,
+    matrices_of,
+    matrix_chunks,
+    product,
+    stacked,
+)
+from pincal.kinematics.closing import close_alike, sensor_law
+from pincal.kinematics.closure import Closure, LegClosure, rows_of_each
+from pincal.kinematics.every_leg import grouped
 from pincal.kinematics.nearest_closure import begun, nearest_closures
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -79,7 +86,7 @@ def demands(legs: Sequence[LegClosure], closure: Closure, known: Sequence[Array]
         closure: Their closures at N configurations, rows of each below the one before.
         known: Of each leg readings, then influences, shape (N, n_active [+ n_influences]).
     """
-    value, rows_of = closure.constraint, each(len(legs), len(closure.gap))
+    value, rows_of = closure.constraint, rows_of_each(len(legs), len(closure.gap))
     rows, drive, pose = closure.constraint_by_parameter, closure.drive, closure.constraint_by_pose
     found = []
     for own, leg, said in zip(rows_of, legs, known, strict=True):
@@ -95,7 +102,7 @@ def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> A
     A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
     """
     law, found = sensor_law(leg), rows.copy("K")
-    found[:, :, law.parameters] += product(drive, law.by_parameter(known))
+    found[:, :, law.parameter_places] += product(drive, law.by_parameter(known))
     if leg.leg.deformed:
         by = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :])
         found += rows[:, :, leg.deformations.parameters] @ by
@@ -113,7 +120,7 @@ def _closed(
     Known are readings, and influences if there are any; rows of each leg stand below those of the
     one before.
     """
-    rows = each(len(legs), len(matrices))
+    rows = rows_of_each(len(legs), len(matrices))
     more = influences or [np.zeros((len(matrices[own]), 0)) for own in rows]
     if readings is not None:
         known = [np.hstack(pair) for pair in zip(readings, more, strict=True)]
@@ -135,51 +142,53 @@ def leg_demands_at(
     readings: Sequence[Array] | None = None,
     influences: Sequence[Array] | None = None,
 ) -> list[Demand]:
-    """Return what legs demand, each at as many poses of its own: see ``leg_demand``.
+    """Return what legs demand, each at poses of its own: see ``leg_demand``.
 
     Args:
-        legs: The legs at their parameter values; alike ones are evaluated in one call.
+        legs: The legs at their parameter values.
         placed: Of each leg N transforms, or matrices (N, 4, 4).
         readings: Of each leg, shape (N, n_active); those of inverse kinematics if not given.
         influences: Of each leg, shape (N, n_influences); at their reference if not given.
     """
-    count = len(placed[0])
-    if 0 < count <= CHUNK:
-        return _demands_of(legs, [matrices_of(one) for one in placed], readings, influences)
-    found = []
-    for leg in legs:
-        n_rows = len(leg.platform.closing(leg.leg.closes)) - len(leg.leg.passive)
-        sizes = (len(leg.parameters), leg.platform.dof, len(leg.leg.sensors))
-        derivatives = (np.empty((count, n_rows, size)) for size in sizes)
-        found.append(Demand(np.empty((count, n_rows)), *derivatives))
-    for rows in chunks(count):
-        given = ([one[rows] for one in own] if own else None for own in (readings, influences))
-        parts = _demands_of(legs, [matrices_of(one[rows]) for one in placed], *given)
-        for whole, part in zip(found, parts, strict=True):
-            for target, values in zip(vars(whole).values(), vars(part).values(), strict=True):
-                target[rows] = values
-    return found
+    forms = [(leg.form, len(at)) for leg, at in zip(legs, placed, strict=True)]
+    found: dict[int, Demand] = {}
+    for places in grouped(forms, max(map(len, placed))):
+        given = ([one[i] for i in places] if one else None for one in (readings, influences))
+        own = _demands_of([legs[i] for i in places], [placed[i] for i in places], *given)
+        found |= zip(places, own, strict=True)
+    return [found[place] for place in range(len(legs))]
 
 
 def _demands_of(
     legs: Sequence[LegClosure],
-    matrices: Sequence[Array],
+    placed: Sequence[RigidTransform | Array],
     readings: Sequence[Array] | None,
     influences: Sequence[Array] | None,
 ) -> list[Demand]:
-    """Return what legs demand at so many poses as memory holds well: see ``leg_demands_at``."""
-    found: dict[int, Demand] = {}
-    for places in alike_few(legs, len(matrices[0])):
-        some, there = [legs[i] for i in places], np.concatenate([matrices[i] for i in places])
-        given = ([one[i] for i in places] if one else None for one in (readings, influences))
-        closure, known, reached = _closed(some, there, *given)
-        parts = demands(some, closure, known)
-        for place, one, rows in zip(places, parts, each(len(some), len(there)), strict=True):
-            if not reached[rows].all():
+    """Return what alike legs demand at as many poses each: see ``leg_demands_at``."""
+    count = len(placed[0])
+    whole: list[Demand] = []
+    for rows in chunks(count) if count else [slice(0)]:
+        there = stacked([matrices_of(one[rows]) for one in placed])
+        given = ([one[rows] for one in own] if own else None for own in (readings, influences))
+        closure, known, reached = _closed(legs, there, *given)
+        parts = demands(legs, closure, known)
+        for one, own in zip(parts, rows_of_each(len(legs), len(there)), strict=True):
+            if not reached[own].all():
                 for values in vars(one).values():
-                    values[~reached[rows]] = np.nan
-            found[place] = one
-    return [found[place] for place in range(len(legs))]
+                    values[~reached[own]] = np.nan
+        if len(parts[0].value) == count:
+            return parts
+        whole = whole or [_room(one, count) for one in parts]
+        for one, part in zip(whole, parts, strict=True):
+            for target, values in zip(vars(one).values(), vars(part).values(), strict=True):
+                target[rows] = values
+    return whole
+
+
+def _room(part: Demand, count: int) -> Demand:
+    """Return room for what is demanded at so many poses, as at some."""
+    return Demand(*(np.empty((count, *values.shape[1:])) for values in vars(part).values()))
 
 
 def leg_demand(
@@ -190,7 +199,10 @@ def leg_demand(
     readings: Array | None = None,
     influences: Array | None = None,
 ) -> Demand:
-    """Return what a leg demands at poses that it reaches: value zero, NaN where out of reach.
+    """Return what a leg demands at poses.
+
+    With readings of inverse kinematics its value is zero, and all is NaN out of reach; with others
+    passive joints are where the leg closes best.
 
     Args:
         mechanism: The mechanism.

@@ -10,20 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.kinematics.closing import CHUNK, Closed, below, close_alike
-from pincal.kinematics.closure import LegClosure, alike, nominal_legs
+from pincal.kinematics.batches import CHUNK, matrix_chunks, stacked
+from pincal.kinematics.closing import ClosedLegs, close_alike
+from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Together:
+class ClosedGroup:
     """Some of all legs, closed in one call."""
 
     places: list[int]
     """Of the legs, among all."""
-    closed: Closed
+    closed: ClosedLegs
 
 
 def close_legs(
@@ -31,7 +32,7 @@ def close_legs(
     matrices: Array,
     influences: Sequence[Array | None] | None = None,
     near: Sequence[Array] | None = None,
-) -> list[Together]:
+) -> list[ClosedGroup]:
     """Return all legs closed at the same poses, alike ones in one call where poses are few.
 
     Args:
@@ -42,23 +43,29 @@ def close_legs(
             (N, n_joints); found in its working mode if not given.
     """
     found = []
-    for places in alike_few(legs, len(matrices)):
+    for places in grouped([leg.form for leg in legs], len(matrices)):
         own = [legs[place] for place in places]
         there = matrices if len(own) == 1 else np.tile(matrices, (len(own), 1, 1))
-        at = None if influences is None or len(own) > 1 else influences[places[0]]
-        start = None if near is None else below([near[place] for place in places])
-        found.append(Together(places, close_alike(own, there, at, start)))
+        at = None if influences is None else influences[places[0]]  # what deforms is alone
+        start = None if near is None else stacked([near[place] for place in places])
+        found.append(ClosedGroup(places, close_alike(own, there, at, start)))
     return found
 
 
-def alike_few(legs: Sequence[LegClosure], rows: int) -> list[list[int]]:
-    """Return the places of legs that are best evaluated in one call, so many rows of each."""
-    groups = alike(leg.form for leg in legs)
-    most = max(map(len, groups), default=0)
-    return groups if most * rows <= CHUNK else [[place] for place in range(len(legs))]
+def grouped(forms: Sequence[object], rows: int) -> list[list[int]]:
+    """Return the places of legs that are best evaluated in one call: alike ones, rows being few.
+
+    Args:
+        forms: Of the legs: see ``LegClosure.form``.
+        rows: Of each leg.
+    """
+    groups: dict[object, list[int]] = {}
+    for place, form in enumerate(forms):
+        groups.setdefault(form if rows <= CHUNK else place, []).append(place)
+    return list(groups.values())
 
 
-def by_leg(closed: Sequence[Together], value: Callable[[Closed], Any]) -> list[Any]:
+def by_leg(closed: Sequence[ClosedGroup], value: Callable[[ClosedLegs], Any]) -> list[Any]:
     """Return values of all legs in order, shape (N, …) each, from those of each call."""
     found = {
         place: own
@@ -73,7 +80,7 @@ def close_chunks(
     placed: RigidTransform | Array,
     influences: Array | None = None,
     near: Mapping[str, Array] | None = None,
-) -> Iterator[tuple[slice, list[Together]]]:
+) -> Iterator[tuple[slice, list[ClosedGroup]]]:
     """Yield the closed legs of poses in chunks of bounded memory, and their rows.
 
     Args:
@@ -90,20 +97,3 @@ def close_chunks(
         if near is not None:
             start = [near[leg.leg.name][rows] for leg in legs]
         yield rows, close_legs(legs, matrices, own, start)
-
-
-def matrix_chunks(placed: RigidTransform | Array) -> Iterator[tuple[slice, Array]]:
-    """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
-    for rows in chunks(len(placed)):
-        yield rows, matrices_of(placed[rows])
-
-
-def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield rows of so many, no more at once than a size: as memory holds well if not given."""
-    for begin in range(0, count, size):
-        yield slice(begin, min(begin + size, count))
-
-
-def matrices_of(placed: RigidTransform | Array) -> Array:
-    """Return transforms as matrices, shape (N, 4, 4); matrices as they are."""
-    return placed.as_matrix() if isinstance(placed, RigidTransform) else placed

@@ -18,9 +18,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import least_squares, product
+from pincal.kinematics.batches import CHUNK, least_squares, product
 from pincal.kinematics.closed_forms import is_line
-from pincal.kinematics.closing import CHUNK, close, driven, sensor_law
+from pincal.kinematics.closing import close, driven, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, Newton, largest_size, nominal_legs
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.influences.loads import gravity_loads

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pincal.kinematics.batches import lengths, product
 from pincal.kinematics.closing import driven, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, Newton, each, evaluate
+from pincal.kinematics.closure import Closure, LegClosure, Newton, evaluate, rows_of_each
 from pincal.kinematics.starts import start_joints
 from pincal.model.checks import EXACT
 
@@ -105,9 +105,9 @@ def followed(
     change = np.empty_like(closed.gap)
     driven_by = np.empty((len(change), len(legs[0].leg.active)))
     parts = zip(legs, known, parameters, strict=True)
-    for rows, (leg, own, delta) in zip(each(len(legs), len(change)), parts, strict=True):
+    for rows, (leg, own, delta) in zip(rows_of_each(len(legs), len(change)), parts, strict=True):
         law = sensor_law(leg)
-        driven_by[rows] = law.by_parameter(own) @ delta[law.parameters]
+        driven_by[rows] = law.by_parameter(own) @ delta[law.parameter_places]
         by_parameter = closed.parameter[rows]
         change[rows] = by_parameter @ delta
         if leg.leg.deformed:

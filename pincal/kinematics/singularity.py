@@ -21,7 +21,7 @@ from pincal.kinematics.batches import point_velocity
 from pincal.kinematics.closed_forms import rod_directions
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
-from pincal.kinematics.every_leg import Together, by_leg, close_chunks
+from pincal.kinematics.every_leg import ClosedGroup, by_leg, close_chunks
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -62,7 +62,7 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
     return SingularityMargins(type1, type2)
 
 
-def drive_margins(closed: Sequence[Together]) -> Array:
+def drive_margins(closed: Sequence[ClosedGroup]) -> Array:
     """Return |Nᵀ ∂c/∂θ| over the drive's lever, one column a leg, shape (N, n_legs).
 
     Of several drives, the least singular value of their columns, each of unit speed at its best.
@@ -81,6 +81,8 @@ def _grip(closure: Closure) -> Array:
 
 def platform_margin(mechanism: Mechanism, lines: Sequence[Array]) -> Array:
     """Return the determinant of the legs' unit constraint lines, signed as at home, shape (N,).
+
+    NaN if a leg does not reach the home pose, which then has no side.
 
     Args:
         mechanism: The mechanism.

@@ -177,8 +177,7 @@ class Mechanism:
     @cached_property
     def constraints(self) -> int:
         """Equations that the legs demand of pose and readings, passive joints eliminated."""
-        rows = (len(self.platform.closing(leg.closes)) - len(leg.passive) for leg in self.legs)
-        return sum(max(count, 0) for count in rows)
+        return sum(max(self.platform.equations(leg), 0) for leg in self.legs)
 
     @cached_property
     def by_readings(self) -> bool:

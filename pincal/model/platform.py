@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from pincal.errors import MechanismError
 from pincal.model.checks import array_of, must_be, numbers_of
 from pincal.model.overview import one_line, triple
 from pincal.model.platform_kind import KINDS, PlatformKind
+
+if TYPE_CHECKING:
+    from pincal.model.leg import Leg
 
 Array = NDArray[np.float64]
 Poses: TypeAlias = Array | RigidTransform  # coordinates (N, dof), or transforms of length N
@@ -118,6 +121,10 @@ class Platform:
         if closes == "point":
             return self.closure_rows
         return (0, 1, 5) if self.space == 2 else (0, 1, 2, 3, 4, 5)
+
+    def equations(self, leg: Leg) -> int:
+        """Return how many equations a leg demands of a pose, passive joints eliminated."""
+        return len(self.closing(leg.closes)) - len(leg.passive)
 
     @property
     def space(self) -> int:

@@ -17,7 +17,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.checks.folds import clusters
 from pincal.calibration.fits import Fits
 from pincal.design.platform_error import CONFIDENCE, DRAWS
-from pincal.kinematics.closing import CHUNK
+from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.forward import forward
 from pincal.model.measuring.setup import ORIGIN
 

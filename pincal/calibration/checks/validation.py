@@ -173,8 +173,9 @@ def held_out(
     chances = []
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
-        seen = calibration.rows(groups != fold).at_this_noise()
-        near = Near.of(whole, groups != fold) if whole.latent else None
+        own_rows = groups != fold
+        seen = calibration.rows(own_rows).at_this_noise()
+        near = Near.of(whole, own_rows) if whole.latent else None
         found = _converged(seen, f"fold {fold + 1} of {count}", near)
         unseen = calibration.rows(groups == fold)
         own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]
@@ -213,7 +214,7 @@ def held_out(
 
 
 def _converged(calibration: Calibration, what: str, near: Near | None = None) -> Fits:
-    """Return the fits of a calibration, the search begun near an optimum if one is given.
+    """Return the fits of a calibration, the search begun near another optimum if one is given.
 
     Raises:
         MeasurementError: they do not converge.

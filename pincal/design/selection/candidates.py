@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.design.selection.criteria import Parts
-from pincal.kinematics.every_leg import chunks
+from pincal.kinematics.batches import chunks
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from pincal.design.selection.candidates import Held, Rows, most_of, squares
 from pincal.design.selection.criteria import Criterion, Determinant, Parts, grams
 from pincal.errors import ObservabilityError
-from pincal.kinematics.batches import solve
-from pincal.kinematics.every_leg import chunks
+from pincal.kinematics.batches import chunks, solve
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]

@@ -11,9 +11,8 @@ from pincal.design.information import leg_rows
 from pincal.design.selection.candidates import Held, Rows, Some
 from pincal.design.selection.criteria import Parts
 from pincal.design.selection.orbits import orbit_of, repeated
-from pincal.kinematics.closing import CHUNK
+from pincal.kinematics.batches import CHUNK, chunks
 from pincal.kinematics.derivatives import leg_demand_at
-from pincal.kinematics.every_leg import chunks
 from pincal.model.measuring.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element
@@ -46,12 +45,9 @@ class LegRows:
     @property
     def shapes(self) -> tuple[tuple[int, int], ...]:
         """Of a candidate's rows, (r, n) of each part."""
-        closing, found = self.mechanism.platform.closing, []
-        for name in self.legs:
-            leg = self.mechanism.leg(name)
-            rows = len(closing(leg.closes)) - len(leg.passive)
-            found.append((rows * len(self.elements), len(leg.parameters)))
-        return tuple(found)
+        equations, times = self.mechanism.platform.equations, len(self.elements)
+        legs = map(self.mechanism.leg, self.legs)
+        return tuple((equations(leg) * times, len(leg.parameters)) for leg in legs)
 
     def matrices(self, places: Some) -> Array:
         """Return poses as matrices, shape (s, 4, 4)."""

@@ -53,7 +53,7 @@ class LegCondition:
         """Number of equations at a pose."""
         if self.kind == "joint":
             return len(self.leg.sensors)
-        return len(self.platform.closing(self.leg.closes)) - len(self.leg.passive)
+        return self.platform.equations(self.leg)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,15 +118,19 @@ class SensorLaw:
         return slopes
 
     @cached_property
-    def parameters(self) -> NDArray[np.intp]:
-        """Places of the leg's parameters by which positions change, in order, shape (k,)."""
-        by: Any = self.slope_by_parameter.any(axis=0) | self.start_by_parameter.any(axis=0)
-        by[[one.parameter for one in self.terms]] = True
-        return np.flatnonzero(by)
+    def parameter_places(self) -> NDArray[np.intp]:
+        """Which of the leg's parameters change positions, in order, shape (k,)."""
+        by = np.concatenate((self.slope_by_parameter, self.start_by_parameter)).any(axis=0)
+        amplitudes = np.array([one.parameter for one in self.terms], dtype=np.intp)
+        return np.union1d(np.flatnonzero(by), amplitudes)
 
     def by_parameter(self, known: Array) -> Array:
-        """Return ∂q/∂φ of these at given readings, shape (N, n_active) to (N, n_active, k)."""
-        readings, own = known.T[: len(self.slope), None], self.parameters
+        """Return ∂q/∂φ by ``parameter_places``, shape (N, n_active, k).
+
+        Args:
+            known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
+        """
+        readings, own = known.T[: len(self.slope), None], self.parameter_places
         by_slope, by_start = self.slope_by_parameter[:, own], self.start_by_parameter[:, own]
         found = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
         add_bases(self._own_terms, known, found)
@@ -134,8 +138,8 @@ class SensorLaw:
 
     @cached_property
     def _own_terms(self) -> tuple[PlacedTerm, ...]:
-        """The terms, amplitudes by their places among ``parameters``."""
-        places = np.searchsorted(self.parameters, [one.parameter for one in self.terms])
+        """The terms, their parameters counted among ``parameter_places``."""
+        places = np.searchsorted(self.parameter_places, [one.parameter for one in self.terms])
         pairs = zip(self.terms, places.tolist(), strict=True)
         return tuple(replace(one, parameter=place) for one, place in pairs)
 

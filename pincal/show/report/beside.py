@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 #: Figures that follow from the fits alone, and those that wait for the checks of a result.
 OF_FITS = ("images", "changes", "drawing", "residuals", "histogram", "observability")
 OF_CHECKS = ("maps", "poses", "rms")  # the longest first
+#: Those of the latter that a result shows whose fit did not converge.
+OF_NO_OPTIMUM = ("poses",)
 _LOOKS, _BETWEEN = 4, 1e-3  # at what else computes, [s]
+_NOT_UNDERSTOOD = (AttributeError, ImportError, IndexError)  # what bytes that are no pickle raise
 #: What the process runs: modules are found where this process finds them.
 _RUN = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -73,14 +76,14 @@ class Drawer:
         try:
             for one in self._written:
                 one.result()
-            self._talk.submit(into.close).result()  # nothing more is asked
+            into.close()  # nothing more is asked
             return dict(pickle.load(out))
-        except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError):
+        except (OSError, ValueError, EOFError, pickle.UnpicklingError, *_NOT_UNDERSTOOD):
             return {}  # it has ended, or says nothing that is understood
 
     def end(self) -> None:
         """End the process and its forks, whatever they do."""
-        if hasattr(os, "killpg") and self._process.returncode is None:
+        if hasattr(os, "killpg"):
             with suppress(OSError):
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
@@ -102,9 +105,9 @@ def _others() -> float:
     """
     found = []
     try:  # of Linux: 0.20 0.18 0.12 1/80 11206, of 80 one runs, which asks
-        for _ in range(_LOOKS):
+        for look in range(_LOOKS):
+            sleep(_BETWEEN if look else 0.0)
             found.append(float(Path("/proc/loadavg").read_text().split()[3].split("/")[0]) - 1.0)
-            sleep(_BETWEEN)
         return min(found)
     except (OSError, ValueError, IndexError):
         return os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
@@ -188,7 +191,7 @@ def figures(
         drawer: The process, if there is one, already asked for the figures ``OF_FITS``.
     """
     if drawer is not None:
-        drawer.ask(found, OF_CHECKS if found.result.converged else OF_CHECKS[:1], units)
+        drawer.ask(found, OF_CHECKS if found.result.converged else OF_NO_OPTIMUM, units)
 
     @cache
     def beside() -> Mapping[str, SvgFigure | None]:
