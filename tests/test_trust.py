@@ -19,6 +19,7 @@ from pincal.calibration.checks.folds import folds_of
 from pincal.calibration.checks.least import least_of_folds
 from pincal.calibration.checks.runs import compare_runs
 from pincal.calibration.fits import fitted
+from pincal.calibration.near import Near
 from pincal.calibration.options import Options
 from pincal.show.summary import check_lines
 from pincal.words.numbers import amount
@@ -48,6 +49,37 @@ def test_held_out_rows_miss_as_expected(method: str, known: bool) -> None:
         assert found.position is not None
         assert found.position[1] > found.position[0]
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)
+
+
+def test_rows_of_a_fit_keep_its_gauge_where_the_same_is_measured() -> None:
+    """Others find their own: what is free there may be more, or less."""
+    mechanism, _, data = machine("3RRR", 40)
+    moved = seen_from_elsewhere(mechanism, data)
+    options = Options(noise=NOISE, setup=FRAME)
+    whole = fitted(Calibration(mechanism, moved, options))
+    some = np.arange(40) < 30
+    near, free = Near.of(whole, some), whole.unknowns
+    assert free is not None
+    part = Calibration(mechanism, moved.rows(some), options)
+    assert near.gauge(part.latent_problem, free) is whole.gauge
+    poses = moved.poses.copy()
+    poses[:, 2] = np.nan  # no orientations
+    blind = Calibration(mechanism, replace(moved, poses=poses).rows(some), options)
+    assert near.gauge(blind.latent_problem, free) is None
+    fixed = replace(part, options=replace(options, fixed=("leg_1.l",)))
+    assert near.gauge(part.latent_problem, fixed.unknowns()) is None
+
+
+def test_folds_that_cannot_be_aligned_say_so() -> None:
+    """Where a fold lacks what shows the frame, it is not taken from the other rows."""
+    mechanism, _, data = machine("3RRR", 36)
+    thirds = tuple("abc"[row * 3 // 36] for row in range(36))
+    moved = seen_from_elsewhere(mechanism, replace(data, runs=thirds))
+    poses = moved.poses.copy()
+    poses[12:, :2] = np.nan  # positions in the first run only
+    partly = replace(moved, poses=poses)
+    with pytest.raises(pincal.MeasurementError, match="cannot be aligned"):
+        pincal.validate(mechanism, partly, setup=FRAME, noise=NOISE, folds=3, by="run")
 
 
 @pytest.mark.slow

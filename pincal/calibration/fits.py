@@ -91,8 +91,8 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
     Args:
         calibration: What is to be identified.
         tied: Whether ties count, or are left out for the test of the same estimator.
-        near: Where the search for all legs at once begins, and what is called its ``first``, if the
-            optimum is known to be near; each leg alone begins at its nominal parameters.
+        near: Where the search for all legs at once begins, if the optimum is known to be near; each
+            leg alone begins at its nominal parameters.
 
     Raises:
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
@@ -215,13 +215,14 @@ def _all_legs(
         calibration.check_counts()
     start = gauge = None
     if before is not None:
-        problem = replace(problem, first=before.fits[0].fit.problem.first)
         start, gauge = before.fits[0].fit.last.state, before.gauge
-    elif near is not None:
-        start, gauge = near.state, near.gauge(problem, unknowns)
-        problem = replace(problem, first=start)
+        first = before.fits[0].fit.problem.first
     else:
-        problem = calibration.started(problem)
+        if near is not None:
+            start, gauge = near.state, near.gauge(problem, unknowns)
+        started = gauge is not None and not options.hold_undetermined  # which follows the start
+        first = start if started else calibration.started(problem).first
+    problem = replace(problem, first=first)
     if gauge is None:
         gauge = find_gauge(mechanism, problem, unknowns)
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
@@ -234,8 +235,8 @@ def _all_legs(
     found = robust_fit(
         mechanism, system, every, _loss(calibration), start, progress=options.progress
     )
-    first = found.fit.first if before is None else before.fits[0].fit.first
-    found = replace(found, fit=replace(found.fit, first=first))
+    if before is not None:  # whose search began where this one's would have
+        found = replace(found, fit=replace(found.fit, first=before.fits[0].fit.first))
     external = found.fit.last.state.external
     return Fits(calibration, [found], external, gauge, unknowns, held)
 
