@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from pincal.kinematics.batches import CHUNK, matrix_chunks, stacked
+from pincal.kinematics.batches import matrix_chunks, stacked
 from pincal.kinematics.closing import ClosedLegs, close_alike
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+_FEW = 8192  # rows of all legs: those of more are quicker leg by leg, near the processor
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def grouped(forms: Sequence[object], rows: int) -> list[list[int]]:
     """
     groups: dict[object, list[int]] = {}
     for place, form in enumerate(forms):
-        groups.setdefault(form if rows <= CHUNK else place, []).append(place)
+        groups.setdefault(form if len(forms) * rows <= _FEW else place, []).append(place)
     return list(groups.values())
 
 
