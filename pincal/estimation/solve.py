@@ -49,6 +49,8 @@ class Settings:
     """Of a standard error: the search ends."""
     slow: float = 1e-6
     """Of a standard error: nearer only if each step halves the distance."""
+    stays: float = 1e-3
+    """Of the distance, by which a step must make it smaller where the cost is blind to it."""
     negligible: float = 1e-3
     """Of a standard error: converged, where no step falls further."""
     rows: int = 2000
@@ -152,11 +154,12 @@ def search(
             damping *= _change(fall / max(normal.fall(step), 1e-300))
             damping, growth = (damping if damping > BY.damping[0] else 0.0), 10.0
             slow = blind and new.decrement > 0.5 * normal.decrement
+            stays = blind and new.decrement > (1.0 - BY.stays) * normal.decrement
             here, weights, scale, cost, normal = trial, new_weights, new_scale, new_cost, new
             costs.append(cost)
             if cost < 0.5 * cost_held:
                 held, cost_held = left_out, np.inf
-            if slow and normal.decrement <= BY.slow:  # rounding, or less than matters to anyone
+            if stays or (slow and normal.decrement <= BY.slow):  # rounding, or of no matter
                 break
         elif (astray := unsolved(problem, here) & ~held).any():
             held, cost_held = held | astray, cost
