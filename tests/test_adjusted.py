@@ -66,3 +66,14 @@ def test_gains_are_not_too_small() -> None:
             gain = result[f"{leg.name}.k"]
             errors.append((gain.identified - leg.nominal_by_name["k"]) / gain.std)
     assert abs(np.mean(errors)) < 3.0 / np.sqrt(len(errors))
+
+
+@pytest.mark.slow
+def test_many_rows_take_no_more_evaluations_than_few() -> None:
+    """What rounding leaves grows with the rows; the search does not go round in it."""
+    noise = pincal.Noise(1e-4, 1e-4, 5e-5)
+    taken = [
+        pincal.calibrate(*data[::2], noise=noise).evaluations
+        for data in (machine("6UPS", count, noise) for count in (100, 10_000))
+    ]
+    assert taken[1] <= taken[0] + 3, taken  # 14 and 7, as rounding was gone round in
