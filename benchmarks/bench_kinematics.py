@@ -19,9 +19,9 @@ import pytest
 from numpy.typing import NDArray
 
 import pincal
-from pincal.kinematics.chain import leg_chain
-from pincal.kinematics.forest import Forest
 from pincal.kinematics.influences.loads import gravity_loads
+from pincal.kinematics.legs.chain import leg_chain
+from pincal.kinematics.legs.forest import Forest
 from pincal.model.sensors.load import Load
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

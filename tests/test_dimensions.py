@@ -9,8 +9,8 @@ import pytest
 from command_line import run
 
 import pincal
-from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import joints_at
+from pincal.kinematics.legs.closure import nominal_legs
 from pincal.kinematics.readers import skeleton
 from pincal.show.pictures.dimension_lines import symbol
 from pincal.show.pictures.dimensions import Dimension, dimensions_of

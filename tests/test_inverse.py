@@ -10,10 +10,10 @@ from closed_forms import angles, bends, jacobian, near, poses_near_home, random_
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.kinematics import starts
-from pincal.kinematics.closing import close
-from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.inverse import reached
+from pincal.kinematics.legs import starts
+from pincal.kinematics.legs.closing import close
+from pincal.kinematics.legs.closure import LegClosure
 
 GEOMETRIES = [20, pytest.param(200, marks=pytest.mark.slow)]
 MARGIN = 0.1  # elbow sine

@@ -38,8 +38,8 @@ from pincal.formats.trees.tree_of import tree_of
 from pincal.formats.trees.tree_urdf import loops_urdf, loops_yaml
 from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
-from pincal.kinematics.closed_forms import closed_form, pointing_slide
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.legs.closed_forms import closed_form, pointing_slide
+from pincal.kinematics.legs.closure import LegClosure
 from pincal.kinematics.reach import reach_of
 from pincal.model.leg import Leg
 from pincal.model.links import link_placements

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.estimation.conditions.angles import angle
 from pincal.estimation.observability.indices import r_diagonal
-from pincal.kinematics import starts
+from pincal.kinematics.legs import starts
 from pincal.model.orientation import WAYS, columns_of, rotation_of
 
 EXACT = pincal.Noise(0.0, 0.0, 0.0)

@@ -19,11 +19,11 @@ from pincal.calibration.terms.kinds import said
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError, MechanismError
 from pincal.estimation.conditions.alike_legs import evaluated
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.influences.columns import influences_of, sides
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import LegClosure, joint_range
 from pincal.model.sensors.load import Load
 from pincal.model.sensors.monotonic import turning
 

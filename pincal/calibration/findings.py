@@ -22,7 +22,7 @@ from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.variances.components import Moments
 from pincal.estimation.variances.noise import assumed_noise
 from pincal.finding import Finding
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.checks import ROUNDING
 from pincal.model.measuring.measurements import Measurements
 from pincal.model.measuring.setup import ORIGIN, Setup

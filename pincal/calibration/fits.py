@@ -25,7 +25,7 @@ from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
 from pincal.estimation.variances.components import Beforehand, Moments, estimated_noise, widened
 from pincal.estimation.variances.noise import assumed_noise
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Noise
 from pincal.model.mechanism import Mechanism
 

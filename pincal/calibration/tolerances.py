@@ -19,7 +19,7 @@ from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.drawings import DIFFER
 from pincal.estimation.variances.evidence import Evidence, FoundTolerance, likeliest
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.checks import ALIKE
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from pincal.files.tables.table import write_table
 from pincal.files.tables.units import Units
 from pincal.formats.corrections.code import LANGUAGES, code_of
 from pincal.formats.corrections.poses import corrected, correction_columns, corrections
-from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.influences.columns import own_influences
+from pincal.kinematics.legs.closure import nominal_legs
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount, counted, listed, reading_in

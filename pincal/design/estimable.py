@@ -14,9 +14,9 @@ from pincal.errors import MeasurementError
 from pincal.estimation.observability.frames import frames_moved, split_frames
 from pincal.estimation.observability.generic import GENERIC
 from pincal.estimation.observability.indices import Identifiability, identifiability, scaled_axes
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, legs_at, nearby
 from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Noise, Plan
 from pincal.model.measuring.setup import Setup
 from pincal.model.measuring.uncertainty import Systematic

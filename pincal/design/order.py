@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.checks import count_of
 from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism

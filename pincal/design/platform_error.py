@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pincal.blas import on_one_thread
 from pincal.estimation.observability.frames import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import leg_demands, legs_at
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount

@@ -30,8 +30,8 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.given import as_noise
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import leg_demands_at
+from pincal.kinematics.legs.closure import nominal_legs
 from pincal.model.checks import ALIKE, count_of, described
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism

@@ -30,8 +30,8 @@ from pincal.estimation.observability.indices import (
 )
 from pincal.files.given import as_noise, as_setup
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at
+from pincal.kinematics.legs.closure import nominal_legs
 from pincal.model.checks import count_of
 from pincal.model.measuring.measurements import Plan
 from pincal.model.measuring.setup import Setup

@@ -18,11 +18,11 @@ from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.files.given import as_noise, as_plan
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences.columns import by_name, influences_of
 from pincal.kinematics.inverse import inverse
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.checks import generator_of, number_of
 from pincal.model.measuring.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism

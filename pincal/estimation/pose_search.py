@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pincal.estimation.linear import Linear
 from pincal.estimation.problem import Problem
-from pincal.kinematics.closure import Newton, largest_size
+from pincal.kinematics.legs.closure import Newton, largest_size
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

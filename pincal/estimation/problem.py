@@ -24,10 +24,10 @@ from pincal.estimation.conditions.leg_condition import LegCondition
 from pincal.estimation.conditions.observation import Observation
 from pincal.estimation.linear import Block, Linear, Stack, State
 from pincal.estimation.rows import NoNoiseError, white_rows
-from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.every_leg import grouped
-from pincal.kinematics.nearest_closure import arm_poses
+from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.legs.every_leg import grouped
+from pincal.kinematics.legs.nearest_closure import arm_poses
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 

@@ -21,7 +21,7 @@ from pincal.estimation.linear import Linear, State
 from pincal.estimation.pose_search import solve_poses, unsolved
 from pincal.estimation.problem import Problem, spread
 from pincal.estimation.system import Normal, System
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -17,12 +17,12 @@ from pincal.estimation.alignment import aligned
 from pincal.estimation.conditions.external import External
 from pincal.estimation.linear import Stack, State
 from pincal.estimation.problem import Problem
-from pincal.kinematics.closure import LegClosure, Newton, largest_size
 from pincal.kinematics.forward import placed_by_arm
 from pincal.kinematics.inverse import inverse
-from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.kinematics.legs.closure import LegClosure, Newton, largest_size
+from pincal.kinematics.legs.nearest_closure import nearest_closure
+from pincal.kinematics.legs.starts import home_mode, mode_sign
 from pincal.kinematics.singularity import platform_margin
-from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.measuring.measurements import Measurements
 from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.model.mechanism import Mechanism

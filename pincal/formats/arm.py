@@ -15,7 +15,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.files.urdf import read_path
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.checks import must_be
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.kinematics.closure import LegClosure, Newton, joint_range, largest_size
+from pincal.kinematics.legs.closure import LegClosure, Newton, joint_range, largest_size
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform

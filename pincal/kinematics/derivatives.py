@@ -23,10 +23,10 @@ from pincal.kinematics.batches import (
     product,
     stacked,
 )
-from pincal.kinematics.closing import close_alike, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, rows_of_each
-from pincal.kinematics.every_leg import grouped
-from pincal.kinematics.nearest_closure import begun, nearest_closures
+from pincal.kinematics.legs.closing import close_alike, sensor_law
+from pincal.kinematics.legs.closure import Closure, LegClosure, rows_of_each
+from pincal.kinematics.legs.every_leg import grouped
+from pincal.kinematics.legs.nearest_closure import begun, nearest_closures
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 

@@ -19,14 +19,14 @@ from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import CHUNK, least_squares, product
-from pincal.kinematics.closed_forms import is_line
-from pincal.kinematics.closing import close, driven, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, Newton, largest_size, nominal_legs
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.influences.loads import gravity_loads
-from pincal.kinematics.nearest_closure import arm_poses
+from pincal.kinematics.legs.closed_forms import is_line
+from pincal.kinematics.legs.closing import close, driven, sensor_law
+from pincal.kinematics.legs.closure import Closure, LegClosure, Newton, largest_size, nominal_legs
+from pincal.kinematics.legs.nearest_closure import arm_poses
+from pincal.kinematics.legs.starts import in_home_mode, start_joints
 from pincal.kinematics.singularity import platform_margin
-from pincal.kinematics.starts import in_home_mode, start_joints
 from pincal.model.checks import ROUNDING, numbers_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses

@@ -16,13 +16,13 @@ from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import matrix_chunks
-from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closing import close, sensor_law
-from pincal.kinematics.closure import largest_size, nominal_legs
-from pincal.kinematics.every_leg import by_leg, close_chunks
 from pincal.kinematics.forward import LOADS, needs_loads, with_loads
 from pincal.kinematics.influences.columns import Influences, influence_columns
-from pincal.kinematics.starts import start_joints
+from pincal.kinematics.legs.closed_forms import closed_form
+from pincal.kinematics.legs.closing import close, sensor_law
+from pincal.kinematics.legs.closure import largest_size, nominal_legs
+from pincal.kinematics.legs.every_leg import by_leg, close_chunks
+from pincal.kinematics.legs.starts import start_joints
 from pincal.model.checks import ROUNDING, array_of
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism

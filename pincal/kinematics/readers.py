@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from pincal.errors import FileError, MechanismError, ObservabilityError
 from pincal.files.urdf_writing import leg_urdf
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.leg import Leg
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import point_velocity
-from pincal.kinematics.closed_forms import rod_directions
-from pincal.kinematics.closing import close, sensor_law
-from pincal.kinematics.closure import Closure, nominal_legs
-from pincal.kinematics.every_leg import ClosedGroup, by_leg, close_chunks
-from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.kinematics.legs.closed_forms import rod_directions
+from pincal.kinematics.legs.closing import close, sensor_law
+from pincal.kinematics.legs.closure import Closure, nominal_legs
+from pincal.kinematics.legs.every_leg import ClosedGroup, by_leg, close_chunks
+from pincal.kinematics.legs.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closed_forms import is_line
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.legs.closed_forms import is_line
+from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.legs.starts import home_mode
 from pincal.kinematics.reach import reach_of
-from pincal.kinematics.starts import home_mode
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform

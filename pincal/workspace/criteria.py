@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from pincal.errors import WorkspaceError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import CHUNK, matrix_chunks
-from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.every_leg import by_leg, close_legs
 from pincal.kinematics.inverse import beyond_limits
+from pincal.kinematics.legs.closure import nominal_legs
+from pincal.kinematics.legs.every_leg import by_leg, close_legs
 from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import (
     drive_margins,

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.closing import close, sensor_law
-from pincal.kinematics.closure import joint_range, nominal_legs
 from pincal.kinematics.forward import forward
+from pincal.kinematics.legs.closing import close, sensor_law
+from pincal.kinematics.legs.closure import joint_range, nominal_legs
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import count_of, generator_of
 from pincal.model.measuring.measurements import Plan

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.estimation.observability.drawings import DIFFER, changes_of
 from pincal.estimation.observability.frames import frame_motions
-from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import demand
-from pincal.kinematics.nearest_closure import nearest_closure
-from pincal.kinematics.starts import home_mode, mode_sign
+from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.legs.nearest_closure import nearest_closure
+from pincal.kinematics.legs.starts import home_mode, mode_sign
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

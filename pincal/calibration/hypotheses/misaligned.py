@@ -18,8 +18,8 @@ from pincal.estimation.observability.drawings import plausible_changes
 from pincal.estimation.observability.frames import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.finding import Finding
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding

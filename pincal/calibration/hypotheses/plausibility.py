@@ -26,9 +26,9 @@ from pincal.errors import MeasurementError
 from pincal.estimation.conditions.external import External
 from pincal.estimation.observability.drawings import DIFFER
 from pincal.finding import Finding
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.inverse import inverse
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import largest_size, nominal_legs
 from pincal.model.checks import ROUNDING
 from pincal.model.measuring.measurements import Measurements, Noise
 from pincal.model.measuring.setup import ORIGIN, Setup, Target

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.calibration.hypotheses.rule import RULE
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.forward import forward
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Measurements
 from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.model.mechanism import Mechanism

@@ -18,8 +18,8 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.kinds import BACKLASH
 from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.residuals.losses import CLEAR
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import nominal_legs
 
 Array = NDArray[np.float64]
 _FEW = 8  # values that differ: of fewer nothing is said

@@ -20,7 +20,7 @@ from pincal.errors import FileError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurements import read_poses
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.show.tables import accuracy_table
 
 _NOISE = 5e-5  # of positions, of the machine's size

@@ -27,8 +27,8 @@ from pincal.formats.trees.drawn import closing_in_words
 from pincal.formats.trees.loops_yaml import loops_beside, read_loops
 from pincal.formats.trees.mjcf import read_mjcf
 from pincal.formats.trees.serial import serial_arm
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.inverse import inverse
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 

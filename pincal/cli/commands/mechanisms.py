@@ -12,9 +12,9 @@ from pincal.cli.options import UnitOptions
 from pincal.errors import SymmetryError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.mechanism_folders import bundled, load_mechanism
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import LegClosure, joint_range
 from pincal.kinematics.readers import tips_by_reader
 from pincal.model.sensors.monotonic import turning
 from pincal.show.symmetry_tables import group_table, near_table, symmetry_table

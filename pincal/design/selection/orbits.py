@@ -20,8 +20,8 @@ from pincal.design.information import leg_rows
 from pincal.design.selection.distinct import perhaps_alike, places_at, places_of
 from pincal.errors import SymmetryError
 from pincal.files.given import as_noise
-from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at
+from pincal.kinematics.legs.closure import nominal_legs
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ALIKE
 from pincal.model.measuring.measurements import EVERY_LEG, Noise, Plan

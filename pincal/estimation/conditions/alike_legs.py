@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from pincal.estimation.conditions.leg_condition import LegCondition, Met
 from pincal.estimation.linear import Follow, State
-from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import demands
-from pincal.kinematics.nearest_closure import begun, followed, nearest_closures
+from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.legs.nearest_closure import begun, followed, nearest_closures
 
 Array = NDArray[np.float64]
 

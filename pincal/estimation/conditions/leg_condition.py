@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.kinematics.closing import close, sensor_law
-from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demand
+from pincal.kinematics.legs.closing import close, sensor_law
+from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 

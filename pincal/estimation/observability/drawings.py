@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 

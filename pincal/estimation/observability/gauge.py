@@ -24,7 +24,7 @@ from pincal.estimation.observability.indices import NEGLIGIBLE, identifiability
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.finding import Finding
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.words.sentences import finding
 from pincal.words.wording import groups_in_words

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pincal.estimation.observability.indices import RANK_TOLERANCE, scaled_axes
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at, nearby
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 

@@ -22,7 +22,7 @@ from pincal.estimation.observability.indices import identifiability
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import poses_at_rest
 from pincal.estimation.unknowns import Unknowns
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import listed
 from pincal.words.wording import NAMED

@@ -18,7 +18,7 @@ from pincal.estimation.pose_search import unsolved
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import LOSSES, Loss, outlying, robust_scale, suspected
 from pincal.estimation.system import System
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.tables.units import COUNTS, SI, Units
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import nominal_legs
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensors.sensor import PlacedTerm
 from pincal.model.sensors.terms import Harmonic, Knot, Power, Share

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.legs.closed_forms import closed_form, driven_rod, rod_geometry
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.checks import EXACT, LARGEST
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pincal.errors import MechanismError
 from pincal.formats.trees.tree import Tree
 from pincal.kinematics.assembly import opening
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.checks import ALIKE
 from pincal.model.home import ROUGH
 from pincal.model.leg import Leg

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, turns
 from pincal.kinematics.assembly import assembled
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism

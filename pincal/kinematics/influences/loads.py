@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import block_diagonal, least_squares, left_null, product
-from pincal.kinematics.chain import body_chain
-from pincal.kinematics.closure import LegClosure, nominal_legs
-from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.kinematics.legs.chain import body_chain
+from pincal.kinematics.legs.closure import LegClosure, nominal_legs
+from pincal.kinematics.legs.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensors.load import Load
 

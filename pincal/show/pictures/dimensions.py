@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.checks import EXACT
 from pincal.model.joint import Joint
 from pincal.model.links import link_placements

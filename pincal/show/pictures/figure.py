@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import joints_at
+from pincal.kinematics.legs.closure import nominal_legs
 from pincal.model.checks import EXACT
 from pincal.model.measuring.measurements import EVERY_LEG
 from pincal.show import style

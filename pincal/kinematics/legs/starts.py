@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pincal.kinematics.batches import cross
-from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closure import Closure, LegClosure, joint_range
+from pincal.kinematics.legs.closed_forms import closed_form
+from pincal.kinematics.legs.closure import Closure, LegClosure, joint_range
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 

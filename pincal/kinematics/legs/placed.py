@@ -20,11 +20,11 @@ from pincal.kinematics.batches import (
     point_velocity,
     turn_between,
 )
-from pincal.kinematics.chain import PlatformPoint
-from pincal.kinematics.forest import Motion, moments
+from pincal.kinematics.legs.chain import PlatformPoint
+from pincal.kinematics.legs.forest import Motion, moments
 
 if TYPE_CHECKING:
-    from pincal.kinematics.closure import LegClosure
+    from pincal.kinematics.legs.closure import LegClosure
 
 Array = NDArray[np.float64]
 

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import least_squares, product, stacked
-from pincal.kinematics.closed_forms import wrapped
-from pincal.kinematics.closure import (
+from pincal.kinematics.legs.closed_forms import wrapped
+from pincal.kinematics.legs.closure import (
     Closure,
     LegClosure,
     Newton,
     evaluate,
     rows_of_each,
 )
-from pincal.kinematics.starts import in_home_modes, start_joints
+from pincal.kinematics.legs.starts import in_home_modes, start_joints
 from pincal.model.checks import ROUNDING
 from pincal.model.sensors.sensor import SensorLaw, sensor_laws
 

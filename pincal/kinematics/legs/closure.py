@@ -27,7 +27,7 @@ from pincal.kinematics.batches import (
     product,
     solve,
 )
-from pincal.kinematics.chain import (
+from pincal.kinematics.legs.chain import (
     PlatformPoint,
     alike_points,
     deformed_point,
@@ -36,7 +36,7 @@ from pincal.kinematics.chain import (
     platform_point,
     point_chain,
 )
-from pincal.kinematics.placed import Placed
+from pincal.kinematics.legs.placed import Placed
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform

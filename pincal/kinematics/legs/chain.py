@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pincal.kinematics.forest import Base, Elementary, Forest, Motion, forest
+from pincal.kinematics.legs.forest import Base, Elementary, Forest, Motion, forest
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
 from pincal.model.placement import Placement

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]

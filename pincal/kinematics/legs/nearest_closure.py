@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.kinematics.batches import lengths, product
-from pincal.kinematics.closing import driven, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, Newton, evaluate, rows_of_each
-from pincal.kinematics.starts import start_joints
+from pincal.kinematics.legs.closing import driven, sensor_law
+from pincal.kinematics.legs.closure import Closure, LegClosure, Newton, evaluate, rows_of_each
+from pincal.kinematics.legs.starts import start_joints
 from pincal.model.checks import EXACT
 
 Array = NDArray[np.float64]

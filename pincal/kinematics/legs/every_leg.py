@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from pincal.kinematics.batches import matrix_chunks, stacked
-from pincal.kinematics.closing import ClosedLegs, close_alike
-from pincal.kinematics.closure import LegClosure, nominal_legs
+from pincal.kinematics.legs.closing import ClosedLegs, close_alike
+from pincal.kinematics.legs.closure import LegClosure, nominal_legs
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]

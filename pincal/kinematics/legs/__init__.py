@@ -1,0 +1,1 @@
+"""One leg and all legs: their chains in Pinocchio, their closure, closed at poses."""
