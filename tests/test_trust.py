@@ -70,6 +70,20 @@ def test_rows_of_a_fit_keep_its_gauge_where_the_same_is_measured() -> None:
     assert near.gauge(part.latent_problem, fixed.unknowns()) is None
 
 
+def test_what_rows_hold_is_theirs_wherever_the_search_begins() -> None:
+    """Directions that few rows leave undetermined are held as a fit of these rows alone does."""
+    mechanism, _, data = machine("delta", 30)
+    options = Options(noise=NOISE, hold_undetermined=True)
+    few = Calibration(mechanism, data.rows(np.arange(8)), options)
+    some = np.arange(8) != 3
+    part = few.rows(some)
+    near, alone = (fitted(part, near=one).held for one in (Near.of(fitted(few), some), None))
+    assert near is not None
+    assert alone is not None
+    assert near.of_legs.shape[1] > 0
+    np.testing.assert_allclose(near.of_legs @ near.of_legs.T, alone.of_legs @ alone.of_legs.T)
+
+
 def test_folds_that_cannot_be_aligned_say_so() -> None:
     """Where a fold lacks what shows the frame, it is not taken from the other rows."""
     mechanism, _, data = machine("3RRR", 36)
