@@ -220,7 +220,8 @@ def _all_legs(
     else:
         if near is not None:
             start, gauge = near.state, near.gauge(problem, unknowns)
-        started = gauge is not None and not options.hold_undetermined  # which follows the start
+        # what is held follows where the search would have started
+        started = gauge is not None and not options.hold_undetermined
         first = start if started else calibration.started(problem).first
     problem = replace(problem, first=first)
     if gauge is None:

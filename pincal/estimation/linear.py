@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pincal.estimation.conditions.external import External
 from pincal.estimation.conditions.leg_condition import Met
 from pincal.estimation.rows import WhiteRows
-from pincal.kinematics.batches import CHUNK, over_rows
+from pincal.kinematics.batches import chunks, over_rows
 from pincal.kinematics.derivatives import Demand
 
 Array = NDArray[np.float64]
@@ -119,9 +119,8 @@ class Linear:
         )
 
     def parts(self) -> Iterator[slice]:
-        """Yield poses, so many as memory holds well."""
-        for begin in range(0, len(self.value), CHUNK):
-            yield slice(begin, min(begin + CHUNK, len(self.value)))
+        """Return poses, so many at once as memory holds well."""
+        return chunks(len(self.value))
 
     @cached_property
     def triangle(self) -> Array:

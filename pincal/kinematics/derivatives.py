@@ -128,7 +128,7 @@ def _closed(
         start = np.concatenate([begun(leg, matrices[own], said, None) for leg, own, said in parts])
         closure, _ = nearest_closures(legs, matrices, start)
         return closure, known, np.ones(len(matrices), dtype=bool)
-    closed = close_alike(legs, matrices, more[0] if len(legs) == 1 else None)
+    closed = close_alike(legs, matrices, more[0])  # one that deforms is alone
     known = []
     for leg, own, said in zip(legs, rows, more, strict=True):
         psi = sensor_law(leg).reading(closed.joints[own][:, leg.leg.active], said)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import CHUNK, least_squares, product
+from pincal.kinematics.batches import chunks, least_squares, product
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.influences.loads import gravity_loads
 from pincal.kinematics.legs.closed_forms import is_line
@@ -134,8 +134,7 @@ def _forward(
     gap = np.full((len(readings), len(legs)), np.nan)
     reasons: list[str] = []
     iterations = 0
-    for begin in range(0, len(readings), CHUNK):
-        rows = slice(begin, begin + CHUNK)
+    for rows in chunks(len(readings)):
         own = [one[rows] for one in known]
         matrices, why, apart, steps = _solve(mechanism, legs, own, guess[rows])
         found = np.array([not reason for reason in why], dtype=bool)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import matrix_chunks
+from pincal.kinematics.batches import matrices_of, matrix_chunks
 from pincal.kinematics.forward import LOADS, needs_loads, with_loads
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.legs.closed_forms import closed_form
@@ -106,8 +106,7 @@ def inverse(
     if columns is None or not needs_loads(mechanism, columns):
         return found
     reached = found.reached.all(axis=1)
-    matrices = placed.as_matrix() if isinstance(placed, RigidTransform) else placed
-    poses = mechanism.platform.from_matrices(matrices[reached])
+    poses = mechanism.platform.from_matrices(matrices_of(placed)[reached])
     for _ in range(LOADS.steps):  # loads follow from joints, and bend them little
         loaded, before = columns.copy(), found.readings[reached]
         loaded[reached] = with_loads(mechanism, columns[reached], before, poses)

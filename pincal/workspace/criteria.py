@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import CHUNK, matrix_chunks
+from pincal.kinematics.batches import chunks, matrix_chunks
 from pincal.kinematics.inverse import beyond_limits
 from pincal.kinematics.legs.closure import nominal_legs
 from pincal.kinematics.legs.every_leg import by_leg, close_legs
@@ -96,8 +96,7 @@ class Criteria:
             inside &= reach.holds(matrices)
         if not self.in_closed_form:
             rows = np.flatnonzero(inside)
-            for begin in range(0, len(rows), CHUNK):
-                part = rows[begin : begin + CHUNK]
+            for part in (rows[some] for some in chunks(len(rows))):
                 inside[part] = self._within(matrices[part])
         return inside
 

@@ -173,9 +173,9 @@ def held_out(
     chances = []
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
-        own_rows = groups != fold
-        seen = calibration.rows(own_rows).at_this_noise()
-        near = Near.of(whole, own_rows) if whole.latent else None
+        others = groups != fold
+        seen = calibration.rows(others).at_this_noise()
+        near = Near.of(whole, others) if whole.latent else None
         found = _converged(seen, f"fold {fold + 1} of {count}", near)
         unseen = calibration.rows(groups == fold)
         own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]

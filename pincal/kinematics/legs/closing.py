@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,10 +176,8 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
 
 def _small(legs: Sequence[LegClosure], closure: Closure, within: float = _NEWTON.closed) -> Mask:
     """Return where gaps of alike legs are small against their sizes, shape (L N,)."""
-    sizes: Any = legs[0].size
-    if len(legs) > 1:
-        sizes = np.repeat([leg.size for leg in legs], len(closure.gap) // len(legs))[:, None]
-    return np.asarray((np.abs(closure.gap) <= within * sizes).all(axis=1))
+    sizes = np.repeat([leg.size for leg in legs], len(closure.gap) // len(legs))
+    return np.asarray((np.abs(closure.gap) <= within * sizes[:, None]).all(axis=1))
 
 
 @lru_cache(maxsize=64)

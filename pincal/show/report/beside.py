@@ -33,7 +33,16 @@ OF_CHECKS = ("maps", "poses", "rms")  # the longest first
 #: Those of the latter that a result shows whose fit did not converge.
 OF_NO_OPTIMUM = ("poses",)
 _LOOKS, _BETWEEN = 4, 1e-3  # at what else computes, [s]
-_NOT_UNDERSTOOD = (AttributeError, ImportError, IndexError)  # what bytes that are no pickle raise
+#: What a pipe raises that has ended, or says what is no pickle.
+_NOT_UNDERSTOOD = (
+    OSError,
+    ValueError,
+    EOFError,
+    pickle.UnpicklingError,
+    AttributeError,
+    ImportError,
+    IndexError,
+)
 #: What the process runs: modules are found where this process finds them.
 _RUN = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -78,12 +87,12 @@ class Drawer:
                 one.result()
             into.close()  # nothing more is asked
             return dict(pickle.load(out))
-        except (OSError, ValueError, EOFError, pickle.UnpicklingError, *_NOT_UNDERSTOOD):
+        except _NOT_UNDERSTOOD:
             return {}  # it has ended, or says nothing that is understood
 
     def end(self) -> None:
         """End the process and its forks, whatever they do."""
-        if hasattr(os, "killpg"):
+        if hasattr(os, "killpg") and self._process.returncode is None:  # its number is its own
             with suppress(OSError):
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
@@ -103,12 +112,15 @@ def _others() -> float:
 
     The fewest of some moments: what starts a command is often still ending.
     """
-    found = []
+    least = float("inf")
     try:  # of Linux: 0.20 0.18 0.12 1/80 11206, of 80 one runs, which asks
         for look in range(_LOOKS):
             sleep(_BETWEEN if look else 0.0)
-            found.append(float(Path("/proc/loadavg").read_text().split()[3].split("/")[0]) - 1.0)
-        return min(found)
+            running = float(Path("/proc/loadavg").read_text().split()[3].split("/")[0])
+            least = min(least, running - 1.0)
+            if least <= 0.0:
+                break
+        return least
     except (OSError, ValueError, IndexError):
         return os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
 
