@@ -20,6 +20,7 @@ from pincal.estimation.conditions.angles import angle
 from pincal.estimation.conditions.covariances import RowNoise, row_noise
 from pincal.estimation.conditions.external import External, ExternalUnknowns
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
+from pincal.model.angles import wrapped
 from pincal.model.measuring.instrument import checked
 from pincal.model.measuring.measurements import Measurements, Noise
 from pincal.model.measuring.setup import Setup
@@ -173,7 +174,7 @@ class Observation:
         n_scalar = self._values.shape[1]
         value[:, :n_scalar] -= self._values
         turning = [i for i, name in enumerate(self.names) if name in self._angle_names]
-        value[:, turning] = (value[:, turning] + np.pi) % (2 * np.pi) - np.pi
+        value[:, turning] = wrapped(value[:, turning])
         keep = self.measured
         return Rows(
             np.where(keep, value, 0.0),

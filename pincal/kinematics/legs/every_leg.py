@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
-from pincal.kinematics.batches import matrix_chunks, stacked
+from pincal.kinematics.batches import Matrices, matrix_chunks, stacked
 from pincal.kinematics.legs.closing import ClosedLegs, close_alike
 from pincal.kinematics.legs.closure import LegClosure, nominal_legs
 from pincal.model.mechanism import Mechanism
@@ -78,7 +77,7 @@ def by_leg(closed: Sequence[ClosedGroup], value: Callable[[ClosedLegs], Any]) ->
 
 def close_chunks(
     mechanism: Mechanism,
-    placed: RigidTransform | Array,
+    placed: Matrices,
     influences: Array | None = None,
     near: Mapping[str, Array] | None = None,
 ) -> Iterator[tuple[slice, list[ClosedGroup]]]:

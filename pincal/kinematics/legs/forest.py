@@ -92,7 +92,7 @@ class Forest:
         self._roots = range(1, 1 + copies * self.width, max(self.width, 1))
         # Pinocchio's own memory, which each call writes again
         self._columns = _bytes(self._data.J.T)
-        self._placements = _bytes(placements_of_joints(self._data))
+        self._ends = placements_of_joints(self._data)[self.width :: max(self.width, 1)]
         self._turn = Lock()  # Pinocchio's data are one thread's at a time
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
         self._base: Base | None = None  # where the copies begin now
@@ -145,17 +145,15 @@ class Forest:
         padded = np.zeros((legs, blocks * self.copies, self.width))
         padded[:, :count, :n] = configurations
         columns = np.empty((legs, blocks, size, 6))
-        placements = np.empty((legs, blocks, 1 + size, 12))
+        ends = np.empty((legs * blocks, self.copies, 12))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        to_columns, to_placements = _bytes(columns), _bytes(placements)
-        each, each_too = len(self._columns), len(self._placements)
+        to_columns, each = _bytes(columns), len(self._columns)
         for leg, base in enumerate(bases):
             self._begin_at(base)
             for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
-                evaluate(model, data, q)  # then all is copied as it lies
-                to_columns[block * each : (block + 1) * each] = self._columns
-                to_placements[block * each_too : (block + 1) * each_too] = self._placements
-        ends = placements[:, :, self.width :: self.width]
+                evaluate(model, data, q)
+                to_columns[block * each : (block + 1) * each] = self._columns  # as they lie
+                ends[block] = self._ends
         every = blocks * self.copies
         return (
             columns.reshape(legs, every, self.width, 6)[:, :count],
