@@ -39,6 +39,13 @@ def stacked(parts: Sequence[Any]) -> Any:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
+def repeated(matrices: Array, times: int) -> Array:
+    """Return matrices (N, i, j) so many times below each other, along poses in memory."""
+    if times == 1:
+        return matrices
+    return np.tile(matrices.transpose(1, 2, 0), times).transpose(2, 0, 1)
+
+
 def product(a: Array, b: Array) -> Array:
     """Return the product of (N, i, j) and (N, j, k), quick where the sizes are tiny."""
     inner = a.shape[2]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.batches import Matrices, matrix_chunks, stacked
+from pincal.kinematics.batches import Matrices, matrix_chunks, repeated, stacked
 from pincal.kinematics.legs.closing import ClosedLegs, close_alike
 from pincal.kinematics.legs.closure import LegClosure, nominal_legs
 from pincal.model.mechanism import Mechanism
@@ -45,7 +45,7 @@ def close_legs(
     found = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
         own = [legs[place] for place in places]
-        there = matrices if len(own) == 1 else np.tile(matrices, (len(own), 1, 1))
+        there = repeated(matrices, len(own))
         at = None if influences is None else influences[places[0]]  # what deforms is alone
         start = None if near is None else stacked([near[place] for place in places])
         found.append(ClosedGroup(places, close_alike(own, there, at, start)))
