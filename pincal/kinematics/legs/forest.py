@@ -89,10 +89,11 @@ class Forest:
                     f"{copy}_{index}",
                 )
         self._data = self._model.createData()
-        self._roots = range(1, 1 + copies * self.width, max(self.width, 1))
-        # Pinocchio's own memory, which each call writes again
+        each = max(self.width, 1)
+        # Pinocchio's own memory: where copies begin, and what each call writes again
+        self._roots = placements_in(self._model.jointPlacements)[1::each]
         self._columns = _bytes(self._data.J.T)
-        self._ends = placements_of_joints(self._data)[self.width :: max(self.width, 1)]
+        self._ends = placements_in(self._data.oMi)[self.width :: each]
         self._turn = Lock()  # Pinocchio's data are one thread's at a time
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
         self._base: Base | None = None  # where the copies begin now
@@ -138,7 +139,7 @@ class Forest:
     ) -> tuple[Array, Array]:
         """Return Pinocchio's joint columns at the base's origin, and where chains end.
 
-        Shapes (L, N, width, 6) and (L, N, 12), see ``placements_of_joints``.
+        Shapes (L, N, width, 6) and (L, N, 12), see ``placements_in``.
         """
         legs, count, n = configurations.shape
         blocks, size = -(-count // self.copies), self.copies * self.width
@@ -177,8 +178,7 @@ class Forest:
         if base is self._base:
             return
         placement = self._first if base is None else base.placement * self._first
-        for root in self._roots:
-            self._model.jointPlacements[root] = placement
+        self._roots[:, :9], self._roots[:, 9:] = placement.rotation.T.ravel(), placement.translation
         self._base = base
 
 
@@ -276,21 +276,21 @@ def _at(tips: Array, twists: Array) -> Array:
     return twists
 
 
-def placements_of_joints(data: pin.Data) -> Array:
-    """Return placements of all joints in Pinocchio's own memory, shape (n_joints + 1, 12).
+def placements_in(memory: pin.StdVec_SE3) -> Array:
+    """Return n placements in Pinocchio's own memory, shape (n, 12): of joints, say.
 
-    Rotation matrices column by column, then positions: they change with each call.
+    Rotation matrices column by column, then positions: whoever writes there changes both.
 
     Raises:
         TypeError: this Pinocchio keeps them in another way.
     """
-    first, last, size = data.oMi[0].rotation, data.oMi[-1], data.oMi[0].rotation.itemsize
+    first, last, size = memory[0].rotation, memory[-1], memory[0].rotation.itemsize
     begin, end, position = (
         one.__array_interface__["data"][0] for one in (first, last.rotation, last.translation)
     )
-    if end - begin != 12 * size * (len(data.oMi) - 1) or position - end != 9 * size:
-        raise TypeError(f"pin {pin.__version__} keeps placements of joints in another way")
-    return as_strided(first, (len(data.oMi), 12), (12 * size, size))
+    if end - begin != 12 * size * (len(memory) - 1) or position - end != 9 * size:
+        raise TypeError(f"pin {pin.__version__} keeps placements in another way")
+    return as_strided(first, (len(memory), 12), (12 * size, size))
 
 
 def _bytes(array: Array) -> memoryview:
