@@ -13,7 +13,7 @@ from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.inverse import reached
 from pincal.kinematics.legs import starts
 from pincal.kinematics.legs.closing import close
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.legs.closure import LegClosure, largest_size
 
 GEOMETRIES = [20, pytest.param(200, marks=pytest.mark.slow)]
 MARGIN = 0.1  # elbow sine
@@ -107,6 +107,18 @@ def test_chunks_do_not_change_the_answer(mechanism: pincal.Mechanism) -> None:
     whole = pincal.inverse(mechanism, poses).readings
     parts = [pincal.inverse(mechanism, part).readings for part in np.array_split(poses, 7)]
     np.testing.assert_array_equal(whole, np.concatenate(parts))
+
+
+def test_poses_do_not_hang_on_poses_beside_them(mechanism: pincal.Mechanism) -> None:
+    """Beside poses out of reach, and one that only a search reaches, an answer keeps its bits."""
+    rng = np.random.default_rng(9)
+    poses = poses_near_home(mechanism, rng, 40)
+    far = poses + 10.0 * largest_size(mechanism.legs)
+    alone = pincal.inverse(mechanism, poses)
+    beside = pincal.inverse(mechanism, np.concatenate((far, poses)))
+    np.testing.assert_array_equal(beside.readings[len(far) :], alone.readings)
+    for leg in mechanism.leg_names:
+        np.testing.assert_array_equal(beside.joints[leg][len(far) :], alone.joints[leg])
 
 
 def test_transforms_and_coordinates_are_the_same_poses(mechanism: pincal.Mechanism) -> None:
