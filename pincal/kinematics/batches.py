@@ -151,7 +151,7 @@ def applied(matrices: Array, vectors: Array) -> Array:
 def cross(a: Array, b: Array) -> Array:
     """Return a × b for shapes (N, 3); NumPy's own is several times slower."""
     (x, y, z), (u, v, w) = a.T, b.T
-    found = np.empty((3, max(len(a), len(b))))
+    found = np.empty((3, *np.broadcast_shapes(x.shape, u.shape)))
     np.subtract(y * w, z * v, out=found[0])
     np.subtract(z * u, x * w, out=found[1])
     np.subtract(x * v, y * u, out=found[2])

@@ -145,7 +145,7 @@ def leg_demands_at(
 
     Args:
         legs: The legs at their parameter values.
-        placed: Of each leg N transforms, or matrices (N, 4, 4).
+        placed: Of each leg N poses, ``PoseMatrices`` or matrices (N, 4, 4).
         readings: Of each leg, shape (N, n_active); those of inverse kinematics if not given.
         influences: Of each leg, shape (N, n_influences); at their reference if not given.
     """
@@ -228,7 +228,7 @@ def leg_demand_at(
     readings: Array | None = None,
     influences: Array | None = None,
 ) -> Demand:
-    """Return what a leg demands at transforms, or matrices (N, 4, 4): see ``leg_demand``."""
+    """Return what a leg demands at ``PoseMatrices`` or matrices (N, 4, 4): see ``leg_demand``."""
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     given = (None if part is None else [part] for part in (readings, influences))
     return leg_demands_at((closure,), (placed,), *given)[0]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.model.angles import sine_and_cosine, wrapped
+from pincal.model.angles import sine_and_cosine
 
 Array = NDArray[np.float64]
 
@@ -101,5 +101,5 @@ def _tilt_and_torsion(R: Array) -> Array:
     upright = tilt < 1e-12
     azimuth = np.where(upright, 0.0, azimuth)
     spin = np.where(upright, np.arctan2(R[:, 1, 0], R[:, 0, 0]), spin)
-    torsion = -wrapped(-(azimuth + spin))
+    torsion = -((-(azimuth + spin) + np.pi) % (2 * np.pi) - np.pi)
     return np.stack((azimuth, tilt, torsion), axis=1)

@@ -151,13 +151,16 @@ class Platform:
         return RigidTransform(self.matrices(poses), normalize=False, copy=False)
 
     def placed(self, poses: Poses) -> PoseMatrices:
-        """Return poses as they are taken in parts: see ``transforms``.
+        """Return poses whose matrices are made where they are asked for: see ``transforms``.
 
         Raises:
             MechanismError: wrong shape, or a coordinate that is not a finite number.
         """
-        given = poses if isinstance(poses, RigidTransform) else self.checked(poses)
-        return PoseMatrices(self.form, given)
+        if not isinstance(poses, RigidTransform):
+            return PoseMatrices(self.form, self.checked(poses))
+        if poses.single:
+            raise MechanismError("poses are N transforms; got a single one: put it in brackets")
+        return PoseMatrices(self.form, poses)
 
     def matrices(self, poses: Poses) -> Array:
         """Return poses as homogeneous matrices, shape (N, 4, 4); see ``transforms``.
@@ -168,7 +171,7 @@ class Platform:
         return self.placed(poses)[:]
 
     def checked(self, poses: object) -> Array:
-        """Return coordinates of poses, shape (N, dof), if they are some.
+        """Return coordinates of poses, shape (N, dof), their shape and numbers checked.
 
         Raises:
             MechanismError: wrong shape, or a coordinate that is not a finite number.

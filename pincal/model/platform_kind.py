@@ -132,7 +132,7 @@ class PlatformKind:
 
 @dataclass(frozen=True)
 class PoseMatrices:
-    """Matrices of N poses, made of those rows that are asked for: few stay near the processor."""
+    """Matrices of N poses, made of the rows that are asked for: no others fill memory."""
 
     form: PlatformKind
     poses: RigidTransform | Array

@@ -45,12 +45,12 @@ def least_of_folds(
     inside, own, equations = (np.sum(one, axis=0) for one in zip(*parts, strict=True))
     dof = sum(one.fit.degrees_of_freedom for one in fits)
     if known:
-        as_small = inside >= chdtri(equations, least)
+        unlikely = inside >= chdtri(equations, least)
     else:  # of a share x of all, or more: the chance that 1 − x follows a beta distribution
         rest = own.sum(axis=1, keepdims=True) - inside
         share = betaincinv(0.5 * (dof - equations), 0.5 * equations, least)
-        as_small = inside * share >= rest * (1.0 - share)
-    below = int(as_small.any(axis=1).sum())
+        unlikely = (rest > 0.0) & (inside * share >= rest * (1.0 - share))
+    below = int(unlikely.any(axis=1).sum())
     return (1 + below) / (1 + DRAWS) if below else min(bound, 1 / (1 + DRAWS))
 
 
@@ -74,7 +74,8 @@ def _drawn(
     drawn = [random.standard_normal((DRAWS, len(left)), np.float32) for _, left in roots]
     taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
     if len(prior):
-        taken = taken + random.standard_normal((DRAWS, len(prior)), np.float32) @ by(prior)
+        held = by(prior).astype(np.float32)
+        taken = taken + random.standard_normal((DRAWS, len(prior)), np.float32) @ held
     inside, own = np.empty((DRAWS, count)), np.empty((DRAWS, count))
     for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):
         squares = np.square(u - taken @ root.T)

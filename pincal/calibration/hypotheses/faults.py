@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.leg_fit import LegFit, LegRows, leg_fits
+from pincal.calibration.hypotheses.leg_fit import LegFit, LegMeasurements, leg_fits
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.calibration.hypotheses.sample import Sample
 from pincal.kinematics.inverse import inverse
@@ -292,7 +292,7 @@ def _best_order(sample: Sample) -> list[int]:
     def cost(fit: LegFit) -> float:
         return float(np.clip(fit.near, RULE.questioned * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
 
-    rows = [LegRows(i, matrices, sample.readings[:, [j]]) for i in every for j in every]
+    rows = [LegMeasurements(i, matrices, sample.readings[:, [j]]) for i in every for j in every]
     costs = [cost(one) for one in leg_fits(sample.mechanism, rows)]
     table = np.reshape(costs, (len(every), len(every)))
     stays = 1e-9 * np.eye(len(every))

@@ -24,7 +24,7 @@ from pincal.kinematics.legs.starts import home_mode, mode_sign
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_ENOUGH = replace(NEWTON, steps=20)  # a leg that closes needs fewer; no other is worth more
+_SEARCH = replace(NEWTON, steps=20)  # legs that close need fewer
 _ROUNDS = 5  # of least squares on the way to the least sum of absolute values
 
 
@@ -70,7 +70,7 @@ class LegFit:
 
 
 @dataclass(frozen=True)
-class LegRows:
+class LegMeasurements:
     """What was measured of one leg."""
 
     leg: int
@@ -80,14 +80,16 @@ class LegRows:
     readings: Array
     """Shape (N, n_active), [rad] or [m]; NaN where not measured."""
 
-    def known(self) -> LegRows:
+    def known(self) -> LegMeasurements:
         """Return the rows with readings; none of a single one."""
         whole = np.isfinite(self.readings).all(axis=1)
         own = whole & (whole.sum() > 1)
         return replace(self, matrices=self.matrices[own], readings=self.readings[own])
 
 
-def leg_fits(mechanism: Mechanism, given: Sequence[LegRows], *, free: bool = False) -> list[LegFit]:
+def leg_fits(
+    mechanism: Mechanism, given: Sequence[LegMeasurements], *, free: bool = False
+) -> list[LegFit]:
     """Return how each of several sets of measurements fits its leg.
 
     Those of alike legs, as many rows each, are evaluated in one call.
@@ -114,39 +116,42 @@ def leg_fits(mechanism: Mechanism, given: Sequence[LegRows], *, free: bool = Fal
 
 
 def _fitted(
-    legs: Sequence[LegClosure], sets: Sequence[LegRows], free: bool
+    legs: Sequence[LegClosure], sets: Sequence[LegMeasurements], free: bool
 ) -> list[tuple[float, Array, float, int]]:
     """Return gap, what is left of each row, stroke and bent rows of sets of alike legs.
 
     As ``LegFit`` has them; as many rows in each set.
     """
-    own = [legs[one.leg] for one in sets]
-    readings, count = [one.readings for one in sets], len(sets[0].readings)
+    own, count = [legs[one.leg] for one in sets], len(sets[0].readings)
     leg, matrices = own[0].leg, stacked([one.matrices for one in sets])
+    said = [one.readings for one in sets]
+    # rows of one leg are rows of one call, whatever its form; alike legs stand below each other
+    alone = len({one.leg for one in sets}) == 1
+    called, known = (own[:1], [stacked(said)]) if alone else (own, said)
+    there = np.split(matrices, len(called))
+
+    def by_set(parts: Sequence[Array]) -> Array:
+        whole: Array = stacked(parts)
+        return whole.reshape(len(sets), count, *whole.shape[1:])
+
     with np.errstate(all="ignore"):  # units may be far off
-        start = [
-            begun(one, part.matrices, part.readings, None)
-            for one, part in zip(own, sets, strict=True)
-        ]
-        closed, _ = nearest_closures(own, matrices, np.concatenate(start), _ENOUGH)
+        start = [begun(*one, None) for one in zip(called, there, known, strict=True)]
+        closed, _ = nearest_closures(called, matrices, stacked(start), _SEARCH)
         missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
-        rows = demands(own, closed, readings)
+        rows = demands(called, closed, known)
         sizes = np.array([one.size for one in own])
-        J = np.stack(
-            [r.parameter * changes_of(one.leg, one.size) for one, r in zip(own, rows, strict=True)]
-        )
+        changes = np.stack([changes_of(one.leg, one.size) for one in own])
+        J = by_set([one.parameter for one in rows]) * changes[:, None, None]
         if free:
             platform = own[0].platform
             base = frame_motions(platform, matrices)[:, :, : -platform.dof]
             base = base.reshape(len(sets), count, *base.shape[1:])
             lengths = np.arange(base.shape[3]) < platform.space
             scales = DIFFER * np.where(lengths, sizes[:, None, None, None], 1.0)
-            by_base = np.stack([one.pose for one in rows]) @ (base * scales)
+            by_base = by_set([one.pose for one in rows]) @ (base * scales)
             J = np.concatenate((J, by_base), axis=3)
-        value = np.stack([one.value for one in rows])
-        lefts = _left(sizes, J, value)
-        by_reading = np.stack([one.reading for one in rows])
-        strokes = _stroke(by_reading, np.stack(readings)) / sizes
+        lefts = _left(sizes, J, by_set([one.value for one in rows]))
+        strokes = _stroke(by_set([one.reading for one in rows]), np.stack(said)) / sizes
         gaps = np.median(missed.reshape(len(sets), count), axis=1) / sizes
     modes = np.repeat([home_mode(one.leg, one.platform) for one in own], count)
     # joints that are all read bend as they do

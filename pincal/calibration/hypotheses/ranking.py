@@ -22,7 +22,7 @@ from pincal.calibration.hypotheses.faults import (
     single_faults,
     zeros,
 )
-from pincal.calibration.hypotheses.leg_fit import LegFit, LegRows, leg_fits
+from pincal.calibration.hypotheses.leg_fit import LegFit, LegMeasurements, leg_fits
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.calibration.hypotheses.sample import Sample, placed
 from pincal.estimation.observability.drawings import DIFFER
@@ -96,7 +96,7 @@ def judge(sample: Sample, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> 
         if found is not None
     ]
     columns = mechanism.reading_columns
-    rows = [LegRows(i, T, psi[:, own]) for T, psi in parts for i, own in enumerate(columns)]
+    rows = [LegMeasurements(i, T, psi[:, own]) for T, psi in parts for i, own in enumerate(columns)]
     every = leg_fits(mechanism, rows, free=sample.free)
     fits = (tuple(every[i : i + len(columns)]) for i in range(0, len(every), len(columns)))
     return [

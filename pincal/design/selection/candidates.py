@@ -52,7 +52,7 @@ def squares(rows: Rows, places: Index, turns: Parts) -> Array:
     for some in chunks(len(places), _AT_ONCE):
         for one, turn in zip(rows(some if whole else places[some]), turns, strict=True):
             for row in one.transpose(1, 2, 0):
-                turned = turn.T @ row  # memory runs along the candidates
+                turned = turn.T @ row  # one number of all candidates beside the other in memory
                 found[some] += np.einsum("km,km->m", turned, turned)
     return found
 

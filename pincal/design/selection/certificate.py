@@ -262,8 +262,8 @@ def _interior(rows: Parts, weights: Array, gap: float) -> Array:
         middle = _BY.centred * float(w @ z) / s
         sides = np.column_stack((gradient + middle / w, np.ones(s)))
         hessian[np.diag_indices(s)] += z / w
-        _, both, lost = lapack.dposv(hessian, sides)  # positive definite, but for rounding
-        both = np.linalg.solve(hessian, sides) if lost else both
+        _, both, failed = lapack.dposv(hessian, sides)
+        both = np.linalg.solve(hessian, sides) if failed else both  # rounding: not quite positive
         level = (both[:, 0].sum() + w.sum() - 1.0) / both[:, 1].sum()
         by_w = both[:, 0] - level * both[:, 1]
         by_z = middle / w - z - z / w * by_w

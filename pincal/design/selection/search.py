@@ -91,7 +91,7 @@ class Search:
         places = _sample(np.arange(len(self.candidates)))
         if not self._all_reach(places):
             places = self._reached()
-        return self.candidates[places[:count]]
+        return self.candidates[places[:: max(1, len(places) // count)][:count]]
 
     def _all_reach(self, places: Index) -> bool:
         """Return whether all legs reach candidates."""

@@ -167,7 +167,8 @@ def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
             flat = out * out + on * on
             far = np.sqrt(flat)
             apart = np.where(far > 0.0, far, 1.0)  # at O, any angle
-            cos = (flat + up * up + rod.radius**2 - rod.length**2) / (2 * rod.radius * apart)
+            cos = (flat + up * up + rod.radius**2 - rod.length**2) / (2 * rod.radius * far)
+            cos = np.where(np.isnan(cos), 0.0, cos)
             possible = np.abs(cos) <= 1.0
             cos = np.clip(cos, -1.0, 1.0)
             sin = rod.mode * np.sqrt((1 - cos) * (1 + cos))

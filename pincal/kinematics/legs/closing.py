@@ -98,16 +98,18 @@ def close_alike(
         last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
         stays = exact | (closed & ~last)
         joints = np.where(stays[:, None], joints, joints + step)
-    if not (closed | ~possible).all():
+    searched = possible & ~closed
+    if searched.any():
         for leg, own in zip(legs, rows, strict=True):
-            if not (closed[own] | ~possible[own]).all():
+            if searched[own].any():
                 joints[own], closed[own] = _search(
                     leg, matrices[own], joints[own], closed[own], possible[own], attempts
                 )
         about = _homes(legs, count) if near is None else start
         turning = [i for i, joint in enumerate(legs[0].leg.moving) if joint.kind == "revolute"]
-        around = wrapped(joints[:, turning] - about[:, turning])
-        joints[:, turning] = about[:, turning] + around  # Newton's method may have gone round
+        some = np.ix_(searched, turning)
+        around = wrapped(joints[some] - about[some])
+        joints[some] = about[some] + around  # Newton's method may have gone round
         home = legs[0].deformed(_homes(legs, count))
         closure = evaluate(legs, np.where(closed[:, None], joints, home), matrices)
     joints = joints[:, :n]

@@ -85,7 +85,7 @@ def close_chunks(
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
-        placed: N poses.
+        placed: N poses, ``PoseMatrices`` or matrices (N, 4, 4).
         influences: Of all legs, shape (N, n_influences); at their reference if not given.
         near: By leg, positions of its moving joints near those that close it, found if not given.
     """

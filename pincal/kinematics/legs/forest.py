@@ -277,9 +277,10 @@ def _at(tips: Array, twists: Array) -> Array:
 
 
 def placements_in(memory: pin.StdVec_SE3) -> Array:
-    """Return n placements in Pinocchio's own memory, shape (n, 12): of joints, say.
+    """Return n placements where Pinocchio keeps them, shape (n, 12): to be read and written there.
 
-    Rotation matrices column by column, then positions: whoever writes there changes both.
+    Rotation matrices column by column, then positions. Of no meaning once the model or data that
+    they are in are gone, or joints are added.
 
     Raises:
         TypeError: this Pinocchio keeps them in another way.

@@ -77,7 +77,7 @@ def moving_legs(
 
 
 def _joints_near(legs: Sequence[LegClosure], matrices: Array) -> Array:
-    """Return joints that close alike legs at poses, or nearly so out of reach, (L, N, n_joints)."""
+    """Return joints that close alike legs at poses, or starts out of reach, (L, N, n_joints)."""
     leg, count = legs[0], len(matrices)
     if not leg.leg.passive:  # all are read
         return np.empty((len(legs), count, len(leg.leg.moving)))
