@@ -17,7 +17,7 @@ from pincal.kinematics.batches import left_null, product, solve
 from pincal.kinematics.derivatives import demand
 from pincal.kinematics.legs.closing import close, sensor_law
 from pincal.kinematics.legs.closure import LegClosure
-from pincal.kinematics.legs.forest import Elementary, forest, placements_of_joints
+from pincal.kinematics.legs.forest import Elementary, forest, placements_in
 from pincal.kinematics.legs.nearest_closure import nearest_closure
 
 Array = NDArray[np.float64]
@@ -144,11 +144,17 @@ def test_placements_of_joints_lie_one_after_the_other(size: int) -> None:
         joint, placement = element.pinocchio_joint(), element.pinocchio_placement()
         parent = model.addJoint(parent, joint, placement, f"j{parent}")
     data = model.createData()
-    lie = placements_of_joints(data)
+    lie = placements_in(data.oMi)
     for _ in range(3):
         pin.computeJointJacobians(model, data, np.random.default_rng(0).standard_normal(size))
         for own, one in zip(lie, data.oMi, strict=True):
             np.testing.assert_array_equal(own, [*one.rotation.T.ravel(), *one.translation])
+    placement = pin.SE3.Random()
+    placements_in(model.jointPlacements)[size] = (
+        *placement.rotation.T.ravel(),
+        *placement.translation,
+    )
+    assert model.jointPlacements[size] == placement  # what is written there is Pinocchio's
 
 
 @pytest.mark.parametrize(("m", "p"), [(2, 0), (2, 1), (3, 1), (3, 2), (6, 4), (6, 5)])

@@ -7,6 +7,7 @@ import pytest
 from closed_forms import random_mechanism
 
 import pincal
+from pincal.kinematics.batches import CHUNK
 from pincal.workspace.criteria import in_workspace
 
 
@@ -14,7 +15,7 @@ def test_forward_undoes_inverse(
     mechanism: pincal.Mechanism, candidates: dict[str, np.ndarray]
 ) -> None:
     """From a guess 2 cm and 0.02 rad off, poses come back within 1e-10."""
-    poses = candidates[mechanism.name][:5000]
+    poses = candidates[mechanism.name][: CHUNK + 500]
     readings = pincal.inverse(mechanism, poses).readings
     guess = poses + np.random.default_rng(0).uniform(-0.02, 0.02, poses.shape)
     solution = pincal.forward(mechanism, readings, guess)
@@ -72,3 +73,17 @@ def test_wrong_number_of_guesses_is_refused(mechanism: pincal.Mechanism) -> None
     readings = pincal.inverse(mechanism, home).readings
     with pytest.raises(pincal.MechanismError, match="2 readings, but 1 guesses"):
         pincal.forward(mechanism, np.repeat(readings, 2, axis=0), home)
+
+
+@pytest.mark.parametrize("name", ["6UPS", "3RRR", "8cable"])
+def test_few_poses_are_found_as_many_are(name: str) -> None:
+    """Alike legs in one call, or each alone where rows are many: the same poses and reasons."""
+    mechanism = pincal.load_mechanism(name)
+    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    readings = pincal.inverse(mechanism, poses).readings
+    readings[::7] += 0.3  # of which some have no pose
+    few = pincal.forward(mechanism, readings)
+    many = pincal.forward(mechanism, np.tile(readings, (100, 1)))
+    assert many.reasons[: len(poses)] == few.reasons
+    for own, wanted in ((many.poses, few.poses), (many.gap, few.gap)):
+        np.testing.assert_allclose(own[: len(poses)], wanted, rtol=0.0, atol=1e-12)

@@ -12,8 +12,9 @@ import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.inverse import reached
 from pincal.kinematics.legs import starts
+from pincal.kinematics.legs.closed_forms import rod_geometry
 from pincal.kinematics.legs.closing import close
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.legs.closure import LegClosure, largest_size, nominal_legs
 
 GEOMETRIES = [20, pytest.param(200, marks=pytest.mark.slow)]
 MARGIN = 0.1  # elbow sine
@@ -107,6 +108,42 @@ def test_chunks_do_not_change_the_answer(mechanism: pincal.Mechanism) -> None:
     whole = pincal.inverse(mechanism, poses).readings
     parts = [pincal.inverse(mechanism, part).readings for part in np.array_split(poses, 7)]
     np.testing.assert_array_equal(whole, np.concatenate(parts))
+
+
+def test_poses_do_not_hang_on_poses_beside_them(mechanism: pincal.Mechanism) -> None:
+    """Beside a pose out of reach an answer keeps its bits."""
+    rng = np.random.default_rng(9)
+    poses = poses_near_home(mechanism, rng, 4000)
+    poses = poses[pincal.inverse(mechanism, poses).reached.all(axis=1)]
+    far = poses[:1] + 10.0 * largest_size(mechanism.legs)
+    alone = pincal.inverse(mechanism, poses)
+    beside = pincal.inverse(mechanism, np.concatenate((far, poses)))
+    np.testing.assert_array_equal(beside.readings[len(far) :], alone.readings)
+    for leg in mechanism.leg_names:
+        np.testing.assert_array_equal(beside.joints[leg][len(far) :], alone.joints[leg])
+
+
+@pytest.mark.parametrize("name", ["5R", "3RRR", "delta", "6RUS"])
+def test_targets_on_the_axis_of_a_drive_are_out_of_reach(name: str) -> None:
+    """The rod is as far from all its circle: too long or too short, as a search finds too."""
+    mechanism = pincal.load_mechanism(name)
+    if name == "3RRR":  # both are as long as drawn: there the drive turns as it likes
+        mechanism = mechanism.with_parameters({"leg_1.L": 1.2})
+    closure, home = nominal_legs(mechanism)[0], mechanism.platform.home_pose.as_matrix()
+    pose = home.copy()
+    pose[:, :3, 3] += rod_geometry(closure).centre - closure.targets(home)
+    poses = mechanism.platform.from_matrices(np.concatenate((home, pose)))
+    asked = reached(mechanism, poses)[:, 0]
+    assert asked.tolist() == [True, False]
+    np.testing.assert_array_equal(asked, pincal.inverse(mechanism, poses).reached[:, 0])
+
+
+@pytest.mark.parametrize("name", ["3RRR", "6UPS"])
+def test_a_single_transform_is_refused(name: str) -> None:
+    """Poses are N of them: one without a length says so."""
+    mechanism = pincal.load_mechanism(name)
+    with pytest.raises(pincal.MechanismError, match="single"):
+        pincal.inverse(mechanism, mechanism.platform.home_pose[0])
 
 
 def test_transforms_and_coordinates_are_the_same_poses(mechanism: pincal.Mechanism) -> None:

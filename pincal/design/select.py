@@ -221,12 +221,12 @@ def _by_symmetry(
 
     for orbit in found:
         chosen, efficiency = search.own(orbit.legs[0], count)
-        poses = search.candidates[chosen]
+        matrices = platform.matrices(search.candidates[chosen])
         for leg, element, alike in zip(orbit.legs, orbit.carriers, orbit.alike, strict=True):
-            parts.append(element.poses(platform, poses))
+            parts.append(element.matrices(matrices))
             wanted += [leg] * count
             efficiencies[leg] = efficiency if alike else search.efficiency(leg, element, chosen)
-    plan = merged(mechanism, np.concatenate(parts), wanted)
+    plan = merged(mechanism, platform.from_matrices(np.concatenate(parts)), wanted)
     return plan, [efficiencies[name] for name in mechanism.leg_names], references
 
 

@@ -240,10 +240,12 @@ class Problem:
             noise[:, n_legs:, n_readings:] = np.where(measured, self.observed_roots, 0.0)
         return noise
 
-    @property
+    @cached_property
     def observed_roots(self) -> Array:
         """Roots of the covariance of what was observed, shape (N, r, r)."""
-        return RowNoise(self.sigma_observed, self.correlation).roots
+        roots = RowNoise(self.sigma_observed, self.correlation).roots
+        roots.setflags(write=False)
+        return roots
 
     def linearise(self, state: State) -> Linear:
         """Return the conditions at a state as rows of ordinary least squares.

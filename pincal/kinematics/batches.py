@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
+
+from pincal.model.platform_kind import PoseMatrices
 
 Array = NDArray[np.float64]
-CHUNK = 4096  # poses at once: their matrices stay near the processor
+Matrices: TypeAlias = PoseMatrices | Array  # T_base_platform, shape (N, 4, 4)
+CHUNK = 6000  # poses at once: their matrices stay near the processor
 _SERIES = float(np.finfo(float).eps) ** 0.25  # fourth root of rounding errors, [rad]
 
 
@@ -25,20 +28,22 @@ def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
         yield slice(begin, min(begin + size, count))
 
 
-def matrices_of(placed: RigidTransform | Array) -> Array:
-    """Return transforms as matrices, shape (N, 4, 4); matrices as they are."""
-    return placed.as_matrix() if isinstance(placed, RigidTransform) else placed
-
-
-def matrix_chunks(placed: RigidTransform | Array) -> Iterator[tuple[slice, Array]]:
+def matrix_chunks(placed: Matrices) -> Iterator[tuple[slice, Array]]:
     """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
     for rows in chunks(len(placed)):
-        yield rows, matrices_of(placed[rows])
+        yield rows, placed[rows]
 
 
 def stacked(parts: Sequence[Any]) -> Any:
     """Return arrays below each other; a single one as it is."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def repeated(matrices: Array, times: int) -> Array:
+    """Return matrices (N, i, j) so many times below each other, along poses in memory."""
+    if times == 1:
+        return matrices
+    return np.tile(matrices.transpose(1, 2, 0), times).transpose(2, 0, 1)
 
 
 def product(a: Array, b: Array) -> Array:
@@ -146,7 +151,11 @@ def applied(matrices: Array, vectors: Array) -> Array:
 def cross(a: Array, b: Array) -> Array:
     """Return a × b for shapes (N, 3); NumPy's own is several times slower."""
     (x, y, z), (u, v, w) = a.T, b.T
-    return np.array((y * w - z * v, z * u - x * w, x * v - y * u)).T
+    found = np.empty((3, *np.broadcast_shapes(x.shape, u.shape)))
+    np.subtract(y * w, z * v, out=found[0])
+    np.subtract(z * u, x * w, out=found[1])
+    np.subtract(x * v, y * u, out=found[2])
+    return found.T
 
 
 def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:

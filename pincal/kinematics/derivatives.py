@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import (
+    Matrices,
     chunks,
     least_squares,
-    matrices_of,
     matrix_chunks,
     product,
     stacked,
@@ -138,7 +137,7 @@ def _closed(
 
 def leg_demands_at(
     legs: Sequence[LegClosure],
-    placed: Sequence[RigidTransform | Array],
+    placed: Sequence[Matrices],
     readings: Sequence[Array] | None = None,
     influences: Sequence[Array] | None = None,
 ) -> list[Demand]:
@@ -146,7 +145,7 @@ def leg_demands_at(
 
     Args:
         legs: The legs at their parameter values.
-        placed: Of each leg N transforms, or matrices (N, 4, 4).
+        placed: Of each leg N poses, ``PoseMatrices`` or matrices (N, 4, 4).
         readings: Of each leg, shape (N, n_active); those of inverse kinematics if not given.
         influences: Of each leg, shape (N, n_influences); at their reference if not given.
     """
@@ -161,7 +160,7 @@ def leg_demands_at(
 
 def _demands_of(
     legs: Sequence[LegClosure],
-    placed: Sequence[RigidTransform | Array],
+    placed: Sequence[Matrices],
     readings: Sequence[Array] | None,
     influences: Sequence[Array] | None,
 ) -> list[Demand]:
@@ -169,7 +168,7 @@ def _demands_of(
     count = len(placed[0])
     whole: list[Demand] = []
     for rows in chunks(count) if count else [slice(0)]:
-        there = stacked([matrices_of(one[rows]) for one in placed])
+        there = stacked([one[rows] for one in placed])
         given = ([one[rows] for one in own] if own else None for own in (readings, influences))
         closure, known, reached = _closed(legs, there, *given)
         parts = demands(legs, closure, known)
@@ -224,12 +223,12 @@ def leg_demand(
 def leg_demand_at(
     mechanism: Mechanism,
     leg: str,
-    placed: RigidTransform | Array,
+    placed: Matrices,
     parameters: Array | None = None,
     readings: Array | None = None,
     influences: Array | None = None,
 ) -> Demand:
-    """Return what a leg demands at transforms, or matrices (N, 4, 4): see ``leg_demand``."""
+    """Return what a leg demands at ``PoseMatrices`` or matrices (N, 4, 4): see ``leg_demand``."""
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     given = (None if part is None else [part] for part in (readings, influences))
     return leg_demands_at((closure,), (placed,), *given)[0]
@@ -265,7 +264,7 @@ def identification_jacobian(
     placed = mechanism.platform.placed(poses)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     law = sensor_law(closure)
-    C = np.empty((len(placed), len(law.slope), len(closure.parameters)))
+    C = np.empty((len(law.slope), len(closure.parameters), len(placed))).transpose(2, 0, 1)
     for rows, matrices in matrix_chunks(placed):
         closed, (psi,), reached = _closed((closure,), matrices)
         drive = closed.drive * law.slopes(psi)[..., None, :]

@@ -21,11 +21,17 @@ from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, least_squares, product
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.influences.loads import gravity_loads
-from pincal.kinematics.legs.closed_forms import is_line
-from pincal.kinematics.legs.closing import close, driven, sensor_law
-from pincal.kinematics.legs.closure import Closure, LegClosure, Newton, largest_size, nominal_legs
+from pincal.kinematics.legs.closing import sensor_law
+from pincal.kinematics.legs.closure import (
+    Closure,
+    LegClosure,
+    Newton,
+    largest_size,
+    nominal_legs,
+)
+from pincal.kinematics.legs.moving_legs import MovingLegs, in_order, moving_legs
 from pincal.kinematics.legs.nearest_closure import arm_poses
-from pincal.kinematics.legs.starts import in_home_mode, start_joints
+from pincal.kinematics.legs.starts import in_home_modes
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.checks import ROUNDING, numbers_of
 from pincal.model.mechanism import Mechanism
@@ -209,34 +215,33 @@ def _solve(
     """
     matrices = placed_by_arm(legs, known)
     matrices = guess.as_matrix().copy() if matrices is None else matrices
-    joints = [
-        driven(leg, _joints_near(leg, matrices), own) for leg, own in zip(legs, known, strict=True)
-    ]
+    groups = moving_legs(legs, known, matrices)
     size = max(leg.size for leg in legs)
     open_ = np.ones(len(matrices), dtype=bool)
     steps = 0
     while open_.any() and steps < _NEWTON.steps:
         steps += 1
         rows = np.flatnonzero(open_)
-        closures = [_in_mode(leg, q, matrices, rows) for leg, q in zip(legs, joints, strict=True)]
-        twist = _platform_step(closures)
+        closures = [one.in_mode(matrices, rows) for one in groups]
+        twist = _platform_step(groups, closures)
         linear, angular = _split(mechanism, twist)
         length = np.maximum(np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1))
         with np.errstate(divide="ignore", invalid="ignore"):
             shorten = np.minimum(1.0, _NEWTON.largest / length)[:, None]
         moved = length
-        for leg, q, closure in zip(legs, joints, closures, strict=True):
-            change = product(closure.pose, (shorten * twist)[:, :, None])[:, :, 0]
-            step = closure.passive_step(change)
-            q[rows[:, None], leg.leg.passive] += step
-            moved = np.maximum(moved, np.abs(step).max(axis=1, initial=0.0))
+        for one, closure in zip(groups, closures, strict=True):
+            twists = np.tile(shorten * twist, (len(one.legs), 1))
+            step = closure.passive_step(product(closure.pose, twists[:, :, None])[:, :, 0])
+            step = step.reshape(len(one.legs), len(rows), -1)
+            one.joints[:, rows[:, None], one.legs[0].leg.passive] += step
+            moved = np.maximum(moved, np.abs(step).max(axis=(0, 2), initial=0.0))
         finite = np.isfinite(moved)
         good = rows[finite]
         matrices[good, :3, 3] += (shorten * linear)[finite]
         turn = Rotation.from_rotvec((shorten * angular)[finite]).as_matrix()
         matrices[good, :3, :3] = turn @ matrices[good, :3, :3]
         open_[rows] = finite & (moved > _NEWTON.small)
-    return matrices, *_reasons(mechanism, legs, joints, matrices, open_), steps
+    return matrices, *_reasons(mechanism, groups, matrices, open_), steps
 
 
 def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array | None:
@@ -251,33 +256,11 @@ def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array |
     return None
 
 
-def _joints_near(leg: LegClosure, matrices: Array) -> Array:
-    """Return joints that close the leg at poses, or nearly so where it does not reach."""
-    if not leg.leg.passive:  # all are read
-        return np.empty((len(matrices), len(leg.leg.moving)))
-    near, _ = start_joints(leg, matrices)
-    if len(leg.leg.moving) < len(leg.platform.closing(leg.leg.closes)):  # few poses close it
-        return near
-    closed = close(leg, matrices)
-    return np.where(closed.reached[:, None], closed.joints, near)
-
-
-def _in_mode(leg: LegClosure, joints: Array, matrices: Array, rows: NDArray[np.intp]) -> Closure:
-    """Return a leg's closure at rows; a line that a step turned over is put back in its mode."""
-    closure = leg.evaluate(joints[rows], matrices[rows])
-    left = rows[~in_home_mode(leg, closure)]
-    if not (len(left) and is_line(leg)):
-        return closure
-    passive = leg.leg.passive
-    joints[left[:, None], passive] = start_joints(leg, matrices[left])[0][:, passive]
-    return leg.evaluate(joints[rows], matrices[rows])
-
-
-def _platform_step(closures: list[Closure]) -> Array:
+def _platform_step(groups: Sequence[MovingLegs], closures: Sequence[Closure]) -> Array:
     """Return the twist that closes all legs to first order, shape (N, dof)."""
-    lines = np.concatenate([c.constraint_by_pose for c in closures], axis=1)
-    gaps = np.concatenate([c.constraint for c in closures], axis=1)[:, :, None]
-    return -least_squares(lines, gaps)[:, :, 0]
+    lines = np.concatenate(in_order(groups, [c.constraint_by_pose for c in closures]), axis=1)
+    gaps = np.concatenate(in_order(groups, [c.constraint for c in closures]), axis=1)
+    return -least_squares(lines, gaps[:, :, None])[:, :, 0]
 
 
 def _split(mechanism: Mechanism, twist: Array) -> tuple[Array, Array]:
@@ -288,29 +271,30 @@ def _split(mechanism: Mechanism, twist: Array) -> tuple[Array, Array]:
 
 
 def _reasons(
-    mechanism: Mechanism,
-    legs: Sequence[LegClosure],
-    joints: list[Array],
-    matrices: Array,
-    open_: Mask,
+    mechanism: Mechanism, groups: Sequence[MovingLegs], matrices: Array, open_: Mask
 ) -> tuple[list[str], Array]:
     """Return why each row has no pose, an empty string where it has one, and the legs' gaps."""
-    finite: Mask = np.isfinite(np.concatenate([matrices.reshape(-1, 16), *joints], axis=1))
-    finite = np.asarray(finite.all(axis=1))
-    homes = [leg.deformed(leg.leg.home[None]) for leg in legs]
-    safe = [np.where(finite[:, None], q, home) for q, home in zip(joints, homes, strict=True)]
-    closures = [leg.evaluate(q, matrices) for leg, q in zip(legs, safe, strict=True)]
+    finite: Mask = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
+    for one in groups:
+        finite = np.asarray(finite & np.isfinite(one.joints).all(axis=(0, 2)))
+    closures = []
+    for one in groups:
+        homes = np.stack([leg.deformed(leg.leg.home[None]) for leg in one.legs])
+        closures.append(one.closed(matrices, np.where(finite[:, None], one.joints, homes)))
     closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
-    twist = _platform_step(closures)[:, :, None]
-    for leg, closure in zip(legs, closures, strict=True):
-        left = product(
-            closure.normal,
-            closure.constraint[:, :, None] + product(closure.constraint_by_pose, twist),
-        )
+    twist = _platform_step(groups, closures)
+    for one, closure in zip(groups, closures, strict=True):
+        count = len(one.legs)
+        moved = product(closure.constraint_by_pose, np.tile(twist, (count, 1))[:, :, None])
+        left = product(closure.normal, closure.constraint[:, :, None] + moved)
         closable = closure.gap - left[:, :, 0]  # by motions of platform and passive joints
-        closes &= (np.abs(closable) <= _NEWTON.closed * leg.size).all(axis=1)
-        in_mode &= in_home_mode(leg, closure)
-    in_mode &= platform_margin(mechanism, [one.constraint_by_pose for one in closures]) > 0.0
+        sizes = np.repeat([leg.size for leg in one.legs], len(matrices))
+        small = (np.abs(closable) <= _NEWTON.closed * sizes[:, None]).all(axis=1)
+        closes &= small.reshape(count, -1).all(axis=0)
+        in_mode &= in_home_modes(one.legs, closure).reshape(count, -1).all(axis=0)
+    lines = in_order(groups, [one.constraint_by_pose for one in closures])
+    in_mode &= platform_margin(mechanism, lines) > 0.0
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
-    gaps = np.stack([np.linalg.norm(closure.gap, axis=1) for closure in closures], axis=1)
-    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], gaps
+    gaps = [np.linalg.norm(closure.gap, axis=1) for closure in closures]
+    every = np.stack(in_order(groups, gaps), axis=1)
+    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], every

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import matrices_of, matrix_chunks
+from pincal.kinematics.batches import Matrices, matrix_chunks
 from pincal.kinematics.forward import LOADS, needs_loads, with_loads
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.legs.closed_forms import closed_form
@@ -105,8 +104,8 @@ def inverse(
     found = _inverse(mechanism, placed, columns, near)
     if columns is None or not needs_loads(mechanism, columns):
         return found
-    reached = found.reached.all(axis=1)
-    poses = mechanism.platform.from_matrices(matrices_of(placed)[reached])
+    reached = np.asarray(found.reached.all(axis=1))
+    poses = mechanism.platform.from_matrices(placed[reached])
     for _ in range(LOADS.steps):  # loads follow from joints, and bend them little
         loaded, before = columns.copy(), found.readings[reached]
         loaded[reached] = with_loads(mechanism, columns[reached], before, poses)
@@ -119,7 +118,7 @@ def inverse(
 
 def _inverse(
     mechanism: Mechanism,
-    placed: RigidTransform | Array,
+    placed: Matrices,
     columns: Array | None,
     near: Mapping[str, Array] | None,
 ) -> InverseSolution:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
+from pincal.model.angles import sine_and_cosine
 
 Array = NDArray[np.float64]
 
@@ -38,12 +39,7 @@ def rotation_of(way: str, values: Array) -> Rotation:
         MeasurementError: a quaternion that is not of length 1.
     """
     if way == "tilt-torsion":
-        azimuth, tilt, torsion = values.T
-        across, along = np.sin(tilt / 2), np.cos(tilt / 2)  # several times faster than from_euler
-        half = torsion / 2
-        x, y = across * np.sin(half - azimuth), across * np.cos(half - azimuth)
-        z, w = along * np.sin(half), along * np.cos(half)
-        return Rotation.from_quat(np.stack((x, y, z, w), axis=1))
+        return Rotation.from_quat(_quaternions(values).T)
     if way == "rotation-vector":
         return Rotation.from_rotvec(values)
     if way == "zyx":
@@ -55,6 +51,27 @@ def rotation_of(way: str, values: Array) -> Rotation:
             "expected qw, qx, qy, qz of length 1"
         )
     return Rotation.from_quat(values, scalar_first=True)
+
+
+def tilted(values: Array) -> Array:
+    """Return the matrices of azimuth, tilt and torsion, [rad], shape (N, 3) to (3, 3, N)."""
+    quaternions = _quaternions(values)
+    (x, y, z, w), (a, b, c, _) = quaternions, 2.0 * quaternions
+    R = np.empty((3, 3, len(x)))
+    R[0, 0], R[1, 1], R[2, 2] = 1.0 - y * b - z * c, 1.0 - x * a - z * c, 1.0 - x * a - y * b
+    for i, j, both, own in ((0, 1, x * b, w * c), (2, 0, x * c, w * b), (1, 2, y * c, w * a)):
+        np.subtract(both, own, out=R[i, j])
+        np.add(both, own, out=R[j, i])
+    return R
+
+
+def _quaternions(values: Array) -> Array:
+    """Return the unit quaternions of azimuth, tilt and torsion, (N, 3) to (4, N), scalar last."""
+    azimuth, tilt, torsion = values.T
+    half = torsion / 2
+    across, along = sine_and_cosine(tilt / 2)
+    (x, y), (z, w) = sine_and_cosine(half - azimuth), sine_and_cosine(half)
+    return np.array((across * x, across * y, along * z, along * w))
 
 
 def columns_of(way: str, rotation: Rotation) -> Array:

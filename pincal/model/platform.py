@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
+from pincal.model.angles import wrapped
 from pincal.model.checks import array_of, must_be, numbers_of
 from pincal.model.overview import one_line, triple
-from pincal.model.platform_kind import KINDS, PlatformKind
+from pincal.model.platform_kind import KINDS, PlatformKind, PoseMatrices
 
 if TYPE_CHECKING:
     from pincal.model.leg import Leg
@@ -149,13 +150,17 @@ class Platform:
             return poses
         return RigidTransform(self.matrices(poses), normalize=False, copy=False)
 
-    def placed(self, poses: Poses) -> RigidTransform | Array:
-        """Return poses as they are taken in parts: rigid transforms, or matrices (N, 4, 4).
+    def placed(self, poses: Poses) -> PoseMatrices:
+        """Return poses whose matrices are made where they are asked for: see ``transforms``.
 
         Raises:
             MechanismError: wrong shape, or a coordinate that is not a finite number.
         """
-        return poses if isinstance(poses, RigidTransform) else self.matrices(poses)
+        if not isinstance(poses, RigidTransform):
+            return PoseMatrices(self.form, self.checked(poses))
+        if poses.single:
+            raise MechanismError("poses are N transforms; got a single one: put it in brackets")
+        return PoseMatrices(self.form, poses)
 
     def matrices(self, poses: Poses) -> Array:
         """Return poses as homogeneous matrices, shape (N, 4, 4); see ``transforms``.
@@ -163,8 +168,14 @@ class Platform:
         Raises:
             MechanismError: wrong shape, or a coordinate that is not a finite number.
         """
-        if isinstance(poses, RigidTransform):
-            return poses.as_matrix()
+        return self.placed(poses)[:]
+
+    def checked(self, poses: object) -> Array:
+        """Return coordinates of poses, shape (N, dof), their shape and numbers checked.
+
+        Raises:
+            MechanismError: wrong shape, or a coordinate that is not a finite number.
+        """
         coordinates = numbers_of(poses, "poses", MechanismError)
         if coordinates.ndim != 2 or coordinates.shape[1] != self.dof:
             raise MechanismError(
@@ -174,7 +185,7 @@ class Platform:
         if not np.isfinite(coordinates).all():
             row = int(np.argmin(np.isfinite(coordinates).all(axis=1)))
             raise MechanismError(f"pose {row + 1} has a coordinate that is not a finite number")
-        return self.form.matrices(coordinates)
+        return coordinates
 
     def coordinates_of(self, poses: Poses) -> Array:
         """Return the coordinates of poses, shape (N, dof), [m] and [rad], angles in (-pi, pi]."""
@@ -213,7 +224,7 @@ class Platform:
         if self.turns < 3:
             turn = [unit == "rad" for unit in self.units]
             twists = second - first
-            twists[:, turn] = (twists[:, turn] + np.pi) % (2 * np.pi) - np.pi
+            twists[:, turn] = wrapped(twists[:, turn])
             return twists
         a, b = self.transforms(first), self.transforms(second)
         turns = (b.rotation * a.rotation.inv()).as_rotvec()

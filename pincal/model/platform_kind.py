@@ -10,16 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
+from pincal.model.angles import sine_and_cosine
 from pincal.model.checks import must_be, names_of
-from pincal.model.orientation import WAYS, columns_of, rotation_of
+from pincal.model.orientation import WAYS, columns_of, tilted
 
 Array = NDArray[np.float64]
+Rows: TypeAlias = slice | NDArray[np.intp] | NDArray[np.bool_]
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 """Rows of a twist, linear first."""
 _ANY, _TURN, _TILT = (-np.inf, np.inf), (-np.pi, np.pi), (0.0, np.pi)
@@ -104,18 +107,16 @@ class PlatformKind:
 
     def matrices(self, coordinates: Array) -> Array:
         """Return ``T_base_platform`` of coordinates, shape (N, dof) to (N, 4, 4)."""
-        T = np.zeros((len(coordinates), 4, 4))
-        T[:, range(4), range(4)] = 1.0
-        T[:, : self.lengths, 3] = coordinates[:, : self.lengths]
+        T = np.zeros((4, 4, len(coordinates)))  # memory runs along the poses: see ``batches``
+        T[range(4), range(4)] = 1.0
+        T[: self.lengths, 3] = coordinates[:, : self.lengths].T
         if self.turns == 1:
             j, k = (self._axis + 1) % 3, (self._axis + 2) % 3
-            T[:, j, j] = T[:, k, k] = np.cos(coordinates[:, -1])
-            T[:, k, j] = np.sin(coordinates[:, -1])
-            T[:, j, k] = -T[:, k, j]
+            T[k, j], T[j, j] = sine_and_cosine(coordinates[:, -1])
+            T[k, k], T[j, k] = T[j, j], -T[k, j]
         elif self.turns == 3:
-            turns = rotation_of("tilt-torsion", coordinates[:, self.lengths :])
-            T[:, :3, :3] = turns.as_matrix()
-        return T
+            T[:3, :3] = tilted(coordinates[:, self.lengths :])
+        return T.transpose(2, 0, 1)
 
     def from_matrices(self, matrices: Array) -> Array:
         """Return the coordinates of homogeneous matrices, shape (N, 4, 4) to (N, dof)."""
@@ -127,6 +128,26 @@ class PlatformKind:
         elif self.turns == 3:
             columns += list(columns_of("tilt-torsion", Rotation.from_matrix(R)).T)
         return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class PoseMatrices:
+    """Matrices of N poses, made of the rows that are asked for: no others fill memory."""
+
+    form: PlatformKind
+    poses: RigidTransform | Array
+    """Coordinates, shape (N, dof), or transforms."""
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def __getitem__(self, rows: Rows) -> Array:
+        """Return ``T_base_platform`` of some, shape (s, 4, 4)."""
+        some = self.poses[rows]
+        if not isinstance(some, RigidTransform):
+            return self.form.matrices(some)
+        entries = some.as_matrix().transpose(1, 2, 0)
+        return np.ascontiguousarray(entries).transpose(2, 0, 1)  # memory runs along the poses
 
 
 #: Kinds with a name that files may say.

@@ -157,8 +157,13 @@ class Element:
 
     def matrices(self, matrices: Array) -> Array:
         """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
-        both = np.kron(self.base.matrix, self.platform.inverse().matrix.T)  # one product for all
-        return (matrices.reshape(-1, 16) @ both.T).reshape(matrices.shape)
+        moved = self._both @ matrices.reshape(-1, 16).T  # memory runs along the poses, see batches
+        return np.asarray(moved.T.reshape(matrices.shape))
+
+    @cached_property
+    def _both(self) -> Array:
+        """The map of a pose's entries, row by row: one product for all, shape (16, 16)."""
+        return np.asarray(np.kron(self.base.matrix, self.platform.inverse().matrix.T), float)
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
         """Return where poses go, coordinates of shape (N, dof)."""

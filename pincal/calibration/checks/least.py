@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtrc, chdtrc, fdtrc
+from scipy.special import bdtrc, betaincinv, chdtri
 
 from pincal.design.platform_error import DRAWS
 from pincal.estimation.fit import Fit
@@ -45,11 +45,12 @@ def least_of_folds(
     inside, own, equations = (np.sum(one, axis=0) for one in zip(*parts, strict=True))
     dof = sum(one.fit.degrees_of_freedom for one in fits)
     if known:
-        chances = chdtrc(equations, inside)
-    else:
+        unlikely = inside >= chdtri(equations, least)
+    else:  # of a share x of all, or more: the chance that 1 − x follows a beta distribution
         rest = own.sum(axis=1, keepdims=True) - inside
-        chances = fdtrc(equations, dof - equations, inside / equations / rest * (dof - equations))
-    below = int((np.asarray(chances).min(axis=1) <= least).sum())
+        share = betaincinv(0.5 * (dof - equations), 0.5 * equations, least)
+        unlikely = (rest > 0.0) & (inside * share >= rest * (1.0 - share))
+    below = int(unlikely.any(axis=1).sum())
     return (1 + below) / (1 + DRAWS) if below else min(bound, 1 / (1 + DRAWS))
 
 
@@ -62,21 +63,23 @@ def _drawn(
     _, prior = one.unknowns.prior_rows(one.unknowns.start)
     by = Orthonormal.of(J, prior)
     Q = by(J).transpose(0, 2, 1)
-    roots, kept = [], []
+    roots, kept = [], []  # draws need no more than single precision
     for fold in range(count):
         part = Q[folds == fold]
         share, V = np.linalg.eigh(np.einsum("nim,njm->ij", part, part))
         has = share > _RANK
-        roots.append((np.sqrt(share[has])[:, None] * V[:, has].T, 1.0 - share[has]))
+        root = np.sqrt(share[has])[:, None] * V[:, has].T
+        roots.append((root.astype(np.float32), (1.0 - share[has]).astype(np.float32)))
         kept.append(int(one.last.equations[folds == fold][weights[folds == fold, 0, 0]].sum()))
-    drawn = [random.standard_normal((DRAWS, len(left))) for _, left in roots]
+    drawn = [random.standard_normal((DRAWS, len(left)), np.float32) for _, left in roots]
     taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
     if len(prior):
-        taken = taken + random.standard_normal((DRAWS, len(prior))) @ by(prior)
+        held = by(prior).astype(np.float32)
+        taken = taken + random.standard_normal((DRAWS, len(prior)), np.float32) @ held
     inside, own = np.empty((DRAWS, count)), np.empty((DRAWS, count))
     for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):
-        e = u - taken @ root.T
+        squares = np.square(u - taken @ root.T)
         rest = random.chisquare(max(kept[fold] - len(left), 1e-9), DRAWS)
-        inside[:, fold] = (e**2 / np.maximum(left, _RANK)).sum(axis=1) + rest
-        own[:, fold] = (e**2).sum(axis=1) + rest
+        inside[:, fold] = squares @ (1.0 / np.maximum(left, _RANK)) + rest
+        own[:, fold] = squares.sum(axis=1) + rest
     return inside, own, np.array(kept, dtype=float)

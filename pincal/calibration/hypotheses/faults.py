@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.leg_fit import LegFit, leg_fits
+from pincal.calibration.hypotheses.leg_fit import LegFit, LegMeasurements, leg_fits
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.calibration.hypotheses.sample import Sample
 from pincal.kinematics.inverse import inverse
@@ -292,7 +292,8 @@ def _best_order(sample: Sample) -> list[int]:
     def cost(fit: LegFit) -> float:
         return float(np.clip(fit.near, RULE.questioned * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
 
-    columns = [(matrices, sample.readings[:, [j]]) for j in every]
-    table = [[cost(one) for one in leg_fits(sample.mechanism, i, columns)] for i in every]
+    rows = [LegMeasurements(i, matrices, sample.readings[:, [j]]) for i in every for j in every]
+    costs = [cost(one) for one in leg_fits(sample.mechanism, rows)]
+    table = np.reshape(costs, (len(every), len(every)))
     stays = 1e-9 * np.eye(len(every))
     return [int(j) for j in linear_sum_assignment(np.nan_to_num(table, nan=1.0) - stays)[1]]

@@ -8,7 +8,7 @@ other by, however short the motion that was measured.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.estimation.observability.drawings import DIFFER, changes_of
 from pincal.estimation.observability.frames import frame_motions
-from pincal.kinematics.derivatives import demand
-from pincal.kinematics.legs.closure import LegClosure
-from pincal.kinematics.legs.nearest_closure import nearest_closure
+from pincal.kinematics.batches import CHUNK, chunks, stacked
+from pincal.kinematics.derivatives import demands
+from pincal.kinematics.legs.closure import LegClosure, nominal_legs
+from pincal.kinematics.legs.nearest_closure import NEWTON, begun, nearest_closures
 from pincal.kinematics.legs.starts import home_mode, mode_sign
 from pincal.model.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_STEPS = 20  # a leg that closes needs fewer; one that does not is not worth more
+_SEARCH = replace(NEWTON, steps=20)  # legs that close need fewer
 _ROUNDS = 5  # of least squares on the way to the least sum of absolute values
 
 
@@ -68,73 +69,113 @@ class LegFit:
         return self.rows > 1 and not self.near <= most
 
 
+@dataclass(frozen=True)
+class LegMeasurements:
+    """What was measured of one leg."""
+
+    leg: int
+    """Which, of the mechanism's."""
+    matrices: Array
+    """Poses ``T_base_platform``, shape (N, 4, 4)."""
+    readings: Array
+    """Shape (N, n_active), [rad] or [m]; NaN where not measured."""
+
+    def known(self) -> LegMeasurements:
+        """Return the rows with readings; none of a single one."""
+        whole = np.isfinite(self.readings).all(axis=1)
+        own = whole & (whole.sum() > 1)
+        return replace(self, matrices=self.matrices[own], readings=self.readings[own])
+
+
 def leg_fits(
-    mechanism: Mechanism, index: int, parts: Sequence[tuple[Array, Array]], *, free: bool = False
+    mechanism: Mechanism, given: Sequence[LegMeasurements], *, free: bool = False
 ) -> list[LegFit]:
-    """Return how each of several sets of measurements fits a leg.
+    """Return how each of several sets of measurements fits its leg.
+
+    Those of alike legs, as many rows each, are evaluated in one call.
 
     Args:
         mechanism: The mechanism.
-        index: The leg.
-        parts: Of each set, poses ``T_base_platform``, shape (N, 4, 4), and the leg's readings,
-            shape (N, n_active), [rad] or [m]; NaN where not measured.
+        given: The sets.
         free: Whether the base was placed by alignment only, and may lie nearby.
     """
-    known = [np.asarray(np.isfinite(readings).all(axis=1)) for _, readings in parts]
-    known = [own & (own.sum() > 1) for own in known]
-    left = [np.full(len(own), np.nan) for own in known]
-    none = [LegFit(np.nan, one, np.nan, 0) for one in left]
-    if not any(own.any() for own in known):
-        return none
-    leg, platform = mechanism.legs[index], mechanism.platform
-    closure = LegClosure(leg, platform)
-    matrices = np.concatenate([one[own] for (one, _), own in zip(parts, known, strict=True)])
-    readings = np.concatenate([one[own] for (_, one), own in zip(parts, known, strict=True)])
-    with np.errstate(all="ignore"):  # units may be far off
-        closed, _ = nearest_closure(closure, matrices, readings, steps=_STEPS)
-        missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
-        rows = demand(closure, closed, readings)
-        J = rows.parameter * changes_of(leg, closure.size)
-        if free:
-            base = frame_motions(platform, matrices)[:, :, : -platform.dof]
-            lengths = np.arange(base.shape[2]) < platform.space
-            by_base = rows.pose @ (base * DIFFER * np.where(lengths, closure.size, 1.0))
-            J = np.concatenate((J, by_base), axis=2)
-    # joints that are all read bend as they do
-    bent = (mode_sign(closed) * home_mode(leg, platform) < 0.0) & bool(leg.passive)
-    counts = np.array([own.sum() for own in known])
-    first = np.cumsum(counts) - counts
-    fits = list(none)
-    for count in np.unique(counts[counts > 0]):  # those with as many rows at once
-        which = np.flatnonzero(counts == count)
-        own = first[which, None] + np.arange(count)
-        with np.errstate(all="ignore"):
-            lefts = _left(closure.size, J[own], rows.value[own])
-            strokes = _stroke(rows.reading[own], readings[own]) / closure.size
-            gaps = np.median(missed[own], axis=1) / closure.size
-        for i, one in enumerate(which):
-            left[one][known[one]] = lefts[i]
-            fits[one] = LegFit(
-                float(gaps[i]), left[one], float(strokes[i]), int(bent[own[i]].sum())
-            )
+    known, legs = [one.known() for one in given], nominal_legs(mechanism)
+    left = [np.full(len(one.readings), np.nan) for one in given]
+    fits = [LegFit(np.nan, own, np.nan, 0) for own in left]
+    groups: dict[tuple[object, int], list[int]] = {}
+    for place, one in enumerate(known):
+        if count := len(one.readings):
+            groups.setdefault((legs[one.leg].form, count), []).append(place)
+    for (_, count), group in groups.items():
+        for some in chunks(len(group), max(1, CHUNK // count)):
+            found = _fitted(legs, [known[place] for place in group[some]], free)
+            for place, (gap, lefts, stroke, bent) in zip(group[some], found, strict=True):
+                left[place][np.isfinite(given[place].readings).all(axis=1)] = lefts
+                fits[place] = LegFit(gap, left[place], stroke, bent)
     return fits
 
 
-def _left(size: float, J: Array, value: Array) -> Array:
-    """Return the gaps that parameters near nominal leave, over the leg's size, shape (P, N).
+def _fitted(
+    legs: Sequence[LegClosure], sets: Sequence[LegMeasurements], free: bool
+) -> list[tuple[float, Array, float, int]]:
+    """Return gap, what is left of each row, stroke and bent rows of sets of alike legs.
+
+    As ``LegFit`` has them; as many rows in each set.
+    """
+    own, count = [legs[one.leg] for one in sets], len(sets[0].readings)
+    leg, matrices = own[0].leg, stacked([one.matrices for one in sets])
+    said = [one.readings for one in sets]
+    # rows of one leg are rows of one call, whatever its form; alike legs stand below each other
+    alone = len({one.leg for one in sets}) == 1
+    called, known = (own[:1], [stacked(said)]) if alone else (own, said)
+    there = np.split(matrices, len(called))
+
+    def by_set(parts: Sequence[Array]) -> Array:
+        whole: Array = stacked(parts)
+        return whole.reshape(len(sets), count, *whole.shape[1:])
+
+    with np.errstate(all="ignore"):  # units may be far off
+        start = [begun(*one, None) for one in zip(called, there, known, strict=True)]
+        closed, _ = nearest_closures(called, matrices, stacked(start), _SEARCH)
+        missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
+        rows = demands(called, closed, known)
+        sizes = np.array([one.size for one in own])
+        changes = np.stack([changes_of(one.leg, one.size) for one in own])
+        J = by_set([one.parameter for one in rows]) * changes[:, None, None]
+        if free:
+            platform = own[0].platform
+            base = frame_motions(platform, matrices)[:, :, : -platform.dof]
+            base = base.reshape(len(sets), count, *base.shape[1:])
+            lengths = np.arange(base.shape[3]) < platform.space
+            scales = DIFFER * np.where(lengths, sizes[:, None, None, None], 1.0)
+            by_base = by_set([one.pose for one in rows]) @ (base * scales)
+            J = np.concatenate((J, by_base), axis=3)
+        lefts = _left(sizes, J, by_set([one.value for one in rows]))
+        strokes = _stroke(by_set([one.reading for one in rows]), np.stack(said)) / sizes
+        gaps = np.median(missed.reshape(len(sets), count), axis=1) / sizes
+    modes = np.repeat([home_mode(one.leg, one.platform) for one in own], count)
+    # joints that are all read bend as they do
+    bent = (mode_sign(closed) * modes < 0.0) & bool(leg.passive)
+    bends = bent.reshape(len(sets), count).sum(axis=1)
+    return list(zip(gaps.tolist(), lefts, strokes.tolist(), bends.tolist(), strict=True))
+
+
+def _left(sizes: Array, J: Array, value: Array) -> Array:
+    """Return the gaps that parameters near nominal leave, over the legs' sizes, shape (P, N).
 
     To first order, of least absolute values (rows with a slip count little), parameters known as
     well as machines follow their drawings, and no farther from nominal than that.
 
     Args:
-        size: The leg's size, [m].
+        sizes: Of the legs, shape (P,), [m].
         J: Change of the gaps by as much as each parameter may differ, shape (P, N, k, n), [m].
         value: The gaps in P sets of measurements, shape (P, N, k), [m].
     """
     parts, N, k, n = J.shape
     result = np.full((parts, N), 1.0)
     fine = np.isfinite(J).all(axis=(1, 2, 3)) & np.isfinite(value).all(axis=(1, 2))
-    J, value = (one[fine] / (RULE.precise * size) for one in (J, value))
+    precise = RULE.precise * sizes[fine, None, None]
+    J, value = J[fine] / precise[..., None], value[fine] / precise
     weights, usual = np.ones(value.shape[:2]), np.ones((len(value), 1))
     J, value = J.reshape(-1, N * k, n), value.reshape(-1, N * k)
     for _ in range(_ROUNDS):

@@ -175,7 +175,8 @@ def _still(sample: Sample) -> tuple[Finding, ...]:
 def _turns(sample: Sample) -> tuple[Finding, ...]:
     """Return readings that are whole turns off the nominal ones, of the first such leg."""
     mechanism, (found,) = sample.mechanism, placed([sample])
-    if mechanism.by_readings or found is None:
+    turning = any(leg.reading_units[0] == "rad" for leg in mechanism.legs)
+    if mechanism.by_readings or found is None or not turning:
         return ()
     matrices, rows = found
     nominal = inverse(mechanism, mechanism.platform.from_matrices(matrices)).readings

@@ -22,7 +22,7 @@ from pincal.calibration.hypotheses.faults import (
     single_faults,
     zeros,
 )
-from pincal.calibration.hypotheses.leg_fit import LegFit, leg_fits
+from pincal.calibration.hypotheses.leg_fit import LegFit, LegMeasurements, leg_fits
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.calibration.hypotheses.sample import Sample, placed
 from pincal.estimation.observability.drawings import DIFFER
@@ -95,11 +95,10 @@ def judge(sample: Sample, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> 
         for one, found in zip(right, places, strict=True)
         if found is not None
     ]
-    by_leg = [
-        leg_fits(mechanism, i, [(T, psi[:, own]) for T, psi in parts], free=sample.free)
-        for i, own in enumerate(mechanism.reading_columns)
-    ]
-    fits = zip(*by_leg, strict=True)
+    columns = mechanism.reading_columns
+    rows = [LegMeasurements(i, T, psi[:, own]) for T, psi in parts for i, own in enumerate(columns)]
+    every = leg_fits(mechanism, rows, free=sample.free)
+    fits = (tuple(every[i : i + len(columns)]) for i in range(0, len(every), len(columns)))
     return [
         Judged(one, (), free=sample.free)
         if found is None

@@ -51,8 +51,9 @@ def squares(rows: Rows, places: Index, turns: Parts) -> Array:
     found, whole = np.zeros(len(places)), len(places) == rows.total
     for some in chunks(len(places), _AT_ONCE):
         for one, turn in zip(rows(some if whole else places[some]), turns, strict=True):
-            turned = (one.reshape(-1, one.shape[2]) @ turn).reshape(len(one), -1)
-            found[some] += np.einsum("mk,mk->m", turned, turned)
+            for row in one.transpose(1, 2, 0):
+                turned = turn.T @ row  # one number of all candidates beside the other in memory
+                found[some] += np.einsum("km,km->m", turned, turned)
     return found
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
+from scipy.linalg import lapack, qr
 
 from pincal.design.selection.candidates import Held, Rows, most_of, squares
 from pincal.design.selection.criteria import Parts
@@ -261,7 +261,9 @@ def _interior(rows: Parts, weights: Array, gap: float) -> Array:
     for _ in range(_BY.steps):
         middle = _BY.centred * float(w @ z) / s
         sides = np.column_stack((gradient + middle / w, np.ones(s)))
-        both = np.linalg.solve(hessian + np.diag(z / w), sides)
+        hessian[np.diag_indices(s)] += z / w
+        _, both, failed = lapack.dposv(hessian, sides)
+        both = np.linalg.solve(hessian, sides) if failed else both  # rounding: not quite positive
         level = (both[:, 0].sum() + w.sum() - 1.0) / both[:, 1].sum()
         by_w = both[:, 0] - level * both[:, 1]
         by_z = middle / w - z - z / w * by_w
@@ -286,13 +288,16 @@ def _derivatives(rows: Parts, weights: Array) -> tuple[Array, Array]:
     s = len(weights)
     hessian, gradient = np.zeros((s, s)), np.zeros(s)
     for one in rows:
-        by, (_, _, r, n) = np.linalg.inv(_information(one, weights)), one.shape
-        turned = one @ by[:, None]
-        gradient += (turned * one).sum(axis=(0, 2, 3))
+        by, (p, _, r, n) = np.linalg.inv(_information(one, weights)), one.shape
+        flat = one.reshape(p, s * r, n)
+        turned = flat @ by
+        gradient += np.einsum("pmn,pmn->m", turned, flat).reshape(s, r).sum(axis=1)
         if r * r < n:  # |Aᵢ M⁻¹ Aⱼᵀ|² itself
-            K = turned.reshape(len(one), -1, n) @ one.reshape(len(one), -1, n).swapaxes(1, 2)
-            hessian += (K * K).reshape(-1, s, r, s, r).sum(axis=(0, 2, 4))
+            K = turned @ flat.swapaxes(1, 2)
+            squared = np.einsum("pij,pij->ij", K, K)
+            hessian += squared if r == 1 else squared.reshape(s, r, s, r).sum(axis=(1, 3))
         else:  # tr Pᵢ Pⱼ
-            for P in (turned.swapaxes(2, 3) @ one).reshape(len(one), s, n, n):
+            products = turned.reshape(p, s, r, n).swapaxes(2, 3) @ one
+            for P in products.reshape(p, s, n, n):
                 hessian += P.reshape(s, -1) @ P.swapaxes(1, 2).reshape(s, -1).T
     return hessian, gradient

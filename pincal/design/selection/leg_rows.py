@@ -30,7 +30,7 @@ class LegRows:
 
     mechanism: Mechanism
     poses: Array
-    """Coordinates, shape (M, dof), or matrices, shape (M, 4, 4)."""
+    """Coordinates, shape (M, dof), all finite, or matrices, shape (M, 4, 4)."""
     legs: tuple[str, ...]
     """Of each part, as often as it is to count."""
     noise: Noise
@@ -52,7 +52,7 @@ class LegRows:
     def matrices(self, places: Some) -> Array:
         """Return poses as matrices, shape (s, 4, 4)."""
         some = self.poses[places]
-        return some if some.ndim == 3 else self.mechanism.platform.matrices(some)
+        return some if some.ndim == 3 else self.mechanism.platform.form.matrices(some)
 
     def __call__(self, places: Some) -> Parts:
         """See ``Rows``; an image that is an earlier one of its pose is measured once."""

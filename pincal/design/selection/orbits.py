@@ -147,7 +147,9 @@ def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]
     """
     if len(elements) == 1:
         return matrices[None], np.ones((1, len(matrices)), dtype=bool)
-    found = np.stack([g.matrices(matrices) for g in elements])
+    found = np.empty((len(elements), 4, 4, len(matrices))).transpose(0, 3, 1, 2)
+    for images, element in zip(found, elements, strict=True):
+        images[:] = element.matrices(matrices)
     size = float(np.ptp(found[..., :3, 3], axis=(0, 1)).max())
     within = ALIKE * np.array((1.0, 1.0, 1.0, size or 1.0))
     own = np.ones(found.shape[:2], dtype=bool)

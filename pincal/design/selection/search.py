@@ -13,7 +13,7 @@ from pincal.design.selection.candidates import Rows, most_of
 from pincal.design.selection.certificate import ContinuousDesign, continuous_design
 from pincal.design.selection.criteria import MeanVariance, Parts
 from pincal.design.selection.exchange import exchange
-from pincal.design.selection.leg_rows import HELD, LegRows, held
+from pincal.design.selection.leg_rows import LegRows, held
 from pincal.design.selection.orbits import orbit_of
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import identifiability
@@ -77,22 +77,21 @@ class Search:
             ObservabilityError: no candidates.
         """
         self.mechanism, self.options = mechanism, options
-        self.candidates = mechanism.platform.coordinates_of(candidates)
-        matrices = mechanism.platform.matrices(candidates)
+        platform = mechanism.platform
+        self.candidates = platform.checked(platform.coordinates_of(candidates))
         self.rng = np.random.default_rng(options.seed)
-        self.usable, self.unreachable = len(matrices), 0
-        if not len(matrices):
+        self.usable, self.unreachable = len(self.candidates), 0
+        if not len(self.candidates):
             raise self._too_few(0, 1)
-        self._poses = matrices if matrices.size <= HELD else self.candidates
-        self._known = np.zeros(len(matrices), dtype=bool)  # to be reached
+        self._known = np.zeros(len(self.candidates), dtype=bool)  # to be reached
         self._within: Index | None = None  # all that are, once one was not
 
     def some(self, count: int) -> Array:
-        """Return the first candidates that all legs reach, coordinates."""
-        places = np.arange(min(count, len(self.candidates)))
+        """Return some candidates that all legs reach, coordinates."""
+        places = _sample(np.arange(len(self.candidates)))
         if not self._all_reach(places):
-            places = self._reached()[:count]
-        return self.candidates[places]
+            places = self._reached()
+        return self.candidates[places[:: max(1, len(places) // count)][:count]]
 
     def _all_reach(self, places: Index) -> bool:
         """Return whether all legs reach candidates."""
@@ -111,7 +110,7 @@ class Search:
     def rows(self, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)) -> LegRows:
         """Return the rows of legs at the candidates, or at all poses of their orbits."""
         noise = as_noise(self.options.noise)
-        return LegRows(self.mechanism, self._poses, tuple(legs), noise, tuple(elements))
+        return LegRows(self.mechanism, self.candidates, tuple(legs), noise, tuple(elements))
 
     def own(self, leg: str, count: int) -> tuple[Index, float]:
         """Return the chosen candidates for one leg, and their efficiency."""

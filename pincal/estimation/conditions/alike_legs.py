@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pincal.estimation.conditions.leg_condition import LegCondition, Met
 from pincal.estimation.linear import Follow, State
+from pincal.kinematics.batches import repeated
 from pincal.kinematics.derivatives import demands
 from pincal.kinematics.legs.closure import LegClosure
 from pincal.kinematics.legs.nearest_closure import begun, followed, nearest_closures
@@ -96,7 +97,7 @@ def evaluated(
     known = [one.known for one in alike]
     each = zip(legs, known, joints, strict=True)
     start = np.concatenate([begun(leg, matrices, own, near) for leg, own, near in each])
-    closed, found = nearest_closures(legs, np.tile(matrices, (len(legs), 1, 1)), start)
+    closed, found = nearest_closures(legs, repeated(matrices, len(legs)), start)
     by_leg = found.reshape(len(legs), len(matrices), found.shape[1])
 
     def after(changes: Sequence[Array], twists: Array) -> list[Array]:

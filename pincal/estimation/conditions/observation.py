@@ -20,6 +20,7 @@ from pincal.estimation.conditions.angles import angle
 from pincal.estimation.conditions.covariances import RowNoise, row_noise
 from pincal.estimation.conditions.external import External, ExternalUnknowns
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
+from pincal.model.angles import wrapped
 from pincal.model.measuring.instrument import checked
 from pincal.model.measuring.measurements import Measurements, Noise
 from pincal.model.measuring.setup import Setup
@@ -165,15 +166,17 @@ class Observation:
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
             external: Values of the external unknowns.
         """
-        below = self._instruments(matrices, external)
-        value, pose, outer = (
-            np.concatenate((part, more), axis=1)
-            for part, more in zip(self._predicted(matrices, external), below, strict=True)
-        )
+        value, pose, outer = self._predicted(matrices, external)
+        if self.setup.instruments:
+            below = self._instruments(matrices, external)
+            value, pose, outer = (
+                np.concatenate(pair, axis=1)
+                for pair in zip((value, pose, outer), below, strict=True)
+            )
         n_scalar = self._values.shape[1]
         value[:, :n_scalar] -= self._values
         turning = [i for i, name in enumerate(self.names) if name in self._angle_names]
-        value[:, turning] = (value[:, turning] + np.pi) % (2 * np.pi) - np.pi
+        value[:, turning] = wrapped(value[:, turning])
         keep = self.measured
         return Rows(
             np.where(keep, value, 0.0),
@@ -184,66 +187,74 @@ class Observation:
     def _predicted(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
         """Return predictions (orientations: less measured) and derivatives of all rows."""
         R, F = matrices[:, :3, :3], external.frame[:3, :3]
-        unknowns, axes = self.external, self._axes
+        unknowns, axes, n = self.external, self._axes, len(self.external.frame_rows)
+        turned = self._turned(R, F, external)
+        first = axes * len(self.setup.targets)  # of the rows after all positions
+        count = first + len(self.setup.distances) + turned[0].shape[1]
+        found = value, pose, outer = (
+            np.empty((len(R), count)),
+            np.empty((len(R), count, self.platform.dof)),
+            np.empty((len(R), count, len(unknowns))),
+        )
         points, by_pose, by_external = {}, {}, {}
         for index, target in enumerate(self.setup.targets):
             arm = R @ external.offsets[index]
-            turned = (matrices[:, :3, 3] + arm) @ F.T
-            points[target] = turned + external.frame[:3, 3]
+            moved = (matrices[:, :3, 3] + arm) @ F.T
+            points[target] = moved + external.frame[:3, 3]
             by_pose[target] = F @ point_velocity(arm, self.platform.twist_rows)
             by_external[target] = np.zeros((len(R), 3, len(unknowns)))
-            n = len(unknowns.frame_rows)
-            by_external[target][:, :, :n] = point_velocity(turned, unknowns.frame_rows)
+            by_external[target][:, :, :n] = point_velocity(moved, unknowns.frame_rows)
             for column, (other, axis) in enumerate(unknowns.offset_entries):
                 if other == index:
                     by_external[target][:, :, n + column] = (F @ R)[:, :, axis]
-        columns: list[tuple[Array, Array, Array]] = []
-        for target in self.setup.targets:
-            columns += [
-                (points[target][:, i], by_pose[target][:, i], by_external[target][:, i])
-                for i in range(axes)
-            ]
-        for one in self.setup.distances.values():
+            own = slice(index * axes, (index + 1) * axes)
+            value[:, own], pose[:, own] = points[target][:, :axes], by_pose[target][:, :axes]
+            outer[:, own] = by_external[target][:, :axes]
+        for row, one in enumerate(self.setup.distances.values(), first):
             ray = points[one.target] - np.array(one.point)
             length = np.linalg.norm(ray, axis=1)
             with np.errstate(invalid="ignore", divide="ignore"):
                 unit = (ray / length[:, None])[:, None]
-            columns.append(
-                (length, (unit @ by_pose[one.target])[:, 0], (unit @ by_external[one.target])[:, 0])
-            )
-        columns += self._turned(R, F, external)
-        return tuple(np.stack(part, axis=1) for part in zip(*columns, strict=True))  # type: ignore[return-value]
+            value[:, row], pose[:, row] = length, (unit @ by_pose[one.target])[:, 0]
+            outer[:, row] = (unit @ by_external[one.target])[:, 0]
+        for part, last in zip(found, turned, strict=True):
+            part[:, count - last.shape[1] :] = last
+        return found
 
-    def _turned(self, R: Array, F: Array, external: External) -> list[tuple[Array, Array, Array]]:
-        """Return the rows of single angles and of whole orientations."""
-        if not (self._angle_names or self._turn_rows):
-            return []
-        unknowns = self.external
+    def _turned(self, R: Array, F: Array, external: External) -> tuple[Array, Array, Array]:
+        """Return predictions and derivatives of single angles and of whole orientations."""
+        unknowns, names = self.external, self._angle_names
+        count, dof, n = len(names) + len(self._turn_rows), self.platform.dof, len(unknowns)
+        value = np.empty((len(R), count))
+        pose, outer = np.empty((len(R), count, dof)), np.empty((len(R), count, n))
+        if not count:
+            return value, pose, outer
         predicted = F @ R @ external.turn
-        by_pose = np.zeros((len(R), 3, self.platform.dof))  # turns of the prediction, outer axes
+        by_pose = np.zeros((len(R), 3, dof))  # turns of the prediction, outer axes
         for column, row in enumerate(self.platform.twist_rows):
             if row >= 3:
                 by_pose[:, :, column] = F[:, row - 3]
-        by_external = np.zeros((len(R), 3, len(unknowns)))
+        by_external = np.zeros((len(R), 3, n))
         for column, row in enumerate(unknowns.frame_rows):
             if row >= 3:
                 by_external[:, row - 3, column] = 1.0
         last = unknowns.turn_columns.start
         for column, axis in enumerate(unknowns.turn_axes):
             by_external[:, :, last + column] = (F @ R)[:, :, axis]
-        rows = []
-        for name in self._angle_names:
-            value, by_turn = angle(name, predicted)
-            pose, outer = ((by_turn[:, None] @ part)[:, 0] for part in (by_pose, by_external))
-            rows.append((value, pose, outer))
+        for row, name in enumerate(names):
+            value[:, row], by_turn = angle(name, predicted)
+            pose[:, row] = (by_turn[:, None] @ by_pose)[:, 0]
+            outer[:, row] = (by_turn[:, None] @ by_external)[:, 0]
+        if not self._turn_rows:
+            return value, pose, outer
         whole = _whole(self.orientations)
         error = np.zeros((len(R), 3))
-        measured = self.orientations[whole]
-        error[whole] = turn_between(predicted[whole], measured)
-        spread = inverse_left_jacobian(error)
-        by_pose, by_external = spread @ by_pose, spread @ by_external
-        rows += [(error[:, i], by_pose[:, i], by_external[:, i]) for i in self._turn_rows]
-        return rows
+        error[whole] = turn_between(predicted[whole], self.orientations[whole])
+        spread, own = inverse_left_jacobian(error), list(self._turn_rows)
+        value[:, len(names) :] = error[:, own]
+        pose[:, len(names) :] = (spread @ by_pose)[:, own]
+        outer[:, len(names) :] = (spread @ by_external)[:, own]
+        return value, pose, outer
 
     def _instruments(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
         """Return the conditions of the instruments, and derivatives as those of all rows."""

@@ -17,7 +17,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.kinematics.batches import lengths
 from pincal.kinematics.legs.closure import LegClosure
+from pincal.model.angles import sine_and_cosine, wrapped
 from pincal.model.checks import ROUNDING
 
 Array = NDArray[np.float64]
@@ -67,7 +69,7 @@ def rod_directions(closure: LegClosure, targets: Array) -> Array | None:
         if closure.leg.moving[0].kind == "prismatic":
             arm -= drive[:, None] * rod.frame[:, 1]
         else:
-            circle = np.stack((np.cos(drive), np.sin(drive)), axis=1)
+            circle = np.stack(sine_and_cosine(drive)[::-1], axis=1)
             arm -= rod.radius * circle @ rod.frame[:, :2].T
     else:
         return None
@@ -103,8 +105,8 @@ class Pointing:
         q1 = np.arctan2(-across, up)
         if not self.universal:
             return [q1]
-        q2 = np.arctan2(vectors @ self.e1, self.side * np.hypot(across, up)) - self.delta
-        return [q1, q2]
+        beside = self.side * np.sqrt(across * across + up * up)
+        return [q1, np.arctan2(vectors @ self.e1, beside) - self.delta]
 
 
 def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
@@ -114,7 +116,7 @@ def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
     """
     leg, form = closure.leg, slide_geometry(closure)
     arm = _in_space(closure, targets - form.centre)
-    length = np.linalg.norm(arm, axis=1)
+    length = lengths(arm)
     angles = form.pointing.angles(form.forth * arm)
     turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[:-1], strict=True)]
     return np.stack((*turns, form.forth * length)).T, length > 0.0
@@ -162,15 +164,19 @@ def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
             drive = on - rod.mode * np.sqrt(np.clip(square, 0.0, None))
             to_tip = arm - drive[:, None] * rod.frame[:, 1]
         else:
-            square = out**2 + on**2 + up**2 + rod.radius**2 - rod.length**2
-            cos = square / (2 * rod.radius * np.hypot(out, on))
-            cos = np.where(np.isnan(cos), 0.0, cos)  # at O, any angle
+            flat = out * out + on * on
+            far = np.sqrt(flat)
+            apart = np.where(far > 0.0, far, 1.0)  # at O, any angle
+            cos = (flat + up * up + rod.radius**2 - rod.length**2) / (2 * rod.radius * far)
+            cos = np.where(np.isnan(cos), 0.0, cos)
             possible = np.abs(cos) <= 1.0
             cos = np.clip(cos, -1.0, 1.0)
-            drive = np.arctan2(on, out) - rod.mode * np.arctan2(np.sqrt((1 - cos) * (1 + cos)), cos)
-            drive = leg.home[0] + wrapped(drive - leg.home[0])
-            c, s = np.cos(drive), np.sin(drive)  # turned back to where the drive is at zero
-            back = np.stack((c * out + s * on - rod.radius, c * on - s * out, up))
+            sin = rod.mode * np.sqrt((1 - cos) * (1 + cos))
+            out, on = out / apart, on / apart  # the target's way, turned to the drive's: no sines
+            c, s = cos * out + sin * on, cos * on - sin * out
+            drive = leg.home[0] + wrapped(np.arctan2(s, c) - leg.home[0])
+            # turned back to where the drive is at zero
+            back = np.stack((far * cos - rod.radius, far * sin, up))
             to_tip = (rod.frame @ back).T
     angles = rod.pointing.angles(to_tip)
     turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[1:], strict=True)]
@@ -260,10 +266,3 @@ def _in_space(closure: LegClosure, vectors: Array) -> Array:
     if closure.platform.space == 2:
         vectors[:, 2] = 0.0
     return vectors
-
-
-def wrapped(angles: Array) -> Array:
-    """Return angles in [-pi, pi)."""
-    turn = 2 * np.pi
-    with np.errstate(invalid="ignore"):
-        return angles - turn * np.floor((angles + np.pi) / turn)  # quicker than a remainder

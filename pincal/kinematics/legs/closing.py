@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import least_squares, product, stacked
-from pincal.kinematics.legs.closed_forms import wrapped
 from pincal.kinematics.legs.closure import (
     Closure,
     LegClosure,
@@ -25,6 +24,7 @@ from pincal.kinematics.legs.closure import (
     rows_of_each,
 )
 from pincal.kinematics.legs.starts import in_home_modes, start_joints
+from pincal.model.angles import wrapped
 from pincal.model.checks import ROUNDING
 from pincal.model.sensors.sensor import SensorLaw, sensor_laws
 
@@ -81,31 +81,35 @@ def close_alike(
     rows, count = rows_of_each(len(legs), len(matrices)), len(matrices) // len(legs)
     if near is None:
         starts = [start_joints(leg, matrices[own]) for leg, own in zip(legs, rows, strict=True)]
-        start = stacked([joints for joints, _ in starts])
-        possible, about = stacked([one for _, one in starts]), _homes(legs, count)
-        attempts = _ATTEMPTS
+        start, attempts = stacked([joints for joints, _ in starts]), _ATTEMPTS
+        possible = stacked([one for _, one in starts])
     else:
         possible = np.asarray(np.isfinite(near).all(axis=1))
-        attempts, start = 1, np.where(possible[:, None], near, _homes(legs, count))
-        about = start
+        start, attempts = np.where(possible[:, None], near, _homes(legs, count)), 1
     joints, n = legs[0].deformed(start, influences), start.shape[1]
     if near is None:
         possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
     closure = evaluate(legs, joints, matrices)
-    closed = possible & _small(legs, closure)
-    if not (closed & _small(legs, closure, _EXACT)).all():  # else a step is rounding
+    off = _off(legs, closure)
+    closed = possible & (off <= _NEWTON.closed)
+    exact = closed & (off <= _EXACT)
+    if not exact.all():
         step = _newton_step(legs[0], closure)
         last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
-        joints = np.where((closed & ~last)[:, None], joints, joints + step)
-    if not (closed | ~possible).all():
+        stays = exact | (closed & ~last)
+        joints = np.where(stays[:, None], joints, joints + step)
+    searched = possible & ~closed
+    if searched.any():
         for leg, own in zip(legs, rows, strict=True):
-            if not (closed[own] | ~possible[own]).all():
+            if searched[own].any():
                 joints[own], closed[own] = _search(
                     leg, matrices[own], joints[own], closed[own], possible[own], attempts
                 )
+        about = _homes(legs, count) if near is None else start
         turning = [i for i, joint in enumerate(legs[0].leg.moving) if joint.kind == "revolute"]
-        around = wrapped(joints[:, turning] - about[:, turning])
-        joints[:, turning] = about[:, turning] + around  # Newton's method may have gone round
+        some = np.ix_(searched, turning)
+        around = wrapped(joints[some] - about[some])
+        joints[some] = about[some] + around  # Newton's method may have gone round
         home = legs[0].deformed(_homes(legs, count))
         closure = evaluate(legs, np.where(closed[:, None], joints, home), matrices)
     joints = joints[:, :n]
@@ -150,13 +154,13 @@ def _search(
         for _ in range(_NEWTON.steps):
             part = leg.evaluate(joints[rows], matrices[rows])
             joints[rows] += _newton_step(leg, part)
-            going = ~_small((leg,), part) & np.isfinite(joints[rows]).all(axis=1)
+            going = ~_small(leg, part) & np.isfinite(joints[rows]).all(axis=1)
             rows = rows[going]
             if not len(rows):
                 break
         found = found[np.isfinite(joints[found]).all(axis=1)]
         part = leg.evaluate(joints[found], matrices[found])
-        closed[found] = _small((leg,), part) & in_home_modes((leg,), part)
+        closed[found] = _small(leg, part) & in_home_modes((leg,), part)
         if (closed | ~possible).all():
             break
     return joints, closed
@@ -174,10 +178,15 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
         return step
 
 
-def _small(legs: Sequence[LegClosure], closure: Closure, within: float = _NEWTON.closed) -> Mask:
-    """Return where gaps of alike legs are small against their sizes, shape (L N,)."""
-    sizes = np.repeat([leg.size for leg in legs], len(closure.gap) // len(legs))
-    return np.asarray((np.abs(closure.gap) <= within * sizes[:, None]).all(axis=1))
+def _off(legs: Sequence[LegClosure], closure: Closure) -> Array:
+    """Return the largest gap of alike legs over their sizes, shape (L N,)."""
+    gaps = np.abs(closure.gap).max(axis=1).reshape(len(legs), -1)
+    return np.asarray(gaps / np.array([[leg.size] for leg in legs])).ravel()
+
+
+def _small(leg: LegClosure, closure: Closure) -> Mask:
+    """Return where the gap of a leg is small against its size, shape (N,)."""
+    return _off((leg,), closure) <= _NEWTON.closed
 
 
 @lru_cache(maxsize=64)

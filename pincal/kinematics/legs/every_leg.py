@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
-from pincal.kinematics.batches import matrix_chunks, stacked
+from pincal.kinematics.batches import Matrices, matrix_chunks, repeated, stacked
 from pincal.kinematics.legs.closing import ClosedLegs, close_alike
 from pincal.kinematics.legs.closure import LegClosure, nominal_legs
 from pincal.model.mechanism import Mechanism
@@ -46,7 +45,7 @@ def close_legs(
     found = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
         own = [legs[place] for place in places]
-        there = matrices if len(own) == 1 else np.tile(matrices, (len(own), 1, 1))
+        there = repeated(matrices, len(own))
         at = None if influences is None else influences[places[0]]  # what deforms is alone
         start = None if near is None else stacked([near[place] for place in places])
         found.append(ClosedGroup(places, close_alike(own, there, at, start)))
@@ -78,7 +77,7 @@ def by_leg(closed: Sequence[ClosedGroup], value: Callable[[ClosedLegs], Any]) ->
 
 def close_chunks(
     mechanism: Mechanism,
-    placed: RigidTransform | Array,
+    placed: Matrices,
     influences: Array | None = None,
     near: Mapping[str, Array] | None = None,
 ) -> Iterator[tuple[slice, list[ClosedGroup]]]:
@@ -86,7 +85,7 @@ def close_chunks(
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
-        placed: N poses.
+        placed: N poses, ``PoseMatrices`` or matrices (N, 4, 4).
         influences: Of all legs, shape (N, n_influences); at their reference if not given.
         near: By leg, positions of its moving joints near those that close it, found if not given.
     """

@@ -89,10 +89,11 @@ class Forest:
                     f"{copy}_{index}",
                 )
         self._data = self._model.createData()
-        self._roots = range(1, 1 + copies * self.width, max(self.width, 1))
-        # Pinocchio's own memory, which each call writes again
+        each = max(self.width, 1)
+        # Pinocchio's own memory: where copies begin, and what each call writes again
+        self._roots = placements_in(self._model.jointPlacements)[1::each]
         self._columns = _bytes(self._data.J.T)
-        self._placements = _bytes(placements_of_joints(self._data))
+        self._ends = placements_in(self._data.oMi)[self.width :: each]
         self._turn = Lock()  # Pinocchio's data are one thread's at a time
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
         self._base: Base | None = None  # where the copies begin now
@@ -138,24 +139,22 @@ class Forest:
     ) -> tuple[Array, Array]:
         """Return Pinocchio's joint columns at the base's origin, and where chains end.
 
-        Shapes (L, N, width, 6) and (L, N, 12), see ``placements_of_joints``.
+        Shapes (L, N, width, 6) and (L, N, 12), see ``placements_in``.
         """
         legs, count, n = configurations.shape
         blocks, size = -(-count // self.copies), self.copies * self.width
         padded = np.zeros((legs, blocks * self.copies, self.width))
         padded[:, :count, :n] = configurations
         columns = np.empty((legs, blocks, size, 6))
-        placements = np.empty((legs, blocks, 1 + size, 12))
+        ends = np.empty((legs * blocks, self.copies, 12))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        to_columns, to_placements = _bytes(columns), _bytes(placements)
-        each, each_too = len(self._columns), len(self._placements)
+        to_columns, each = _bytes(columns), len(self._columns)
         for leg, base in enumerate(bases):
             self._begin_at(base)
             for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
-                evaluate(model, data, q)  # then all is copied as it lies
-                to_columns[block * each : (block + 1) * each] = self._columns
-                to_placements[block * each_too : (block + 1) * each_too] = self._placements
-        ends = placements[:, :, self.width :: self.width]
+                evaluate(model, data, q)
+                to_columns[block * each : (block + 1) * each] = self._columns  # as they lie
+                ends[block] = self._ends
         every = blocks * self.copies
         return (
             columns.reshape(legs, every, self.width, 6)[:, :count],
@@ -179,8 +178,7 @@ class Forest:
         if base is self._base:
             return
         placement = self._first if base is None else base.placement * self._first
-        for root in self._roots:
-            self._model.jointPlacements[root] = placement
+        self._roots[:, :9], self._roots[:, 9:] = placement.rotation.T.ravel(), placement.translation
         self._base = base
 
 
@@ -278,21 +276,22 @@ def _at(tips: Array, twists: Array) -> Array:
     return twists
 
 
-def placements_of_joints(data: pin.Data) -> Array:
-    """Return placements of all joints in Pinocchio's own memory, shape (n_joints + 1, 12).
+def placements_in(memory: pin.StdVec_SE3) -> Array:
+    """Return n placements where Pinocchio keeps them, shape (n, 12): to be read and written there.
 
-    Rotation matrices column by column, then positions: they change with each call.
+    Rotation matrices column by column, then positions. Of no meaning once the model or data that
+    they are in are gone, or joints are added.
 
     Raises:
         TypeError: this Pinocchio keeps them in another way.
     """
-    first, last, size = data.oMi[0].rotation, data.oMi[-1], data.oMi[0].rotation.itemsize
+    first, last, size = memory[0].rotation, memory[-1], memory[0].rotation.itemsize
     begin, end, position = (
         one.__array_interface__["data"][0] for one in (first, last.rotation, last.translation)
     )
-    if end - begin != 12 * size * (len(data.oMi) - 1) or position - end != 9 * size:
-        raise TypeError(f"pin {pin.__version__} keeps placements of joints in another way")
-    return as_strided(first, (len(data.oMi), 12), (12 * size, size))
+    if end - begin != 12 * size * (len(memory) - 1) or position - end != 9 * size:
+        raise TypeError(f"pin {pin.__version__} keeps placements in another way")
+    return as_strided(first, (len(memory), 12), (12 * size, size))
 
 
 def _bytes(array: Array) -> memoryview:

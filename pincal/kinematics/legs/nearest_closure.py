@@ -18,7 +18,7 @@ from pincal.model.checks import EXACT
 
 Array = NDArray[np.float64]
 # of the square of the small step, Nᵀ c is off at most
-_NEWTON = Newton(steps=60, small=1e-8, largest=0.1)
+NEWTON = Newton(steps=60, small=1e-8, largest=0.1)
 _FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
 
 
@@ -27,7 +27,6 @@ def nearest_closure(
     matrices: Array,
     known: Array,
     joints: Array | None = None,
-    steps: int = _NEWTON.steps,
 ) -> tuple[Closure, Array]:
     """Return a leg's closure at poses and readings, |c| least, and the joint positions there.
 
@@ -38,9 +37,8 @@ def nearest_closure(
         matrices: Poses ``T_base_platform``, shape (N, 4, 4).
         known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
         joints: Where the search for passive joints starts, shape (N, n_joints [+ n_deformed]).
-        steps: Most Gauss-Newton steps.
     """
-    return nearest_closures((leg,), matrices, begun(leg, matrices, known, joints), steps)
+    return nearest_closures((leg,), matrices, begun(leg, matrices, known, joints))
 
 
 def begun(leg: LegClosure, matrices: Array, known: Array, joints: Array | None) -> Array:
@@ -56,7 +54,7 @@ def begun(leg: LegClosure, matrices: Array, known: Array, joints: Array | None) 
 
 
 def nearest_closures(
-    legs: Sequence[LegClosure], matrices: Array, joints: Array, steps: int = _NEWTON.steps
+    legs: Sequence[LegClosure], matrices: Array, joints: Array, by: Newton = NEWTON
 ) -> tuple[Closure, Array]:
     """Return the closures of alike legs and joint positions, rows of each below the one before.
 
@@ -64,11 +62,11 @@ def nearest_closures(
         legs: L legs of one form.
         matrices: Poses ``T_base_platform`` of N rows of each, shape (L N, 4, 4).
         joints: Where the search for passive joints starts, shape (L N, n_joints …); overwritten.
-        steps: Most Gauss-Newton steps.
+        by: When the search ends.
     """
     leg, scales = legs[0].leg, _scales(legs, len(joints))
     sizes = np.repeat([one.size for one in legs], len(joints) // len(legs))
-    for _ in range(steps):
+    for _ in range(by.steps):
         closed = evaluate(legs, joints, matrices)
         step = closed.passive_step()
         if leg.passive and closed.gap.shape[1] <= 3:  # of points
@@ -76,7 +74,7 @@ def nearest_closures(
             if far.any():
                 step[far] = _curved_step(closed, far)
         joints[:, leg.passive] += step
-        if np.abs(step / scales).max(initial=0.0) <= _NEWTON.small:
+        if np.abs(step / scales).max(initial=0.0) <= by.small:
             break
     return closed, joints
 
@@ -118,7 +116,7 @@ def followed(
     change += product(closed.pose, np.tile(twists, (len(legs), 1))[:, :, None])[:, :, 0]
     step = closed.passive_step(change)
     with np.errstate(invalid="ignore"):
-        far = (~(np.abs(step / _scales(legs, len(step))) <= _NEWTON.largest)).any(axis=1)
+        far = (~(np.abs(step / _scales(legs, len(step))) <= NEWTON.largest)).any(axis=1)
     step[far] = 0.0
     return step
 

@@ -83,14 +83,17 @@ def mode_sign(closure: Closure) -> Array:
     One where the closure is not square, or where no joint is passive: those that are read say
     themselves how the leg bends.
     """
-    both = np.concatenate((closure.active, closure.passive), axis=2)
-    if both.shape[1] != both.shape[2] or not closure.passive.shape[2]:
-        return np.ones(len(both))
-    if both.shape[1] == 2:
-        return np.sign(both[:, 0, 0] * both[:, 1, 1] - both[:, 0, 1] * both[:, 1, 0])
-    if both.shape[1] == 3:
-        return np.sign((both[:, :, 0] * cross(both[:, :, 1], both[:, :, 2])).sum(axis=1))
-    return np.sign(np.linalg.det(both))
+    passive = closure.passive.shape[2]
+    if closure.active.shape[2] + passive != closure.gap.shape[1] or not passive:
+        return np.ones(len(closure.gap))
+    columns = [*closure.active.transpose(2, 0, 1), *closure.passive.transpose(2, 0, 1)]
+    if len(columns) == 2:
+        (a, b), (c, d) = (column.T for column in columns)
+        return np.sign(a * d - b * c)
+    if len(columns) == 3:
+        first, second, third = columns
+        return np.sign((first * cross(second, third)).sum(axis=1))
+    return np.sign(np.linalg.det(np.stack(columns, axis=2)))
 
 
 def in_home_mode(leg: LegClosure, closure: Closure) -> NDArray[np.bool_]:
