@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import chunks, least_squares, product
+from pincal.kinematics.batches import chunks, least_squares
 from pincal.kinematics.influences.columns import Influences, influence_columns
 from pincal.kinematics.influences.loads import gravity_loads
 from pincal.kinematics.legs.closing import sensor_law
@@ -29,9 +29,9 @@ from pincal.kinematics.legs.closure import (
     largest_size,
     nominal_legs,
 )
-from pincal.kinematics.legs.moving_legs import MovingLegs, in_order, moving_legs
+from pincal.kinematics.legs.every_leg import in_order
+from pincal.kinematics.legs.moving_legs import MovingLegs, moving_legs
 from pincal.kinematics.legs.nearest_closure import arm_poses
-from pincal.kinematics.legs.starts import in_home_modes
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.checks import ROUNDING, numbers_of
 from pincal.model.mechanism import Mechanism
@@ -230,11 +230,7 @@ def _solve(
             shorten = np.minimum(1.0, _NEWTON.largest / length)[:, None]
         moved = length
         for one, closure in zip(groups, closures, strict=True):
-            twists = np.tile(shorten * twist, (len(one.legs), 1))
-            step = closure.passive_step(product(closure.pose, twists[:, :, None])[:, :, 0])
-            step = step.reshape(len(one.legs), len(rows), -1)
-            one.joints[:, rows[:, None], one.legs[0].leg.passive] += step
-            moved = np.maximum(moved, np.abs(step).max(axis=(0, 2), initial=0.0))
+            moved = np.maximum(moved, one.follow(closure, rows, shorten * twist))
         finite = np.isfinite(moved)
         good = rows[finite]
         matrices[good, :3, 3] += (shorten * linear)[finite]
@@ -258,8 +254,9 @@ def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array |
 
 def _platform_step(groups: Sequence[MovingLegs], closures: Sequence[Closure]) -> Array:
     """Return the twist that closes all legs to first order, shape (N, dof)."""
-    lines = np.concatenate(in_order(groups, [c.constraint_by_pose for c in closures]), axis=1)
-    gaps = np.concatenate(in_order(groups, [c.constraint for c in closures]), axis=1)
+    places = [one.places for one in groups]
+    lines = np.concatenate(in_order(places, [c.constraint_by_pose for c in closures]), axis=1)
+    gaps = np.concatenate(in_order(places, [c.constraint for c in closures]), axis=1)
     return -least_squares(lines, gaps[:, :, None])[:, :, 0]
 
 
@@ -284,17 +281,12 @@ def _reasons(
     closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
     twist = _platform_step(groups, closures)
     for one, closure in zip(groups, closures, strict=True):
-        count = len(one.legs)
-        moved = product(closure.constraint_by_pose, np.tile(twist, (count, 1))[:, :, None])
-        left = product(closure.normal, closure.constraint[:, :, None] + moved)
-        closable = closure.gap - left[:, :, 0]  # by motions of platform and passive joints
-        sizes = np.repeat([leg.size for leg in one.legs], len(matrices))
-        small = (np.abs(closable) <= _NEWTON.closed * sizes[:, None]).all(axis=1)
-        closes &= small.reshape(count, -1).all(axis=0)
-        in_mode &= in_home_modes(one.legs, closure).reshape(count, -1).all(axis=0)
-    lines = in_order(groups, [one.constraint_by_pose for one in closures])
+        closes &= one.closable(closure, twist) <= _NEWTON.closed
+        in_mode &= one.all_in_mode(closure)
+    places = [one.places for one in groups]
+    lines = in_order(places, [one.constraint_by_pose for one in closures])
     in_mode &= platform_margin(mechanism, lines) > 0.0
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
     gaps = [np.linalg.norm(closure.gap, axis=1) for closure in closures]
-    every = np.stack(in_order(groups, gaps), axis=1)
+    every = np.stack(in_order(places, gaps), axis=1)
     return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], every

@@ -67,11 +67,19 @@ def grouped(forms: Sequence[object], rows: int) -> list[list[int]]:
 
 def by_leg(closed: Sequence[ClosedGroup], value: Callable[[ClosedLegs], Any]) -> list[Any]:
     """Return values of all legs in order, shape (N, …) each, from those of each call."""
-    found = {
-        place: own
-        for one in closed
-        for place, own in zip(one.places, np.split(value(one.closed), len(one.places)), strict=True)
-    }
+    return in_order([one.places for one in closed], [value(one.closed) for one in closed])
+
+
+def in_order(places: Sequence[Sequence[int]], values: Sequence[Any]) -> list[Any]:
+    """Return values of all legs in order, shape (N, …) each.
+
+    Args:
+        places: Of the legs of each group, among all.
+        values: Of each group, shape (L N, …), rows of each leg below those of the one before.
+    """
+    found: dict[int, Any] = {}
+    for group, own in zip(places, values, strict=True):
+        found |= zip(group, np.split(own, len(group)), strict=True)
     return [found[place] for place in sorted(found)]
 
 

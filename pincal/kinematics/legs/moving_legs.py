@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.kinematics.batches import repeated
+from pincal.kinematics.batches import product, repeated
 from pincal.kinematics.legs.closed_forms import is_line
 from pincal.kinematics.legs.closing import close_alike, driven
 from pincal.kinematics.legs.closure import Closure, LegClosure, evaluate
@@ -44,17 +44,29 @@ class MovingLegs:
             self.joints[i, own[:, None], passive] = there[:, passive]
         return self.closed(matrices[rows], self.joints[:, rows]) if turned else closure
 
-    def split(self, rows: Array) -> dict[int, Array]:
-        """Return rows of each leg by its place among all."""
-        return dict(zip(self.places, np.split(rows, len(self.legs)), strict=True))
+    def follow(self, closure: Closure, rows: NDArray[np.intp], twists: Array) -> Array:
+        """Let passive joints at rows follow twists of the poses, (n, dof); return how far, (n,)."""
+        every = np.tile(twists, (len(self.legs), 1))[:, :, None]
+        step = closure.passive_step(product(closure.pose, every)[:, :, 0])
+        step = step.reshape(len(self.legs), len(rows), -1)
+        self.joints[:, rows[:, None], self.legs[0].leg.passive] += step
+        return np.asarray(np.abs(step).max(axis=(0, 2), initial=0.0))
 
+    def closable(self, closure: Closure, twists: Array) -> Array:
+        """Return the largest gap, over the leg's size, that twists and passive joints close, (N,).
 
-def in_order(groups: Sequence[MovingLegs], values: Sequence[Array]) -> list[Array]:
-    """Return values of all legs in order, given those of each group."""
-    found: dict[int, Array] = {}
-    for one, own in zip(groups, values, strict=True):
-        found |= one.split(own)
-    return [found[place] for place in sorted(found)]
+        What is left besides is what readings contradict each other by.
+        """
+        count = len(self.legs)
+        moved = product(closure.constraint_by_pose, np.tile(twists, (count, 1))[:, :, None])
+        left = product(closure.normal, closure.constraint[:, :, None] + moved)[:, :, 0]
+        gaps = np.abs(closure.gap - left).max(axis=1).reshape(count, -1)
+        return np.asarray((gaps / np.array([[leg.size] for leg in self.legs])).max(axis=0))
+
+    def all_in_mode(self, closure: Closure) -> NDArray[np.bool_]:
+        """Return where all legs are in their working modes, shape (N,)."""
+        modes = in_home_modes(self.legs, closure).reshape(len(self.legs), -1)
+        return np.asarray(modes.all(axis=0))
 
 
 def moving_legs(
