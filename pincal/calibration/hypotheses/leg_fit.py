@@ -80,10 +80,15 @@ class LegMeasurements:
     readings: Array
     """Shape (N, n_active), [rad] or [m]; NaN where not measured."""
 
+    @property
+    def whole(self) -> NDArray[np.bool_]:
+        """Which rows have readings, shape (N,); none of a single one."""
+        found = np.isfinite(self.readings).all(axis=1)
+        return np.asarray(found & (found.sum() > 1))
+
     def known(self) -> LegMeasurements:
-        """Return the rows with readings; none of a single one."""
-        whole = np.isfinite(self.readings).all(axis=1)
-        own = whole & (whole.sum() > 1)
+        """Return the rows with readings."""
+        own = self.whole
         return replace(self, matrices=self.matrices[own], readings=self.readings[own])
 
 
@@ -100,8 +105,7 @@ def leg_fits(
         free: Whether the base was placed by alignment only, and may lie nearby.
     """
     known, legs = [one.known() for one in given], nominal_legs(mechanism)
-    left = [np.full(len(one.readings), np.nan) for one in given]
-    fits = [LegFit(np.nan, own, np.nan, 0) for own in left]
+    fits = [LegFit(np.nan, np.full(len(one.readings), np.nan), np.nan, 0) for one in given]
     groups: dict[tuple[object, int], list[int]] = {}
     for place, one in enumerate(known):
         if count := len(one.readings):
@@ -109,19 +113,17 @@ def leg_fits(
     for (_, count), group in groups.items():
         for some in chunks(len(group), max(1, CHUNK // count)):
             found = _fitted(legs, [known[place] for place in group[some]], free)
-            for place, (gap, lefts, stroke, bent) in zip(group[some], found, strict=True):
-                left[place][np.isfinite(given[place].readings).all(axis=1)] = lefts
-                fits[place] = LegFit(gap, left[place], stroke, bent)
+            for place, fit in zip(group[some], found, strict=True):
+                left = fits[place].left
+                left[given[place].whole] = fit.left
+                fits[place] = replace(fit, left=left)
     return fits
 
 
 def _fitted(
     legs: Sequence[LegClosure], sets: Sequence[LegMeasurements], free: bool
-) -> list[tuple[float, Array, float, int]]:
-    """Return gap, what is left of each row, stroke and bent rows of sets of alike legs.
-
-    As ``LegFit`` has them; as many rows in each set.
-    """
+) -> list[LegFit]:
+    """Return how sets of alike legs fit, all rows of which are known, as many in each set."""
     own, count = [legs[one.leg] for one in sets], len(sets[0].readings)
     leg, matrices = own[0].leg, stacked([one.matrices for one in sets])
     said = [one.readings for one in sets]
@@ -157,7 +159,8 @@ def _fitted(
     # joints that are all read bend as they do
     bent = (mode_sign(closed) * modes < 0.0) & bool(leg.passive)
     bends = bent.reshape(len(sets), count).sum(axis=1)
-    return list(zip(gaps.tolist(), lefts, strokes.tolist(), bends.tolist(), strict=True))
+    found = zip(gaps.tolist(), lefts, strokes.tolist(), bends.tolist(), strict=True)
+    return [LegFit(*one) for one in found]
 
 
 def _left(sizes: Array, J: Array, value: Array) -> Array:

@@ -217,13 +217,18 @@ def _information(rows: Array, weights: Array) -> Array:
     return np.asarray(flat.swapaxes(1, 2) @ flat)
 
 
+def _turned_by_inverse(rows: Array, weights: Array) -> tuple[Array, Array]:
+    """Return A M⁻¹ of parts of one shape, shape (p, s r, n), and their dⱼ together, shape (s,)."""
+    p, s, r, n = rows.shape
+    flat = rows.reshape(p, s * r, n)
+    turned = flat @ np.linalg.inv(_information(rows, weights))
+    shares = np.einsum("pmn,pmn->m", turned, flat).reshape(s, r).sum(axis=1)
+    return turned, shares
+
+
 def _shares(rows: Parts, weights: Array) -> Array:
     """Return dⱼ = tr Aⱼ M⁻¹ Aⱼᵀ of few candidates, shape (s,)."""
-    found = np.zeros(len(weights))
-    for one in rows:
-        by = np.linalg.inv(_information(one, weights))
-        found += ((one @ by[:, None]) * one).sum(axis=(0, 2, 3))
-    return found
+    return np.sum([_turned_by_inverse(one, weights)[1] for one in rows], axis=0)
 
 
 def _multiplicative(rows: Parts) -> Array:
@@ -288,12 +293,10 @@ def _derivatives(rows: Parts, weights: Array) -> tuple[Array, Array]:
     s = len(weights)
     hessian, gradient = np.zeros((s, s)), np.zeros(s)
     for one in rows:
-        by, (p, _, r, n) = np.linalg.inv(_information(one, weights)), one.shape
-        flat = one.reshape(p, s * r, n)
-        turned = flat @ by
-        gradient += np.einsum("pmn,pmn->m", turned, flat).reshape(s, r).sum(axis=1)
+        (turned, shares), (p, _, r, n) = _turned_by_inverse(one, weights), one.shape
+        gradient += shares
         if r * r < n:  # |Aᵢ M⁻¹ Aⱼᵀ|² itself
-            K = turned @ flat.swapaxes(1, 2)
+            K = turned @ one.reshape(p, s * r, n).swapaxes(1, 2)
             squared = np.einsum("pij,pij->ij", K, K)
             hessian += squared if r == 1 else squared.reshape(s, r, s, r).sum(axis=(1, 3))
         else:  # tr Pᵢ Pⱼ

@@ -251,7 +251,7 @@ class LegClosure:
     def form(self) -> tuple[object, ...]:
         """What alike legs have in common: they may be evaluated in one call.
 
-        One that deforms, or closes a frame, is like no other, itself included.
+        One that deforms, or closes a frame, is like no other: its rows are those of one leg.
         """
         leg, own = self.leg, point_chain(self.leg).moving
         if leg.deformed or self.turns:
