@@ -8,6 +8,7 @@ from typing import Any
 
 from lazy_loader import attach_stub
 
+__version__ = "0.2.0"
 _named, _names, __all__ = attach_stub(__name__, __file__)
 
 

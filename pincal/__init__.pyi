@@ -57,6 +57,8 @@ from .workspace.positions import Grid
 from .workspace.region import Workspace, compute_workspace
 from .workspace.sampling import sample_configurations, sample_workspace
 
+__version__: str
+
 __all__ = [
     "CalibrationResult",
     "Condition",

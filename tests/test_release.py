@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
+import pincal
+
 ROOT = Path(__file__).parents[1]
 #: Packages that conda-forge has by other names.
 _CONDA = {
@@ -35,7 +37,8 @@ def project() -> dict[str, Any]:
 
 def test_version_is_one(project: dict[str, Any]) -> None:
     """Package, citation, recipe and changelog say the same version; the changelog has kinds."""
-    version = project["version"]
+    version = pincal.__version__
+    assert project["dynamic"] == ["version"]  # read off the package
     assert read("CITATION.cff")["version"] == version
     assert read("packaging/conda/recipe.yaml")["context"]["version"] == version
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pincal.files.output as output
+from pincal import __version__
 from pincal.calibration.checks.runs import RunComparison
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult
 from pincal.calibration.result import CalibrationResult, Page
@@ -67,11 +68,9 @@ def save_result(
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
     """Return a result as plain data for JSON; numbers that do not exist are null."""
-    from importlib.metadata import version
-
     return {
         "pincal_result": FORMAT,
-        "pincal": version("pincal"),
+        "pincal": __version__,
         "mechanism": result.nominal.name,
         "calibrated_mechanism": MECHANISM if result.converged else None,
         "method": result.method,

@@ -11,6 +11,7 @@ from hashlib import file_digest
 from importlib.metadata import version
 from pathlib import Path
 
+from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
 from pincal.files.tables.units import SI, Units
@@ -20,7 +21,7 @@ from pincal.show.report.findings import Findings, findings
 from pincal.show.style import dark_variables
 from pincal.words.numbers import reading_in
 
-_PACKAGES = ("pincal", "pin", "numpy", "scipy")
+_LIBRARIES = ("pin", "numpy", "scipy")
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Report(Page):
         from pincal.words.pages import rendered
 
         found, origin = self.found, self.origin
-        versions = [f"{package} {version(package)}" for package in _PACKAGES]
+        versions = [f"{name} {version(name)}" for name in _LIBRARIES]
         with reading_in(self.units.printed):
             return rendered(
                 "report.html",
@@ -70,7 +71,11 @@ class Report(Page):
                 warnings=warning_lines(found.result),
                 dark=dark_variables(),
                 answers=Answers(found, origin.notes),
-                versions=[*versions, f"Python {platform.python_version()}"],
+                versions=[
+                    f"pincal {__version__}",
+                    *versions,
+                    f"Python {platform.python_version()}",
+                ],
             )
 
 
