@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,8 +12,10 @@ from arms import loaded
 from measured import workspace
 
 import pincal
+from pincal.calibration.calibrate import identified, prepared
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.missed import missed
+from pincal.calibration.checks.missed import _times, missed
+from pincal.calibration.checks.validation import with_held_out
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
 from pincal.design.platform_error import closing_twists
@@ -105,3 +107,26 @@ def test_what_terms_depend_on_counts_where_platforms_are_missed() -> None:
     cold = pincal.Plan(data.poses, readings=data.readings)
     assert np.abs(closing_twists(machine, cold)).max() > 1e-4
     assert Calibration(machine, data).influences is not None
+
+
+def test_held_out_rows_go_on_from_the_fit() -> None:
+    """With the fits at hand the answers are those of fits made again, to 1e-9."""
+    places = [[x, y] for x in (-0.3, 0.0, 0.3) for y in (1.0, 1.1, 1.2, 1.3)]
+    truth, noise = pincal.disturb("5R", 1e-3, seed=1), pincal.Noise(1e-4)
+    data = pincal.simulate("5R", truth, pincal.Plan(np.array(places)), noise, seed=1).measurements
+    result, fits = identified(prepared("5R", data, noise=noise))
+    again, on = result.validated(3).validation, with_held_out(result, 3, whole=fits).validation
+    assert again is not None
+    assert on is not None
+    numbers = [
+        [value for value in asdict(one).values() if isinstance(value, float)] for one in (again, on)
+    ]
+    np.testing.assert_allclose(*numbers, rtol=1e-9)
+    np.testing.assert_allclose(again.targets[0].rms_ends, on.targets[0].rms_ends, rtol=1e-9)
+
+
+def test_draws_are_counted() -> None:
+    """Sums over what was drawn are products with how often it was."""
+    random = np.random.default_rng(0)
+    drawn, values = random.integers(7, size=(50, 7)), random.normal(size=(3, 7))
+    np.testing.assert_allclose(values @ _times(drawn).T, values[:, drawn].sum(axis=2), atol=1e-13)

@@ -2,11 +2,9 @@
 
 import gc
 import os
-import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: see pincal/blas.py
 
-from pincal.cli.drawing import ready_to_draw
 from pincal.collection import no_collection
 
 __all__ = ["main"]
@@ -18,12 +16,11 @@ def main(argv: list[str] | None = None) -> None:
     Args:
         argv: What was typed behind ``pincal``; that of the process if not given, which then ends.
     """
-    with ready_to_draw(sys.argv[1:] if argv is None else ()):  # for a process of the command's own
-        with no_collection():
-            from pincal.cli.run import run  # loads much: a process that draws does so meanwhile
+    with no_collection():
+        from pincal.cli.run import run
 
-        try:
-            run(argv)
-        finally:
-            if argv is None:
-                gc.freeze()  # the process ends: no rings are looked for among all that it holds
+    try:
+        run(argv)
+    finally:
+        if argv is None:
+            gc.freeze()  # the process ends: no rings are looked for among all that it holds

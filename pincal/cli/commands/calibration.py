@@ -34,7 +34,6 @@ from pincal.cli.app import (
     working,
     wrote,
 )
-from pincal.cli.drawing import drawer
 from pincal.cli.options import SetupOptions, TableOptions, in_si, with_unit
 from pincal.errors import MeasurementError, MisfitError
 from pincal.estimation.conditions.leg_condition import Residual
@@ -48,8 +47,6 @@ from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.units import UNITS
-from pincal.show.report.beside import OF_FITS
-from pincal.show.report.findings import Findings
 from pincal.show.report.report import report
 from pincal.show.result_tables import calibration_tables
 from pincal.show.results import warnings
@@ -194,9 +191,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             "--accept", help="Exit code 0 even if residuals are larger than the noise given."
         ),
     ] = False
-    no_report: Annotated[
-        bool, typer.Option("--no-report", help="Draw no report.html: a second less.")
-    ] = False
+    no_report: Annotated[bool, typer.Option("--no-report", help="Draw no report.html.")] = False
     folds: Annotated[
         int,
         typer.Option(
@@ -272,14 +267,10 @@ def calibrate(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
             )
             raise
-        drawing = None if how.no_report else drawer()
-        if drawing and found.converged:  # meanwhile rows are held out
-            drawing.ask(Findings(found, None), OF_FITS, units.printed)
         result, said = checked(found, how.folds, how.by, fits)
         progress("sampling the workspace for the platform's errors")
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
-        asked = how.units or ""
-        page = report(result, command=typed(), files=files, notes=said, units=asked, drawer=drawing)
+        page = report(result, command=typed(), files=files, notes=said, units=how.units or "")
         if not how.no_report:
             progress("drawing the report")
         result.save(output, force=force, report=None if how.no_report else page)

@@ -16,7 +16,6 @@ from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
 from pincal.files.tables.units import SI, Units
 from pincal.show.page import Page
-from pincal.show.report.beside import Drawer, figures
 from pincal.show.report.findings import Findings, findings
 from pincal.show.style import dark_variables
 from pincal.words.numbers import reading_in
@@ -40,19 +39,17 @@ class Origin:
 class Report(Page):
     """A report: a page to save, or to see in a notebook."""
 
-    def __init__(
-        self, found: Findings, origin: Origin, units: Units = SI, drawer: Drawer | None = None
-    ) -> None:
+    def __init__(self, found: Findings, origin: Origin, units: Units = SI) -> None:
         self.found = found
         self.origin = origin
         self.units = units
-        self._figure = figures(found, units.printed, drawer)
 
     @cached_property
     def _page(self) -> str:
         from pincal.show import result_tables, results, summary
         from pincal.show.report import facts
         from pincal.show.report.answers import Answers, warning_lines
+        from pincal.show.report.figures import FIGURES
         from pincal.words.pages import rendered
 
         found, origin = self.found, self.origin
@@ -64,7 +61,7 @@ class Report(Page):
                 result=found.result,
                 origin=origin,
                 facts=facts,
-                figure=self._figure,
+                figure=lambda name: FIGURES[name](found),
                 results=results,
                 summary=summary,
                 tables=result_tables,
@@ -87,7 +84,6 @@ def report(
     notes: Sequence[str] = (),
     date: str | None = None,
     units: str = "",
-    drawer: Drawer | None = None,
 ) -> Report:
     """Return a report of a calibration: ``html()``, ``save(path)``, or shown by a notebook.
 
@@ -98,7 +94,6 @@ def report(
         notes: Sentences beside those on held-out rows and runs.
         date: When it was made; now if not given. Nothing else differs from one time to the next.
         units: In which numbers are read, such as ``"in,deg"``; mm and mrad where not said.
-        drawer: A process that draws the figures, asked for those that follow from the fits.
 
     Raises:
         FileError: a file that cannot be read.
@@ -110,7 +105,7 @@ def report(
     origin = Origin(command, hashes, tuple(notes), now if date is None else date)
     nominal = result.nominal
     read = Units.of(units, nominal.counts, nominal.reading_names)
-    return Report(findings(result), origin, read, drawer)
+    return Report(findings(result), origin, read)
 
 
 def _sha256(path: Path) -> str:
