@@ -1,16 +1,17 @@
-"""Counts of a source tree: ``python -m tools.counts``, or beside a revision with ``--against REV``.
+"""Measures of the source: how large each room is, and how well it can be read.
 
-What is counted, in all Python files of the package ``pincal/`` without the papers' studies, which
-stand in ``studies/`` or ``pincal/studies/`` and have rows of their own:
+``python -m tools.counts`` prints them for the working tree, ``--against REVISION`` beside those of
+a git revision, ``--list`` names what was counted. ``tests/test_budget.py`` holds their limits.
 
-- *largest folder*: most Python files in one folder, without those of its own folders;
-- *functions of more than six arguments*: of any kind, without ``self``, ``cls``, ``*`` and ``**``;
-- *hand-set numeric constants*: names that a module or a class sets to numbers and nothing else,
-  such as ``_NEAR = 1e-6``, ``SIZES = (3, 4)`` or ``1 << 12``; not booleans, 0 and 1 alone, and
-  defaults of dataclass fields, which are arguments;
-- *public names*: those in ``pincal.__all__``;
-- *words to leave*: uses of ``WORDS`` in file names, names, comments and texts, parts of names too
-  (``is_told``); a form of a word is another word (``tells`` is not ``tell``).
+Measures of all Python files of ``pincal/``, a room being a folder directly below it:
+
+- *vague names*: share of bindings whose name is in ``VAGUE``. A binding is a parameter, an
+  assigned variable, a function or a class; ``self`` and ``cls`` do not count;
+- *class names twice*: classes that share their name with another;
+- *complex functions*: of a cyclomatic complexity (McCabe) above ``MOST_COMPLEX``;
+- *long signatures*: functions of more than ``MOST_ARGUMENTS`` arguments, without ``self``;
+- *imports inside functions*, of ``pincal`` itself;
+- *page lines*: lines of JavaScript, CSS and templates.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from __future__ import annotations
 import argparse
 import ast
 import io
-import re
 import subprocess
 import sys
 import tarfile
@@ -28,50 +28,85 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-WORDS = (
-    *("told", "hardly told", "tell", "hollow", "accused", "doubtful", "stands", "eased", "shaken"),
-    *("beyond", "settled", "in words", "trust", "cautions", "consistent", "exactness"),
-    "contradiction",
+_WORDS = (
+    "again all alone alike apart asked at away back beside both by each few found given here how "
+    "into kept left many more most much now of off one ones other others out over own rest said "
+    "same seen so some such that then there these thing things this those told up wanted what "
+    "where which whole who whose why"
 )
+VAGUE = frozenset(_WORDS.split())
+MOST_COMPLEX = 15
 MOST_ARGUMENTS = 6
-_WORD = re.compile(
-    r"(?<![^\W_])(" + "|".join(sorted(WORDS, key=len, reverse=True)) + r")(?![^\W_])", re.IGNORECASE
+PAGES = (".js", ".css", ".html")
+_BRANCHES = (
+    ast.If,
+    ast.IfExp,
+    ast.For,
+    ast.While,
+    ast.ExceptHandler,
+    ast.comprehension,
+    ast.Assert,
 )
+_FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 @dataclass
 class Counts:
     """Counts of one source tree."""
 
-    files: int = 0
-    lines: int = 0
+    rooms: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Lines and files of each folder directly below ``pincal/``, ``""`` for ``pincal/`` itself."""
     folders: Counter[str] = field(default_factory=Counter)
-    """Python files in each folder."""
-    long: list[str] = field(default_factory=list)
-    """Functions of more than six arguments, ``file:line name (n)``."""
-    constants: list[str] = field(default_factory=list)
-    """Hand-set numeric constants, ``file:line name``."""
-    words: Counter[str] = field(default_factory=Counter)
-    """Uses of each word to leave."""
-    studies: tuple[int, int] = (0, 0)
-    """Files and lines of the studies."""
-    public: int = 0
-    """Names in ``pincal.__all__``."""
+    """Python files in each folder, without those of folders below it."""
+    bindings: int = 0
+    vague: Counter[str] = field(default_factory=Counter)
+    """Bindings of each vague name."""
+    classes: Counter[str] = field(default_factory=Counter)
+    """Definitions of each class name."""
+    dataclasses: int = 0
+    complex_functions: list[str] = field(default_factory=list)
+    long_signatures: list[str] = field(default_factory=list)
+    inner_imports: list[str] = field(default_factory=list)
+    page_lines: int = 0
+
+    @property
+    def lines(self) -> int:
+        """Number of lines of Python."""
+        return sum(lines for lines, _ in self.rooms.values())
+
+    @property
+    def files(self) -> int:
+        """Number of Python files."""
+        return sum(files for _, files in self.rooms.values())
+
+    @property
+    def vague_share(self) -> float:
+        """Share of bindings that have a vague name."""
+        return self.vague.total() / max(self.bindings, 1)
+
+    @property
+    def repeated_classes(self) -> list[str]:
+        """Class names that are defined more than once."""
+        return sorted(name for name, count in self.classes.items() if count > 1)
 
     def table(self) -> dict[str, str]:
         """Return what is printed, by name."""
-        folder, most = max(self.folders.items(), key=lambda one: one[1], default=("", 0))
+        folder, size = max(self.folders.items(), key=lambda item: item[1], default=("", 0))
+        rooms = {
+            f"  {room or 'pincal'}": f"{lines:,} in {files}"
+            for room, (lines, files) in sorted(self.rooms.items())
+        }
         return {
-            "files": f"{self.files:,}",
-            "lines": f"{self.lines:,}",
-            "lines a file, mean": f"{self.lines / max(self.files, 1):.0f}",
-            "largest folder": f"{most} ({folder})",
-            f"functions of more than {MOST_ARGUMENTS} arguments": f"{len(self.long)}",
-            "hand-set numeric constants": f"{len(self.constants)}",
-            "public names": f"{self.public}",
-            "words to leave": f"{self.words.total()}",
-            "studies: files": f"{self.studies[0]:,}",
-            "studies: lines": f"{self.studies[1]:,}",
+            "lines in files": f"{self.lines:,} in {self.files}",
+            **rooms,
+            "page lines": f"{self.page_lines:,}",
+            "largest folder": f"{size} ({folder})",
+            "vague names": f"{self.vague_share:.1%} of {self.bindings:,}",
+            "class names twice": f"{len(self.repeated_classes)}",
+            "dataclasses": f"{self.dataclasses} of {self.classes.total()} classes",
+            f"complexity above {MOST_COMPLEX}": f"{len(self.complex_functions)}",
+            f"more than {MOST_ARGUMENTS} arguments": f"{len(self.long_signatures)}",
+            "imports inside functions": f"{len(self.inner_imports)}",
         }
 
 
@@ -81,73 +116,77 @@ def count(root: Path) -> Counts:
     Args:
         root: Folder that holds ``pincal/``.
     """
-    found, studies = Counts(), []
-    for path in sorted([*root.glob("pincal/**/*.py"), *root.glob("studies/**/*.py")]):
-        name, text = path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")
-        n_lines = len(text.splitlines())
-        if name.startswith(("studies/", "pincal/studies/")):
-            studies.append(n_lines)
+    counts = Counts()
+    for path in sorted((root / "pincal").rglob("*")):
+        name = path.relative_to(root).as_posix()
+        if path.suffix in PAGES:
+            counts.page_lines += len(path.read_text(encoding="utf-8").splitlines())
+        if path.suffix != ".py":
             continue
-        found.files += 1
-        found.lines += n_lines
-        found.folders[name.rpartition("/")[0]] += 1
-        found.words.update(word.lower() for word in _WORD.findall(f"{name}\n{text}"))
-        tree = ast.parse(text)
-        for node in ast.walk(tree):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                if (n := _arguments(node)) > MOST_ARGUMENTS:
-                    found.long.append(f"{name}:{node.lineno} {node.name} ({n})")
-            elif isinstance(node, ast.Module | ast.ClassDef):
-                found.constants += [f"{name}:{line} {own}" for line, own in _constants(node)]
-        if name == "pincal/__init__.py":
-            stub = path.with_suffix(".pyi")
-            named = ast.parse(stub.read_text(encoding="utf-8")) if stub.exists() else tree
-            found.public = len(_public(named))
-    found.studies = len(studies), sum(studies)
-    return found
+        text = path.read_text(encoding="utf-8")
+        room = name.split("/")[1] if name.count("/") > 1 else ""
+        lines, files = counts.rooms.get(room, (0, 0))
+        counts.rooms[room] = lines + len(text.splitlines()), files + 1
+        counts.folders[name.rpartition("/")[0]] += 1
+        _count_module(ast.parse(text), name, counts)
+    return counts
 
 
-def _arguments(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+def _count_module(tree: ast.Module, name: str, counts: Counts) -> None:
+    """Add the counts of one module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            counts.classes[node.name] += 1
+            counts.dataclasses += any("dataclass" in ast.unparse(d) for d in node.decorator_list)
+        if isinstance(node, _FUNCTIONS):
+            place = f"{name}:{node.lineno} {node.name}"
+            if (value := complexity(node)) > MOST_COMPLEX:
+                counts.complex_functions.append(f"{place} ({value})")
+            if (n_arguments := _argument_count(node)) > MOST_ARGUMENTS:
+                counts.long_signatures.append(f"{place} ({n_arguments})")
+            counts.inner_imports += [
+                f"{name}:{inner.lineno} {inner.module}"
+                for inner in ast.walk(node)
+                if isinstance(inner, ast.ImportFrom) and str(inner.module).startswith("pincal")
+            ]
+    for binding in _bindings(tree):
+        counts.bindings += 1
+        if binding.strip("_").lower() in VAGUE:
+            counts.vague[binding.strip("_").lower()] += 1
+
+
+def complexity(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return the cyclomatic complexity of a function, inner functions included.
+
+    Reference: T. J. McCabe, "A Complexity Measure", IEEE Trans. Software Eng. SE-2 (1976).
+    """
+    value = 1
+    for node in ast.walk(function):
+        if isinstance(node, _BRANCHES):
+            value += 1 + len(node.ifs) if isinstance(node, ast.comprehension) else 1
+        elif isinstance(node, ast.BoolOp):
+            value += len(node.values) - 1
+        elif isinstance(node, ast.Match):
+            value += len(node.cases)
+    return value
+
+
+def _argument_count(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     """Return how many arguments a function has, without ``self``, ``cls``, ``*`` and ``**``."""
-    own = node.args
-    names = [one.arg for one in (*own.posonlyargs, *own.args, *own.kwonlyargs)]
+    arguments = function.args
+    names = [item.arg for item in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs)]
     return len(names) - (names[:1] in (["self"], ["cls"]))
 
 
-def _constants(node: ast.Module | ast.ClassDef) -> Iterator[tuple[int, str]]:
-    """Yield line and name of the numeric constants that a module or a class sets itself."""
-    for one in node.body:
-        if isinstance(one, ast.Assign):
-            targets = one.targets
-        elif isinstance(one, ast.AnnAssign) and one.value and isinstance(node, ast.Module):
-            targets = [one.target]
-        else:
-            continue
-        value = one.value
-        if value is not None and _numeric(value) and ast.unparse(value) not in ("0", "1"):
-            own = [n for t in targets for n in (t.elts if isinstance(t, ast.Tuple) else [t])]
-            yield from ((one.lineno, name.id) for name in own if isinstance(name, ast.Name))
-
-
-def _numeric(value: ast.expr) -> bool:
-    """Return whether an expression is made of numbers only."""
-    if isinstance(value, ast.Constant):
-        return isinstance(value.value, int | float | complex) and not isinstance(value.value, bool)
-    if isinstance(value, ast.UnaryOp):
-        return _numeric(value.operand)
-    if isinstance(value, ast.BinOp):
-        return _numeric(value.left) and _numeric(value.right)
-    if isinstance(value, ast.Tuple | ast.List):
-        return bool(value.elts) and all(map(_numeric, value.elts))
-    return False
-
-
-def _public(tree: ast.Module) -> list[str]:
-    """Return the names in ``__all__``."""
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-            return list(ast.literal_eval(node.value))
-    return []
+def _bindings(tree: ast.Module) -> Iterator[str]:
+    """Yield the names that a module binds: variables, parameters, functions and classes."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id.strip("_"):
+            yield node.id
+        elif isinstance(node, ast.arg) and node.arg not in ("self", "cls"):
+            yield node.arg
+        elif isinstance(node, (*_FUNCTIONS, ast.ClassDef)):
+            yield node.name
 
 
 def count_revision(root: Path, revision: str) -> Counts:
@@ -160,11 +199,10 @@ def count_revision(root: Path, revision: str) -> Counts:
     Raises:
         subprocess.CalledProcessError: git knows no such revision.
     """
-    command = ["git", "-C", str(root), "archive", revision]
+    command = ["git", "-C", str(root), "archive", revision, "pincal"]
     archive = subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
     with tempfile.TemporaryDirectory() as folder, tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-        wanted = [one for one in tar.getmembers() if one.name.endswith(".py") and one.isfile()]
-        tar.extractall(folder, wanted, filter="data")
+        tar.extractall(folder, filter="data")
         return count(Path(folder))
 
 
@@ -177,31 +215,29 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.counts", description="Count the source.")
     parser.add_argument("--against", metavar="REV", help="a git revision to stand beside")
     parser.add_argument("--list", action="store_true", help="name what was counted")
-    asked = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     root = Path(__file__).parents[1]
-    here = count(root)
-    columns = {"now": here.table()}
-    if asked.against:
+    counts = count(root)
+    columns = {"now": counts.table()}
+    if options.against:
         try:
-            columns = {asked.against: count_revision(root, asked.against).table(), **columns}
+            columns = {options.against: count_revision(root, options.against).table(), **columns}
         except subprocess.CalledProcessError:
-            return 2  # git has said why
-    names = list(here.table())
-    wide = [max(map(len, (head, *own.values()))) for head, own in columns.items()]
-    first = max(map(len, names))
-    for name, *cells in [
-        ("", *columns),
-        *((name, *(own[name] for own in columns.values())) for name in names),
-    ]:
-        print("  ".join([name.ljust(first), *map(str.rjust, cells, wide)]).rstrip())
-    if asked.list:
-        words = [f"{word} ({n})" for word, n in here.words.most_common()]
-        for head, own in (
-            ("arguments", here.long),
-            ("constants", here.constants),
-            ("words", words),
+            return 2  # git has printed the reason
+    names = list(dict.fromkeys(name for column in columns.values() for name in column))
+    rows = [("", *columns), *((n, *(c.get(n, "") for c in columns.values())) for n in names)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for first, *cells in rows:
+        print("  ".join([first.ljust(widths[0]), *map(str.rjust, cells, widths[1:])]).rstrip())
+    if options.list:
+        for head, items in (
+            ("complex functions", counts.complex_functions),
+            ("long signatures", counts.long_signatures),
+            ("imports inside functions", counts.inner_imports),
+            ("class names twice", counts.repeated_classes),
+            ("vague names", [f"{name} ({n})" for name, n in counts.vague.most_common()]),
         ):
-            print(f"\n{head}:", *own, sep="\n  ")
+            print(f"\n{head}:", *items, sep="\n  ")
     return 0
 
 
