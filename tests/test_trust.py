@@ -80,8 +80,10 @@ def test_what_rows_hold_is_theirs_wherever_the_search_begins() -> None:
     near, alone = (fitted(part, near=one).held for one in (Near.of(fitted(few), some), None))
     assert near is not None
     assert alone is not None
-    assert near.of_legs.shape[1] > 0
-    np.testing.assert_allclose(near.of_legs @ near.of_legs.T, alone.of_legs @ alone.of_legs.T)
+    assert near.directions.shape[1] > 0
+    np.testing.assert_allclose(
+        near.directions @ near.directions.T, alone.directions @ alone.directions.T
+    )
 
 
 def test_folds_that_cannot_be_aligned_say_so() -> None:

@@ -14,7 +14,7 @@ from pincal.calibration.confidence import Confidence, confidence, exceeded, quan
 from pincal.calibration.covariance import chi2_freedoms, covariances, systematic
 from pincal.calibration.findings import findings_of
 from pincal.calibration.fits import Fits
-from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
+from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, Observed
 from pincal.calibration.promise import excess_of
 from pincal.calibration.result import CalibrationResult
 from pincal.estimation.fit import Fit
@@ -26,6 +26,7 @@ from pincal.model.measuring.measurements import Noise
 from pincal.model.parameter import Parameter
 
 Array = NDArray[np.float64]
+_UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
 
 
 def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
@@ -50,8 +51,9 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     n = len(covariance)
     off = G[:n] @ G[:n].T
     sizes = [len(leg.parameters) for leg in mechanism.legs]
-    variances = np.stack((np.diagonal(covariance), np.diagonal(off)))
-    parts = np.split(np.sqrt(variances), np.cumsum(sizes)[:-1], axis=1)
+    lost = np.zeros((n + len(G[n:]), 0)) if held is None else held.directions
+    errors = determined(np.sqrt(np.stack((np.diagonal(covariance), np.diagonal(off)))), lost[:n])
+    parts = np.split(errors, np.cumsum(sizes)[:-1], axis=1)
     std = dict(zip(mechanism.leg_names, parts, strict=True))
     covariance = covariance + off
     left = [redundancy(one.fit) for one in found.fits]
@@ -61,13 +63,12 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         for leg in _leg_results(calibration, one, std, quantiles(freedoms), *own)
     }
     legs = tuple(by_name[name] for name in mechanism.leg_names)
-    directions = None if held is None or not held.of_legs.shape[1] else held.of_legs
     shifts = [one.shift for one in found.fits]
     result = CalibrationResult(
         calibration=calibration,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
         legs=legs,
-        external=_external(found, outer, G[n:], sure),
+        external=_external(found, outer, G[n:], lost[n:], sure),
         covariance=covariance,
         systematic=off if G.size else None,
         noise=_noise(calibration, chi2),
@@ -88,7 +89,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         gauge=() if gauge is None else gauge.found,
         gauge_directions=None if gauge is None else gauge.of_legs,
         frames_moved=None if gauge is None else gauge.frames,
-        undetermined_directions=directions,
+        undetermined_directions=lost[:n] if lost.shape[1] else None,
         ties=() if without_ties is None else tie_tests(without_ties),
         observed=_observed(found, left[0][1][-1]) if found.latent else (),
         outside=found.external if len(calibration.observation.external) else None,
@@ -97,6 +98,17 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         else None,
     )
     return replace(result, findings=findings_of(result, held, found))
+
+
+def determined(std: Array, lost: Array) -> Array:
+    """Return standard errors, infinite of what a direction that was held may move.
+
+    Args:
+        std: By noise, and by what is off in all rows, shape (2, n).
+        lost: Directions, as far as machines may differ, shape (n, n_lost).
+    """
+    moved = np.linalg.norm(lost, axis=1)
+    return np.asarray(np.where(moved > _UNMOVED * np.hypot(*std), np.inf, std))
 
 
 def _noise(calibration: Calibration, chi2: float) -> Noise | None:
@@ -126,10 +138,11 @@ def _ends(
         quantile: How many of them half an interval is, shape (k,).
     """
     halves, more = quantile * std
+    closed = np.isfinite(halves)
     ends = np.stack((-halves, halves), axis=1)
     if calibration.options.intervals == "profile" and one.converged:
         calibration.options.report("fitting again along the parameters, for their intervals")
-        ends = profile(one, rows, halves)
+        ends[closed] = profile(one, rows[closed], halves[closed])
     return np.asarray(np.array([-1.0, 1.0]) * np.hypot(ends, more[:, None]))
 
 
@@ -185,7 +198,7 @@ def _leg_results(
             LegResult(
                 name=leg.name,
                 parameters=tuple(
-                    _identified(p, value, error, own_ends, _given(calibration, p))
+                    _identified(p, value, error, own_ends, _given(calibration, p, error))
                     for p, value, error, own_ends in zip(
                         parameters,
                         found.parameters[columns],
@@ -211,11 +224,12 @@ def _leg_results(
     return results
 
 
-def _given(calibration: Calibration, one: Parameter) -> str:
-    """Return what was given of a parameter beforehand."""
+def _given(calibration: Calibration, one: Parameter, std: float) -> str:
+    """Return what was given of a parameter beforehand, or that it was held nearest to nominal."""
     options = calibration.options
     said = {"fixed": options.fixed, "tied": options.tied, "prior": calibration.priors}
     kinds = [kind for kind, names in said.items() if {one.name, one.id} & set(names)]
+    kinds += [] if np.isfinite(std) else [HELD]
     return "fixed" if "fixed" in kinds else ", ".join(kinds)
 
 
@@ -224,7 +238,7 @@ def _rms(values: Array) -> float:
 
 
 def _external(
-    found: Fits, outer: Array | None, off: Array, sure: Confidence
+    found: Fits, outer: Array | None, off: Array, lost: Array, sure: Confidence
 ) -> tuple[IdentifiedParameter, ...]:
     """Return frame and targets with their intervals, and where the search for them began.
 
@@ -232,6 +246,7 @@ def _external(
         found: The fits.
         outer: Covariance of their steps by noise, shape (n, n); None if there are none.
         off: How they follow what is off by the same in all rows, shape (n, q).
+        lost: Directions of them that were held, shape (n, n_lost).
         sure: How well the noise is known.
     """
     outside, values = found.calibration.observation.external, found.external
@@ -244,13 +259,16 @@ def _external(
     freedoms = [one.min(initial=np.inf) for one in sure.of_unknowns]
     quantile = float(quantiles(np.array(min(freedoms))))
     std = np.stack((np.sqrt(np.diagonal(D @ outer @ D.T)), np.linalg.norm(D @ off, axis=1)))
+    std = determined(std, D @ lost)
     one = found.fits[0].fit
     rows = np.zeros((len(D), len(one.covariance)))
     if found.latent:
         rows[:, -len(D) :] = D
     ends = _ends(found.calibration, one, rows, std, quantile)
     return tuple(
-        _identified(_outside(id_, unit, first), value, error, own_ends)
+        _identified(
+            _outside(id_, unit, first), value, error, own_ends, "" if np.isfinite(error) else HELD
+        )
         for id_, unit, first, value, error, own_ends in zip(
             outside.names, outside.units, start, there, np.hypot(*std), ends, strict=True
         )

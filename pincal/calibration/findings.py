@@ -233,7 +233,7 @@ def _curved(fits: Fits) -> list[Finding]:
 def _open(result: CalibrationResult) -> list[Finding]:
     """Return a finding if the cost does not rise enough along some parameters."""
     found = [*(p for leg in result.legs for p in leg.parameters), *result.external]
-    ids = [p.id for p in found if not np.isfinite(p.half)]
+    ids = [p.id for p in found if np.isfinite(p.std) and not np.isfinite(p.half)]
     return [finding("interval-open", parameters=ids)] if ids else []
 
 
@@ -243,6 +243,7 @@ def _far(result: CalibrationResult) -> list[Finding]:
     found = [p for leg in result.legs for p in leg.parameters]
     plausible = plausible_changes(result.nominal)
     std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in found), strict=True))
+    std = np.where(np.isfinite(std), std, 0.0)  # what was held no noise has moved
     std, half = std / result.excess, half / result.excess  # by poses and noise, not by misfit
     if (weak := np.flatnonzero(std > plausible)).size:
         worst = found[int(np.argmax(std / plausible))]

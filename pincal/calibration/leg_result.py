@@ -11,6 +11,7 @@ from pincal.model.parameter import Parameter
 from pincal.words.numbers import SMALL, VALUES, ends, fixed, measured, shown_in, uneven
 
 Array = NDArray[np.float64]
+HELD = "held nearest to nominal"
 
 
 @dataclass(frozen=True)
@@ -20,13 +21,14 @@ class IdentifiedParameter(Parameter):
     identified: float
     """Identified value, SI."""
     std: float
-    """Standard error."""
+    """Standard error; infinite where the measurements do not determine the value."""
     low: float
     """Lower end of the 95 % confidence interval; infinite if it has none."""
     high: float
     """Upper end of the 95 % confidence interval; infinite if it has none."""
     given: str = ""
-    """What was given of it beforehand: ``"fixed"``, ``"tied"``, ``"prior"``, or several."""
+    """What was given of it beforehand: ``"fixed"``, ``"tied"``, ``"prior"``, or several; or that
+    it is ``"held nearest to nominal"``, since the measurements do not determine it."""
 
     @property
     def change(self) -> float:
@@ -49,14 +51,15 @@ class IdentifiedParameter(Parameter):
 
         With both ends, ``1.23 -0.40 +0.52``, where one is farther off.
         """
-        if not uneven(*self.ends):
+        if np.isinf(self.std) or not uneven(*self.ends):
             return measured(self.identified, self.half, self.unit)
         value = fixed(self.identified, min(self.ends), self.unit)
         return f"{value} {ends(*self.ends, self.unit)} {VALUES[self.unit]}".strip()
 
     def __str__(self) -> str:
         """Return what is known of it, in a line: ``leg_1.l: 1501.4 ± 0.8 mm (95 %), …``."""
-        sure = " (95 %)" if self.high > self.low else f", {self.given or 'held'}"
+        known = self.high > self.low and np.isfinite(self.std)
+        sure = " (95 %)" if known else f", {self.given or 'held'}"
         nominal = measured(self.nominal, 0.0, self.unit)
         return f"{self.id}: {self.text}{sure}, nominal {nominal}"
 

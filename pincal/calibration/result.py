@@ -76,7 +76,8 @@ class CalibrationResult:
     """Where the base is in the frame of the measurements (``tracker.x`` …, a rotation vector),
     and where the targets sit on the platform (``target.x`` …)."""
     covariance: Array
-    """Covariance of the legs' parameters, legs in order, shape (n, n)."""
+    """Covariance of the legs' parameters, legs in order, shape (n, n); of what the measurements
+    determine, where directions were held."""
     noise: Noise | None
     """Standard deviations given or estimated for all rows; None if rows have their own."""
     noise_source: str
@@ -198,7 +199,14 @@ class CalibrationResult:
     def weak(self) -> tuple[WeakPair, ...]:
         """Pairs of parameters that are weakly determined, the weakest first."""
         ids = [p.id for leg in self.legs for p in leg.parameters]
-        return weak_pairs(ids, self.covariance, self.gauge_directions)
+        return weak_pairs(ids, self.parameter_covariance, self.gauge_directions)
+
+    @property
+    def parameter_covariance(self) -> Array:
+        """Covariance of the parameters, NaN of those that are not determined, shape (n, n)."""
+        std = np.concatenate([leg.std for leg in self.legs])
+        known = np.isfinite(std)
+        return np.where(np.outer(known, known), self.covariance, np.nan)
 
     @property
     def excess(self) -> float:

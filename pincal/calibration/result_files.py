@@ -108,7 +108,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "validation": None if result.validation is None else asdict(result.validation),
         "runs": None if result.runs is None else _runs(result.runs),
         "legs": [_leg(leg) for leg in result.legs],
-        "covariance": result.covariance.tolist(),
+        "covariance": [[_number(one) for one in row] for row in result.parameter_covariance],
         "data": stored(result),
     }
 

@@ -49,7 +49,7 @@ class Plots:
         """
         values: dict[str, dict[str, float]] = {leg.name: {} for leg in self.result.legs}
         for leg, p in parameters(self.result):
-            if p.high > p.low:
+            if 0.0 < p.std < np.inf:
                 values[leg.name][p.name] = p.change / p.half
         axes = draw_bars(_axes_of(ax, 6.4, 3.6), values)
         residual_charts.levels(axes, 1.0, "±")

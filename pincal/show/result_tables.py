@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from pincal.calibration.checks.runs import RunComparison
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
@@ -64,8 +66,8 @@ def _chosen(result: CalibrationResult) -> str:
 def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
     """Return the cells of a parameter below ``_HEADS``."""
     half, change = min(*p.ends, p.half), p.identified - p.nominal
-    known = half > 0.0
-    none = Cell(None, (p.given or "held") if half == 0.0 else "")
+    known = half > 0.0 and np.isfinite(p.std)
+    none = Cell(None, "∞" if half else p.given or "held")
     interval = Ends(*p.ends, p.unit) if uneven(*p.ends) else Uncertainty(half, p.unit)
     return (
         p.name,
@@ -74,7 +76,7 @@ def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
         interval if known else none,
         UnitOf(p.unit),
         Cell(change, "") if p.given == "fixed" else Quantity(change, p.unit, half, sign="+"),
-        Cell(change / p.std, _moved(change / p.std)) if p.std > 0.0 else None,
+        Cell(change / p.std, _moved(change / p.std)) if 0.0 < p.std < np.inf else None,
     )
 
 

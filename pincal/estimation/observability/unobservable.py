@@ -36,8 +36,8 @@ class Held:
 
     unknowns: Unknowns
     """Less these freedoms."""
-    of_legs: Array
-    """Directions in the legs' parameters, as far as machines may differ, (n_params, n_lost)."""
+    directions: Array
+    """Directions of all unknowns, as far as machines may differ, shape (n, n_lost)."""
     groups: tuple[tuple[str, ...], ...]
     """Ids of the unknowns that are unobservable together, a group for each direction."""
     weak: tuple[str, ...]
@@ -61,8 +61,8 @@ def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns
     held = unknowns.held(lost * lengths) if len(lost) else unknowns
     weak, scale = weakly_determined(mechanism, problem, held)
     moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
-    plausible = plausible_changes(mechanism, problem.legs)
-    directions = np.concatenate(moved)[:, : len(plausible)].T
+    plausible = _plausible(mechanism, problem)
+    directions = np.concatenate(moved).T
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
     groups = identifiability(J, unknowns.free_labels).groups if len(lost) else ()
     names = taking_part(held.free_labels, weak) if len(weak) else ()
@@ -82,9 +82,7 @@ def weakly_determined(
         problem: The problem, at its start.
         unknowns: Of the problem, none unobservable.
     """
-    size, T = largest_size(mechanism.legs), unknowns.map
-    outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
-    plausible = np.concatenate((plausible_changes(mechanism, problem.legs), outside))
+    T, plausible = unknowns.map, _plausible(mechanism, problem)
     state = problem.start(unknowns.start[: problem.n_parameters])
     if problem.latent:
         state = poses_at_rest(problem, state)
@@ -92,6 +90,13 @@ def weakly_determined(
     rows = _rows(problem, unknowns, state) * scale
     _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
     return axes[int((information > 1.0).sum()) :], scale
+
+
+def _plausible(mechanism: Mechanism, problem: Problem) -> Array:
+    """Return by how much all unknowns may differ from where they start, shape (n,)."""
+    size = largest_size(mechanism.legs)
+    outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
+    return np.concatenate((plausible_changes(mechanism, problem.legs), outside))
 
 
 def _jacobian(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Array:

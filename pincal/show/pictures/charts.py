@@ -174,7 +174,7 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     gain = moved[:, : result.nominal.platform.lengths]
     per = np.sqrt((gain**2).sum(axis=1).mean(axis=0))  # [m] per unit of each parameter
     every = [p for _, p in parameters(result)]
-    own = [(p, one) for p, one in zip(every, per.tolist(), strict=True) if p.high > p.low]
+    own = [(p, one) for p, one in zip(every, per.tolist(), strict=True) if 0.0 < p.std < np.inf]
     own.sort(key=lambda one: abs(one[0].change) * one[1])
     count, most = len(own), int((room(axes)[1] - _LEGEND) / _BAR)
     own = own[-most:]
