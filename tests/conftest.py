@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 
@@ -20,12 +19,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a 
 
 Array = NDArray[np.float64]
 KINDS = ["3RRR", "5R"]
-
-
-def pytest_collection_finish() -> None:
-    """Take modules and thousands of tests out of what the collector of garbage looks through."""
-    gc.collect()
-    gc.freeze()
 
 
 @pytest.fixture(params=KINDS)

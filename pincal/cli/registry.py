@@ -15,8 +15,6 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info
 from typer.models import CommandInfo
 
-from pincal.collection import no_collection
-
 #: Modules and the commands in them, as people come to need them.
 MODULES = {
     "mechanisms": "mechanisms check symmetry",
@@ -59,8 +57,7 @@ def register(name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
 def registered(name: str) -> CommandInfo:
     """Return what is known of a command, after importing it."""
     if name not in _REGISTERED:
-        with no_collection():
-            import_module(NAMES[name])
+        import_module(NAMES[name])
     return _REGISTERED[name]
 
 

@@ -12,8 +12,12 @@ from pincal.cli.app import app, listen, remember, stderr
 from pincal.errors import PincalError
 
 
-def run(argv: list[str] | None = None) -> None:
-    """Run what was typed; leaves by ``SystemExit``."""
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input.
+
+    Args:
+        argv: What was typed behind ``pincal``; that of the process if not given.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")
