@@ -20,7 +20,7 @@ import pincal
 from pincal import errors, formats
 from pincal.calibration.checks.runs import compare_runs
 from pincal.calibration.result_files import read_result
-from pincal.cli.registry import NAMES
+from pincal.cli.app import app
 from pincal.files.setups import read_setup
 from pincal.files.tables.measurement_writing import write_measurements, write_poses
 from pincal.files.tables.measurements import read_measurements, read_poses
@@ -109,9 +109,8 @@ _MOST = 6  # commands that are named one by one
 def commands() -> dict[str, list[object]]:
     """Return, for each command, what its module and the modules that it leans on have imported."""
     found = {}
-    for name, module in NAMES.items():
-        importlib.import_module(module)
-        found[name] = used(module, set())
+    for one in app.registered_commands:
+        found[str(one.name)] = used(str(one.callback.__module__), set())
     return found
 
 

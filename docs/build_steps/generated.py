@@ -13,7 +13,6 @@ from typer.main import get_command
 import pincal
 from build_steps.names import GROUPS, RETURNED
 from pincal.cli.app import app
-from pincal.cli.registry import MODULES
 from pincal.files.schema import MechanismSpec
 from pincal.files.setups import _SetupSpec
 from pincal.old_names import OLD
@@ -100,7 +99,7 @@ def commands() -> str:
         "nothing was written.",
         "",
     ]
-    listed = [name for own in MODULES.values() for name in own.split()]
+    listed = list(group.commands)  # type: ignore[attr-defined]
     lines += [", ".join(f"[{name}](#{name})" for name in listed) + ".", ""]
     return "\n".join(
         lines + [command(name, group.get_command(None, name)) for name in listed]  # type: ignore[attr-defined]

@@ -25,9 +25,9 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
+from typer.core import TyperArgument, TyperGroup
 
 from pincal import __version__
-from pincal.cli.registry import Commands, register
 from pincal.errors import FileError
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
@@ -63,8 +63,29 @@ _LONGEST = 2000  # characters
 _asked = {"json": False}
 _typed: list[str] = []
 
+
+class _Commands(TyperGroup):
+    """All commands: what was typed wrong is said without the checker's own words."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command in whose help arguments have names, and no types of Python."""
+        found = super().get_command(ctx, cmd_name)
+        for parameter in found.params if found else ():
+            if isinstance(parameter, TyperArgument):
+                parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]  # noqa: ARG005
+        return found
+
+
 app = typer.Typer(
-    cls=Commands,
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,  # so that [m] in a help text stays
@@ -131,7 +152,7 @@ def command(
                 single(**given)
 
         _show(run, [*inspect.signature(single).parameters.values(), *options])
-        register(name or function.__name__)(run)
+        app.command(name or function.__name__)(run)
         return function
 
     return made

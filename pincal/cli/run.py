@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 
+import pincal.cli.commands  # noqa: F401 - registers them
 from pincal.cli.app import app, listen, remember, stderr
 from pincal.errors import PincalError
 

@@ -9,12 +9,11 @@ from typing import Annotated
 
 import typer
 
-from pincal.cli.app import Force, Seed, output_option, remember, stdout, typed, working
+from pincal.cli.app import Force, Seed, app, output_option, remember, stdout, typed, working
 from pincal.cli.commands.calibration import CalibrateOptions, calibrate
 from pincal.cli.commands.selection import SelectOptions, select
 from pincal.cli.commands.simulation import SimulateOptions, simulate
 from pincal.cli.commands.workspace import WorkspaceOptions, workspace
-from pincal.cli.registry import register
 from pincal.design.simulate import accuracy
 from pincal.errors import FileError
 from pincal.files.mechanism_folders import load_mechanism
@@ -26,7 +25,7 @@ from pincal.show.tables import accuracy_table
 _NOISE = 5e-5  # of positions, of the machine's size
 
 
-@register("demo")
+@app.command("demo")
 def demo(
     mech: Annotated[str, typer.Argument(metavar="MECH", help="Mechanism.")] = "3RRR",
     output: Annotated[
