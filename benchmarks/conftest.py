@@ -54,7 +54,6 @@ def _page(rows: list[tuple[str, float, str]]) -> str:
         "Written by `python -m pytest benchmarks/bench_*.py -n 0 --docs`;",
         "ratios of medians, measured in one run, on the bundled 3-RRR and 6-UPS.",
         "What is wanted are aims, and not all are reached.",
-        "In seconds, beside 0.1.0: [what people wait for](waits.md).",
         f"Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
         f"{platform.machine()}.",
         "",

@@ -20,6 +20,7 @@ from resized import scaled
 
 import pincal
 from pincal import Measurements, Mechanism, Noise, Platform
+from pincal.blas import on_one_thread, one_thread
 from pincal.model.home import home_gap
 from pincal.workspace.criteria import in_workspace
 
@@ -522,3 +523,24 @@ def test_one_configuration_said_in_several_ways_is_chosen_once(name: str) -> Non
     matrices = mechanism.platform.transforms(chosen.plan.poses).as_matrix()
     apart = np.abs(matrices[:, None] - matrices[None]).max(axis=(2, 3)) + np.eye(24)
     assert apart.min() > 1e-9
+
+
+def test_blas_has_its_threads_back() -> None:
+    """Within, one thread; after the last that is within, or an error, what was there before."""
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    def threads() -> set[int]:
+        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+    @on_one_thread
+    def nested() -> None:
+        with one_thread():
+            assert threads() == {1}
+        assert threads() == {1}
+        raise ValueError
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        with pytest.raises(ValueError):
+            nested()
+        assert threads() == before
