@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.model.angles import sine_and_cosine
+from pincal.model.angles import sine_and_cosine, wrapped
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,7 @@ WAYS: dict[str, tuple[tuple[str, ...], str]] = {
     "zyx": (("yaw", "pitch", "roll"), "rad"),
 }
 _UNIT_NORM = 1e-3  # by which a quaternion's length may miss 1
+_POLE = 1e-13  # sine of an angle from a pole, below which rounding decides what turns about it
 
 
 def rotation_of(way: str, values: Array) -> Rotation:
@@ -77,29 +78,47 @@ def _quaternions(values: Array) -> Array:
 def columns_of(way: str, rotation: Rotation) -> Array:
     """Return the columns of orientations, shape (N, 3), [rad], or (N, 4): see ``rotation_of``.
 
-    At tilt 0 the azimuth has no meaning and is 0; quaternions have a scalar part of 0 or more.
+    Angles have poles, where two of them turn about the same axis. The second of the two is
+    found from what the first leaves of the orientation, so that ``rotation_of`` gives the
+    orientation back everywhere; at a pole itself the azimuth (tilt 0), the torsion (tilt π) or
+    the roll (pitch ±π/2) is 0. Quaternions have a scalar part of 0 or more.
     """
     if way == "tilt-torsion":
-        return _tilt_and_torsion(rotation.as_matrix())
+        return _tilt_and_torsion(rotation.as_quat())
     if way == "rotation-vector":
         return rotation.as_rotvec()
     if way == "quaternion":
         return rotation.as_quat(canonical=True, scalar_first=True)
-    R = rotation.as_matrix()
-    pitch = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
-    level = np.hypot(R[:, 0, 0], R[:, 1, 0]) > 1e-12  # else yaw and roll turn alike: roll is 0
-    yaw = np.where(level, np.arctan2(R[:, 1, 0], R[:, 0, 0]), np.arctan2(-R[:, 0, 1], R[:, 1, 1]))
+    return yaw_pitch_roll(rotation.as_matrix())
+
+
+def yaw_pitch_roll(R: Array) -> Array:
+    """Return the angles of R = Rz(yaw) Ry(pitch) Rx(roll), shape (N, 3, 3) to (N, 3), [rad]."""
+    level = np.hypot(R[:, 2, 1], R[:, 2, 2]) > _POLE
     roll = np.where(level, np.arctan2(R[:, 2, 1], R[:, 2, 2]), 0.0)
-    return np.stack((yaw, pitch, roll), axis=1)
+    s, c = np.sin(roll), np.cos(roll)  # R Rx(-roll) = Rz(yaw) Ry(pitch)
+    pitch = np.arctan2(-R[:, 2, 0], s * R[:, 2, 1] + c * R[:, 2, 2])
+    yaw = np.arctan2(s * R[:, 0, 2] - c * R[:, 0, 1], c * R[:, 1, 1] - s * R[:, 1, 2])
+    return np.stack((yaw, pitch, roll), axis=1) + 0.0  # no negative zero
 
 
-def _tilt_and_torsion(R: Array) -> Array:
-    """Return azimuth, tilt and torsion of rotation matrices, shape (N, 3, 3) to (N, 3)."""
-    tilt = np.arctan2(np.hypot(R[:, 0, 2], R[:, 1, 2]), R[:, 2, 2])
-    azimuth = np.arctan2(R[:, 1, 2], R[:, 0, 2])
-    spin = np.arctan2(R[:, 2, 1], -R[:, 2, 0])
-    upright = tilt < 1e-12
-    azimuth = np.where(upright, 0.0, azimuth)
-    spin = np.where(upright, np.arctan2(R[:, 1, 0], R[:, 0, 0]), spin)
-    torsion = -((-(azimuth + spin) + np.pi) % (2 * np.pi) - np.pi)
-    return np.stack((azimuth, tilt, torsion), axis=1)
+def turns_in_series(R: Array) -> Array:
+    """Return the positions of three joints that turn about x, y, z, one on the other.
+
+    R = Rx(a) Ry(b) Rz(c), the inverse of Z-Y-X angles of the inverse: shape (N, 3, 3) to (N, 3).
+    """
+    return -yaw_pitch_roll(R.transpose(0, 2, 1))[:, ::-1] + 0.0
+
+
+def _tilt_and_torsion(quaternions: Array) -> Array:
+    """Return azimuth, tilt and torsion, [rad], of unit quaternions, scalar last, (N, 4) to (N, 3).
+
+    The inverse of ``_quaternions``: z and w say the tilt's cosine and the torsion, x and y its
+    sine and how far the azimuth is from half the torsion.
+    """
+    x, y, z, w = quaternions.T
+    across, along = np.hypot(x, y), np.hypot(z, w)
+    half = np.where(along > _POLE, np.arctan2(z, w), 0.0)
+    azimuth = np.where(across > _POLE, half - np.arctan2(x, y), 0.0)
+    tilt = 2.0 * np.arctan2(across, along)
+    return np.stack((-wrapped(-azimuth), tilt, -wrapped(-2.0 * half)), axis=1) + 0.0

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT
+from pincal.model.orientation import yaw_pitch_roll
 from pincal.model.overview import one_line, triple
 
 Array = NDArray[np.float64]
@@ -284,17 +285,11 @@ def placement_of(matrix: Array) -> Placement:
 
 
 def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw about fixed axes, [rad], without Euler's gimbal warning.
+    """Return roll, pitch, yaw about fixed axes, [rad], which give the rotation at poles too.
 
     Angles within rounding of a multiple of pi/2 are set to it, so that files are clean.
     """
-    pitch = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
-    if np.hypot(rotation[0, 0], rotation[1, 0]) > 1e-12:
-        roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
-        yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    else:
-        roll, yaw = float(np.arctan2(-rotation[1, 2], rotation[1, 1])), 0.0
-    angles = np.array([roll, pitch, yaw])
+    angles = yaw_pitch_roll(rotation[None])[0, ::-1]
     quarter = np.round(angles / (np.pi / 2)) * (np.pi / 2)
     return _floats(np.where(np.abs(angles - quarter) < 1e-14, quarter, angles))
 

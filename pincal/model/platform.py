@@ -31,7 +31,8 @@ class Platform:
     - ``planar``: x, y, phi;
     - ``translational``: x, y, z;
     - ``spatial``: x, y, z and tilt and torsion, R = Rz(azimuth) Ry(tilt) Rz(torsion − azimuth)
-      (6-UPS paper, Section 2.2); the azimuth has no meaning at tilt 0 and is 0 there.
+      (6-UPS paper, Section 2.2); azimuth and torsion turn about one axis at tilt 0, where the
+      azimuth is 0, and at tilt π, where the torsion is 0: orientations come back as they were.
 
     A ``PlatformKind`` of one's own has other freedoms, such as x, y, z, phi.
 

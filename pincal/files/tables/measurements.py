@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
@@ -20,7 +19,7 @@ from pincal.model.checks import must_be
 from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Measurements, Plan
 from pincal.model.measuring.setup import Setup
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import SINGLE_ANGLES, WAYS, rotation_of
+from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of, rotation_of
 
 Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
@@ -197,11 +196,9 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     given = np.isfinite(values).all(axis=1)
     turns = np.full((len(values), 3), np.nan)
     try:
-        rotation = rotation_of(way, values[given])
+        turns[given] = columns_of("tilt-torsion", rotation_of(way, values[given]))
     except MeasurementError as error:
         raise MeasurementError(f"{table.path}: {error}") from error
-    at = RigidTransform.from_components(np.zeros((int(given.sum()), 3)), rotation)
-    turns[given] = platform.coordinates_of(at)[:, platform.lengths :]
     return np.concatenate((position, turns), axis=1)
 
 

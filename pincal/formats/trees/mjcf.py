@@ -25,6 +25,7 @@ from pincal.formats.trees.limbs import poses_at_zero
 from pincal.formats.trees.mjcf_values import Compiler, Defaults, attributes, numbers, pose
 from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, ball, listed, turns
 from pincal.model.joint import Joint
+from pincal.model.orientation import turns_in_series
 from pincal.model.placement import Placement, placement_of
 
 Array = NDArray[np.float64]
@@ -188,7 +189,7 @@ def _home(root: etree._Element, reader: _Reader, path: Path) -> dict[str, float]
         values = [next(qpos) for _ in range(_COUNTS[kind])]
         if kind == "ball":
             w, x, y, z = values
-            angles = Rotation.from_quat([x, y, z, w]).as_euler("XYZ")
+            angles = turns_in_series(Rotation.from_quat([[x, y, z, w]]).as_matrix())[0]
             home |= {f"{name}_{axis}": float(a) for axis, a in zip("xyz", angles, strict=True)}
         elif kind != "free":  # where a free body is follows from the loops
             home[name] = values[0] - reader.zeros.get(name, 0.0)

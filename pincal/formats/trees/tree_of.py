@@ -11,7 +11,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, turns
@@ -20,6 +19,7 @@ from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import turns_in_series
 from pincal.model.placement import Placement
 
 BASE, PLATFORM = "base", "platform"
@@ -81,7 +81,7 @@ def _floating(mechanism: Mechanism) -> tuple[Edge, ...]:
     freedoms = "".join("XYZxyz"[row] for row in platform.twist_rows)
     edges = turns(Joint(PLATFORM, "fixed"), BASE, PLATFORM, freedoms)
     at = platform.home_pose.as_matrix()[0]
-    x, y, z = Rotation.from_matrix(at[:3, :3]).as_euler("XYZ")
+    x, y, z = turns_in_series(at[None, :3, :3])[0]
     values = dict(zip(("px", "py", "pz", "x", "y", "z"), (*at[:3, 3], x, y, z), strict=True))
     reach = sum(LegClosure(leg, platform).reach for leg in mechanism.legs)
     limited = tuple(
