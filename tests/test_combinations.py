@@ -28,9 +28,6 @@ METHODS = {
     "default": (),
     "per leg": ("--per-leg",),
     "per leg, all poses": ("--per-leg", "--poses", "all"),
-    "per leg, as 0.1 said it": ("--method", "per-leg"),
-    "together, as 0.1 said it": ("--method", "together", "--poses", "all"),
-    "latent, as 0.1 said it": ("--method", "latent"),
 }
 FRAMES = {"base": (), "tracker": ("--unknown-frame",)}
 TARGETS = {"origin": (), "target": ("--unknown-target",)}

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +22,6 @@ from pincal.estimation.conditions.observation import Observation
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.legs.closing import sensor_law
 from pincal.kinematics.legs.closure import LegClosure
-from pincal.old_names import OLD
 from pincal.symmetry.elements import mirror, rotations
 
 Array = NDArray[np.float64]
@@ -281,31 +277,18 @@ def test_terms_turn_with_their_legs_and_are_not_saved(tmp_path: Path) -> None:
     assert len(pincal.symmetry_group(pair).elements) == 2
 
 
-def test_old_names_say_where_they_are_now() -> None:
-    """What version 0.1 had at the top is found with a warning; all that is public is there."""
+def test_public_names_are_there() -> None:
+    """All that is public is found at the top, and nothing else is."""
     for name in pincal.__all__:
         assert getattr(pincal, name).__name__ == name
         assert name in dir(pincal)
-    for name, (module, now) in OLD.items():
-        assert name not in pincal.__all__
-        with pytest.warns(DeprecationWarning, match=re.escape(f"is now pincal.{now}; the")):
-            old = getattr(pincal, name)
-        assert old is getattr(import_module(module), name)
-        if f"pincal.{now}" != f"{module}.{name}":
-            attrgetter(now.partition("(")[0])(pincal)
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match="nothing"):
         pincal.nothing  # noqa: B018
 
 
-def test_old_placements_are_those_of_today() -> None:
-    """``placed`` with its coordinates gives what ``Placement.of`` gives."""
-    p = {"a": 0.3, "b": 0.2, "c": 1.1}
-    with pytest.warns(DeprecationWarning, match="is now"):
-        old = pincal.placed(p, *pincal.cartesian("a", "b"), pincal.along("rz", "c"))
-    assert old == pincal.Placement.of(p, x="a", y="b", rz="c")
-    with pytest.warns(DeprecationWarning, match="is now"):
-        old = pincal.placed(p, pincal.spherical("a", 0.7, "c"), pincal.polar("b", 0.0))
-    assert old == pincal.Placement.of(p, spherical=("a", 0.7, "c"), polar=["b", 0.0])
+def test_coordinates_of_placements_are_checked() -> None:
+    """A wrong number of values, or a coordinate that is none, is refused by name."""
+    p = {"a": 0.3}
     with pytest.raises(pincal.MechanismError, match=r"takes 2 value\(s\), got \['a'\]"):
         pincal.Placement.of(p, polar="a")
     with pytest.raises(pincal.MechanismError, match="unknown coordinate 'radius'"):

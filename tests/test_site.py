@@ -15,7 +15,6 @@ import pytest
 
 import pincal
 from pincal.cli.app import app
-from pincal.old_names import OLD
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -143,13 +142,6 @@ def test_every_page_is_in_a_table_of_contents() -> None:
         one for one in listed - pages if "made" not in one.parts and "gallery" not in one.parts
     }
     assert not missing
-
-
-def test_old_names_say_what_replaces_them() -> None:
-    """Each old name has a new one, and none is still at the top."""
-    assert OLD
-    assert all(now for _, now in OLD.values())
-    assert not set(OLD) & set(pincal.__all__)
 
 
 def test_start_page_and_readme_agree_on_commands() -> None:

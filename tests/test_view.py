@@ -337,7 +337,7 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
     assert "no column 'phi'" in refused.err
     assert "RESULT/poses.csv" in refused.err
 
-    fit = ["--method", "latent", "--noise-position", 1e-5, "--folds", 0]
+    fit = ["--noise-position", 1e-5, "--folds", 0]
     done("calibrate", "3RRR", tmp_path / "gone.csv", *fit, "-o", tmp_path / "latent")
     estimated = pincal.Plan.from_csv(
         tmp_path / "latent" / "poses.csv", pincal.load_mechanism("3RRR")

@@ -15,7 +15,6 @@ from build_steps.names import GROUPS, RETURNED
 from pincal.cli.app import app
 from pincal.files.schema import MechanismSpec
 from pincal.files.setups import _SetupSpec
-from pincal.old_names import OLD
 
 FOLDER = Path("reference") / "made"
 SCHEMAS = {"mechanism": MechanismSpec, "setup": _SetupSpec}
@@ -28,7 +27,6 @@ def write(docs: Path) -> None:
     pages = {
         "commands.md": commands(),
         "schemas.md": schemas(),
-        "old_names.md": old_names(),
         "api.rst": names(),
         "contributing.md": from_the_top(docs.parent / "CONTRIBUTING.md"),
         "changelog.md": from_the_top(docs.parent / "CHANGELOG.md"),
@@ -171,23 +169,6 @@ def schemas() -> str:
         for own, one in schema.get("$defs", {}).items():
             lines += _section(own, one)
     return "\n".join(lines)
-
-
-def old_names() -> str:
-    """Return the page of what left the top of the package, and what to write instead."""
-    lines = [
-        "# Old names",
-        "",
-        "These left the top of `pincal`. Each still works in this release, with a",
-        "`DeprecationWarning` that says the same as this table, and goes with the next version.",
-        "",
-        "| before | now |",
-        "|---|---|",
-    ]
-    lines += [
-        _row((f"`pincal.{name}`", f"`pincal.{now}`")) for name, (_, now) in sorted(OLD.items())
-    ]
-    return "\n".join([*lines, ""])
 
 
 def names() -> str:

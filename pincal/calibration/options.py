@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Final, Literal, get_args
@@ -128,7 +127,7 @@ class Options:
 
     @classmethod
     def of(cls, options: Options | None = None, **given: Any) -> Options:
-        """Return options from keywords, and from those of version 0.1, which warn.
+        """Return options from keywords.
 
         Raises:
             MeasurementError: unknown options or values.
@@ -137,12 +136,6 @@ class Options:
         if unknown := [name for name in given if name not in known]:
             raise MeasurementError(f"no option {unknown[0]!r}; expected some of {', '.join(known)}")
         given = {name: value for name, value in given.items() if value is not None}
-        if given.get("method") in _REPLACED:
-            old = given["method"]
-            warnings.warn(
-                f"method={old!r} is now {_REPLACED[old]}", DeprecationWarning, stacklevel=3
-            )
-            given["method"] = "all-legs"
         if options is not None:
             given = {one: getattr(options, one) for one in known} | given
         return cls(**given)
@@ -164,8 +157,3 @@ class Options:
 
 
 _CHOICES = {"method": Method, "residual": Residual, "poses": Poses, "intervals": Intervals}
-#: Methods of version 0.1, and what they are now.
-_REPLACED = {
-    "latent": "the default: leave it out",
-    "together": "method='all-legs', the default: leave it out",
-}

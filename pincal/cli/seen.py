@@ -93,7 +93,6 @@ class Seen:
     notices: tuple[str, ...] = ()
     """Warnings of the RESULT."""
     result: CalibrationResult | None = None
-    """None of a RESULT of version 0.1, which does not hold what it was made from."""
 
 
 def _plan(tables: list[Path], folders: list[Path], mechanism: Mechanism) -> Plan | None:
@@ -164,11 +163,8 @@ def _identified(folder: Path) -> Mechanism:
     return load_mechanism(folder)
 
 
-def _result(folder: Path) -> tuple[tuple[str, ...], CalibrationResult | None]:
-    """Return a result's warnings, and itself; of one of version 0.1 its sentences alone."""
-    kept = read_result(folder)
-    if "data" not in kept:
-        return tuple(str(text) for text in kept.get("warnings") or ()), None
+def _result(folder: Path) -> tuple[tuple[str, ...], CalibrationResult]:
+    """Return a result's warnings, and itself."""
     result = load_result(folder)
     return tuple(warnings(result)), result
 

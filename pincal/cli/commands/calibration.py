@@ -55,9 +55,6 @@ from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import counted, reading_in
 from pincal.words.table import Table
 
-#: Which parameters were identified at once, as version 0.1 said it.
-OldMethod = Literal["per-leg", "together", "latent"]
-
 
 @dataclass(frozen=True)
 class MethodOptions:
@@ -67,7 +64,6 @@ class MethodOptions:
         bool,
         typer.Option("--per-leg", help="Each leg alone, poses as measured: the papers' way."),
     ] = False
-    method: Annotated[OldMethod | None, typer.Option(hidden=True)] = None
     residual: Annotated[
         Residual, typer.Option(help="Whitened loop closure, or readings as in the papers.")
     ] = "closure"
@@ -75,20 +71,6 @@ class MethodOptions:
         Poses | None,
         typer.Option(help="With --per-leg: for each leg the poses of its set (own), or all."),
     ] = None
-
-    @property
-    def alone(self) -> bool:
-        """Whether each leg is identified alone."""
-        return self.per_leg or self.method == "per-leg"
-
-    def remark_replaced(self) -> None:
-        """Say what replaces options of version 0.1."""
-        if self.method == "per-leg":
-            remark("--method per-leg is now --per-leg")
-        elif self.method is not None:
-            remark(f"--method {self.method} is now the default: leave it out")
-        if self.poses is not None and not self.alone:
-            remark("--poses is for --per-leg; all legs at once use every pose")
 
 
 @dataclass(frozen=True)
@@ -209,13 +191,14 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             PincalError: a file that cannot be read, or options that do not fit it.
         """
         setup = self.read()
-        self.remark_replaced()
+        if self.poses is not None and not self.per_leg:
+            remark("--poses is for --per-leg; all legs at once use every pose")
         terms = tuple(self.terms or ())
         data = read_measurements(
-            path, mechanism, setup, partial=not self.alone, influences=columns_said(terms)
+            path, mechanism, setup, partial=not self.per_leg, influences=columns_said(terms)
         )
         options = Options(
-            method="per-leg" if self.alone else "all-legs",
+            method="per-leg" if self.per_leg else "all-legs",
             residual=self.residual,
             poses=self.poses or "own",
             noise=self.of(mechanism, data, setup),

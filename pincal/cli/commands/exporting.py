@@ -147,9 +147,8 @@ def _weak(folder: Path) -> list[str]:
     if not (folder / "result.json").is_file():
         return []
     found = read_result(folder)
-    pairs = found.get("weakly_determined", found.get("weakly_told_apart", []))  # until 0.1
-    ends = [one[end] for one in pairs for end in ("first", "second")]  # [leg, name] until 0.1
-    names = sorted({one.partition(".")[2] if isinstance(one, str) else one[1] for one in ends})
+    ends = [pair[end] for pair in found.get("weakly_determined", ()) for end in ("first", "second")]
+    names = sorted({end.partition(".")[2] for end in ends})
     if not names:
         return []
     return [
