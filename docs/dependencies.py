@@ -45,6 +45,8 @@ WHY = {
     "python-calamine": "extra `excel`: one reader of .xlsx, .xls and .ods, which pandas calls; "
     "openpyxl, xlrd and odfpy would be three",
     "pyarrow": "extra `parquet`: reads .parquet, for pandas",
+    "mujoco": "extra `mujoco`: reads MJCF, its own format: defaults, includes, frames, replicas, "
+    "all notations of orientations; a reader by hand knew some of them, and lost joints in silence",
     "example-robot-data": "tests and examples: twenty and more arms as URDFs with their meshes",
     "hypothesis": "properties and fuzzed files",
     "playwright": "drives Debian's Chromium, which `.ci/run` installs; without one the tests of "

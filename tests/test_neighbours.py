@@ -170,7 +170,12 @@ def test_mujoco_loads_what_is_written(name: str, tmp_path: Path) -> None:
 
 
 def sites_at(file: Path, q: np.ndarray) -> np.ndarray:
-    """Return the site 'end' of the chain in an MJCF file, shape (N, 4, 4), by pincal."""
+    """Return the site 'end' of the chain in an MJCF file, shape (N, 4, 4), by pincal.
+
+    Args:
+        file: The file.
+        q: Joint positions from where the file draws them, shape (N, n_joints).
+    """
     tree = read_mjcf(file)
     carrying = {edge.child: edge for edge in tree.edges}
     link, joints = "c", []
@@ -178,12 +183,11 @@ def sites_at(file: Path, q: np.ndarray) -> np.ndarray:
         joints.insert(0, carrying[link].joint)
         link = carrying[link].parent
     moving = [one.name for one in joints if one.kind != "fixed"]
-    zeros = [tree.zeros.get(name, 0.0) for name in moving]
     leg = Leg("leg", tuple(joints), (pincal.Sensor(moving[0]),), (), pincal.Joint("b", "fixed"))
     site = np.eye(4)
     site[:3, 3] = (0.1, 0.2, 0.3)
     site[:3, :3] = Rotation.from_quat([2, 3, 4, 1]).as_matrix()
-    return link_placements(leg, q - zeros)[:, -1] @ site
+    return link_placements(leg, q)[:, -1] @ site
 
 
 def bounded(text: str) -> str:
@@ -199,7 +203,7 @@ def test_mjcf_is_understood_as_mujoco_does(tmp_path: Path) -> None:
     model = mujoco.MjModel.from_xml_path(str(file))
     data = mujoco.MjData(model)
     q = np.random.default_rng(0).uniform(-0.4, 0.4, (20, model.nq))
-    own = sites_at(file, q)
+    own = sites_at(file, q - model.qpos0)
     for row, expected in zip(q, own, strict=True):
         data.qpos[:] = row
         mujoco.mj_forward(model, data)
@@ -592,23 +596,38 @@ def test_legs_and_platform_must_be_told_apart(tmp_path: Path) -> None:
         read(written(tmp_path, urdf("r", double, "base"), FIVE_BAR_YAML))
 
 
+TENDON = '<tendon><fixed name="t"><joint joint="m2" coef="1"/></fixed></tendon>'
+CONNECT = '<connect site1="sa" site2="sb"/>'
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ((("<motor joint", "<motor site"), ("<position joint", "<motor site")), "platform"),
-        ((('joint="m2"', 'joint="m3"'),), "drives 'm3'"),
-        ((("EQUALITY", '<joint joint1="f1" joint2="f2"/>'),), "<joint> couples joints"),
-        ((("EQUALITY", '<connect site1="sa" site2="sc"/>'),), "no site named 'sc'"),
-        ((("EQUALITY", '<connect body1="a2" body2="z" anchor="0 0 0"/>'),), "no body named 'z'"),
-        ((("EQUALITY", '<connect body1="a2" body2="b2"/>'),), "needs anchor"),
+        ((('<motor joint="m1"/>', ""), ('<position joint="m2"/>', "")), "platform"),
+        ((('joint="m2"', 'joint="m3"'),), "unknown transmission target 'm3'"),
+        ((("EQUALITY", '<joint joint1="f1" joint2="f2"/>'),), "form no loop"),
+        (
+            (("EQUALITY", f'{CONNECT}<joint joint1="f1" joint2="f2"/>'),),
+            "an <equality> couples joint 'f1'",
+        ),
+        (
+            (
+                ("EQUALITY", f'{CONNECT}<tendon tendon1="t"/>'),
+                ("<actuator>", f"{TENDON}<actuator>"),
+            ),
+            "an <equality> couples joint 'm2'",
+        ),
+        ((("EQUALITY", '<connect site1="sa" site2="sc"/>'),), "unknown element 'sc'"),
+        ((("EQUALITY", '<connect body1="a2" body2="z" anchor="0 0 0"/>'),), "'z' in equality"),
+        ((("EQUALITY", '<connect body1="a2" body2="b2"/>'),), "'anchor') must be specified"),
         ((("EQUALITY", ""),), "form no loop"),
-        ((('<joint name="f1"/>', '<joint name="f1" type="screw"/>'),), "joint of type 'screw'"),
-        ((('<joint name="m1"/>', '<joint name="m1" type="ball"/>'),), "no hinge or slide"),
-        ((('<joint name="f1"/>', '<joint name="m1"/>'),), "joint 'm1' twice"),
-        ((('pos="-0.1 0 0"', 'pos="-0.1 0"'),), "should hold 3 finite numbers"),
-        ((('pos="-0.1 0 0"', 'pos="nan 0 0"'),), "should hold 3 finite numbers"),
-        ((("<worldbody>", '<include file="/etc/passwd"/><worldbody>'),), "<include> is not read"),
-        ((('<joint name="f1"/>', '<joint name="f1" class="k"/>'),), "no default class 'k'"),
+        ((('<joint name="f1"/>', '<joint name="f1" type="screw"/>'),), "keyword: 'screw'"),
+        ((('<joint name="m1"/>', '<joint name="m1" type="ball"/>'),), "what the platform is"),
+        ((('<joint name="f1"/>', '<joint name="m1"/>'),), "repeated name 'm1'"),
+        ((('pos="-0.1 0 0"', 'pos="-0.1 0"'),), "'pos' does not have enough data"),
+        ((('pos="-0.1 0 0"', 'pos="nan 0 0"'),), "not finite"),
+        ((("<worldbody>", '<include file="/etc/passwd"/><worldbody>'),), "line 3"),
+        ((('<joint name="f1"/>', '<joint name="f1" class="k"/>'),), "unknown default class"),
         ((("mujoco", "muyoco"),), "expected a <mujoco>"),
     ],
 )
@@ -618,7 +637,7 @@ def test_mjcf_that_does_not_fit(
     """What is wrong in MJCF is said in one message that names it; nothing is written."""
     file = tmp_path / "robot.xml"
     text = replaced(LOOPED, *changes)
-    file.write_text(text.replace("EQUALITY", '<connect site1="sa" site2="sb"/>'))
+    file.write_text(text.replace("EQUALITY", CONNECT))
     outcome = run("import", file, "-o", tmp_path / "out")
     assert outcome.code == 2
     assert message in outcome.trouble

@@ -247,11 +247,7 @@ def _leg(name: str, one: Limb, tree: Tree, kind: str, stems: list[str]) -> Leg:
         point = replace(point, placement=_displaced(point.placement, "point", shifts, parameters))
     if point.name == "point":
         point = replace(point, name=f"{name}_point")
-    sensors = tuple(
-        Sensor(joint.name, offset=-tree.zeros.get(joint.name, 0.0) or 0.0)
-        for joint in joints
-        if joint.name in tree.active
-    )
+    sensors = tuple(Sensor(joint.name) for joint in joints if joint.name in tree.active)
     if not sensors:
         raise MechanismError(f"{tree.source}: {name} has no driven joint")
     closes = "frame" if one.point is None else "point"

@@ -95,6 +95,7 @@ def ways_of(tree: Tree, platform: str | None = None) -> Ways:
     goal = meeting[0] if meeting else base
     ways = _walked(tree, bonds, body, base, goal)
     used = {one.bond.name for way in ways for one in way}
+    tree.check_joints(sorted(used))
     if lost := [bond.name for bond in bonds if bond.name not in used]:
         raise MechanismError(
             f"{tree.source}: {listed(lost)} lie on no way from the base {tree.root!r} to the "

@@ -1,37 +1,41 @@
-"""MJCF: bodies and joints as a tree, loops closed by ``<equality>``, drives by ``<actuator>``.
+"""MJCF as MuJoCo reads it: bodies and joints as a tree, with loops, couplings and drives.
 
-What counts for kinematics is read: poses in any notation, defaults and classes, ``<frame>``,
-hinges, slides, balls and free joints, ``connect`` and ``weld`` by bodies or sites, the first
-keyframe. Read here and not by Pinocchio, whose parser (4.1) leaves out all but the first body of
-the world, takes anchors from joints where MuJoCo takes them from bodies, and ends the process at a
-site that it does not know; tests compare both, and MuJoCo, where they can. Source: MuJoCo's XML
-reference.
+MuJoCo's own compiler resolves defaults, includes, frames, replicas and every notation of an
+orientation; what it compiled is the kinematics that simulation uses (``body_pos``, ``jnt_axis``,
+``qpos0``, ``eq_data``). Joints count from where the file draws them, so a ``ref`` is not added.
+Source: MuJoCo's documentation, "Computation" and ``mjmodel.h``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+import re
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.xml import read_xml
-from pincal.formats.trees.limbs import poses_at_zero
-from pincal.formats.trees.mjcf_values import Compiler, Defaults, attributes, numbers, pose
-from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, ball, listed, turns
+from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, ball, turns, with_ranges
+from pincal.model.checks import LARGEST
 from pincal.model.joint import Joint
+from pincal.model.leg import Closing
 from pincal.model.orientation import turns_in_series
-from pincal.model.placement import Placement, placement_of
+from pincal.model.placement import placement_of
+
+if TYPE_CHECKING:
+    import mujoco
+else:
+    mujoco = lazy_loader.load("mujoco")
 
 Array = NDArray[np.float64]
-_WORLD = "world"
-_REFUSED = ("include", "replicate", "attach", "composite", "flexcomp")
-_COUNTS = {"hinge": 1, "slide": 1, "ball": 4, "free": 7}
+_NOISE = re.compile(r"(?:XML )?Error: |Element name '', id \d+, ")
+_TETRAHEDRON = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
 def read_mjcf(path: Path) -> Tree:
@@ -39,230 +43,210 @@ def read_mjcf(path: Path) -> Tree:
 
     Raises:
         FileError: the file is missing or cannot be read.
-        MechanismError: not well-formed, or something in it that has no counterpart here.
+        MechanismError: MuJoCo is not installed, or refuses the file.
     """
-    root = read_xml(path, "mujoco")
-    for tag in _REFUSED:
-        if (found := next(root.iter(tag), None)) is not None:
-            raise MechanismError(
-                f"{path}, line {found.sourceline}: <{tag}> is not read; let MuJoCo write the whole "
-                "model (mujoco.mj_saveLastXML) and import that"
-            )
-    reader = _Reader(path, root)
-    world = root.find("worldbody")
-    if world is None:
-        raise MechanismError(f"{path}: no <worldbody>")
-    reader.children(world, _WORLD, np.eye(4), "main")
-    edges = at_home(tuple(reader.edges), _home(root, reader, path))
+    title = read_xml(path, "mujoco").get("model")
+    model = _compiled(path)
+    links = _names(model, mujoco.mjtObj.mjOBJ_BODY, [f"body_{i}" for i in range(model.nbody)])
+    of_joints = [f"{links[body]}_joint_{i}" for i, body in enumerate(model.jnt_bodyid)]
+    joints = _names(model, mujoco.mjtObj.mjOBJ_JOINT, of_joints)
+    edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
+    edges += _sites(model, links)
+    of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    driven = model.actuator_trnid[np.isin(model.actuator_trntype, of_joint), 0]
     tree = Tree(
-        name=str(root.get("model") or path.stem),
+        name=title or path.stem,
         source=str(path),
-        root=_WORLD,
-        edges=edges,
-        loops=(),
-        active=_driven(root, reader, path),
-        zeros=reader.zeros,
-        homed=root.find("keyframe/key") is not None,
+        root=links[0],
+        edges=at_home(tuple(edges), _home(model, joints)),
+        loops=tuple(_loops(model, links)),
+        active=tuple(dict.fromkeys(joints[i] for i in driven)),
+        homed=model.nkey > 0,
+        refused=_coupled(model, joints, path),
     )
-    return replace(tree, loops=tuple(_loops(root, reader, tree)))
+    return with_ranges(tree)
 
 
-class _Reader:
-    """Bodies, joints and sites as they are found."""
-
-    def __init__(self, path: Path, root: etree._Element) -> None:
-        self.path = path
-        self.compiler = Compiler.of(root, path)
-        self.defaults = Defaults(root, path)
-        self.edges: list[Edge] = []
-        self.sites: dict[str, Spot] = {}
-        self.joints: list[tuple[str, str]] = []
-        """Names and types, in the order of qpos."""
-        self.zeros: dict[str, float] = {}
-        self._links = {_WORLD}
-
-    def children(self, element: etree._Element, link: str, at: Array, own: str) -> None:
-        """Enter what an element holds: bodies, sites, and frames that only place these.
-
-        Args:
-            element: A body, the world, or a frame.
-            link: The body it belongs to.
-            at: Pose of the element in that body, shape (4, 4).
-            own: Class of what has none.
-        """
-        for child in element:
-            inner = child.get("childclass", own)
-            if child.tag == "frame":
-                there = at @ pose(child, attributes(child), self.compiler, self.path)
-                self.children(child, link, there, inner)
-            elif child.tag == "site" and child.get("name"):
-                values = self.defaults.of(child, own)
-                there = at @ pose(child, values, self.compiler, self.path)
-                self.sites[str(child.get("name"))] = Spot(link, placement_of(there))
-            elif child.tag == "body":
-                self._body(child, link, at, inner)
-
-    def _body(self, element: etree._Element, parent: str, at: Array, own: str) -> None:
-        """Enter a body: its joints one after the other, then what is on it."""
-        name = element.get("name") or f"body_{len(self._links)}"
-        if name in self._links:
-            raise MechanismError(f"{self.path}, line {element.sourceline}: body {name!r} twice")
-        self._links.add(name)
-        here: Array = at @ pose(element, attributes(element), self.compiler, self.path)
-        found = [one for one in element if one.tag in ("joint", "freejoint")]
-        link, shift = parent, np.zeros(3)
-        for index, one in enumerate(found):
-            values = self.defaults.of(one, own)
-            kind = "free" if one.tag == "freejoint" else values.get("type", "hinge")
-            if kind not in _COUNTS:
-                raise MechanismError(
-                    f"{self.path}, line {one.sourceline}: joint of type {kind!r}; expected "
-                    f"{', '.join(_COUNTS)}"
-                )
-            own_name = one.get("name") or f"{name}_joint" + str(index + 1) * (len(found) > 1)
-            place = np.array(numbers(one, values, "pos", "0 0 0", 3, self.path))
-            place *= kind != "free"
-            here[:3, 3] += here[:3, :3] @ (place - shift)
-            last = index == len(found) - 1
-            ahead = name if last and not place.any() else f"{name}_after_{own_name}"
-            joint = self._joint(one, values, own_name, kind, placement_of(here))
-            self.joints.append((own_name, kind))
-            self.edges += _moved(joint, kind, link, ahead)
-            link, shift, here = ahead, place, np.eye(4)
-        if not found or shift.any():
-            here[:3, 3] -= here[:3, :3] @ shift
-            self.edges.append(Edge(Joint(f"{name}_fixed", "fixed", placement_of(here)), link, name))
-        self.children(element, name, np.eye(4), own)
-
-    def _joint(
-        self,
-        one: etree._Element,
-        values: Mapping[str, str],
-        name: str,
-        kind: str,
-        placement: Placement,
-    ) -> Joint:
-        """Return a joint, counted from where the file draws it."""
-        if any(name == known for known, _ in self.joints):
-            raise MechanismError(f"{self.path}, line {one.sourceline}: joint {name!r} twice")
-        if kind not in ("hinge", "slide"):
-            return Joint(name, "fixed", placement)
-        axis = np.array(numbers(one, values, "axis", "0 0 1", 3, self.path))
-        length = float(np.linalg.norm(axis))
-        if length < 1e-9:
-            raise MechanismError(f"{self.path}, line {one.sourceline}: {name!r} has a zero axis")
-        x, y, z = (float(v) for v in (axis if abs(length - 1.0) <= 1e-12 else axis / length))
-        unit = self.compiler.angle if kind == "hinge" else 1.0
-        zero = unit * numbers(one, values, "ref", "0", 1, self.path)[0]
-        self.zeros |= {name: zero} if zero else {}
-        lower, upper = -np.inf, np.inf
-        limited = values.get("limited", "auto")
-        if limited == "true" or (
-            limited == "auto" and self.compiler.autolimits and "range" in values
-        ):
-            low, high = numbers(one, values, "range", "0 0", 2, self.path)
-            lower, upper = unit * low - zero, unit * high - zero
-        turning = kind == "hinge"
-        return Joint(
-            name, "revolute" if turning else "prismatic", placement, (x, y, z), lower, upper
-        )
+def _compiled(path: Path) -> mujoco.MjModel:
+    """Return MuJoCo's model of a file, for which no mesh or picture is opened."""
+    try:
+        handler = mujoco.get_mju_user_warning()
+    except ModuleNotFoundError as error:
+        raise MechanismError(
+            "MJCF is read by MuJoCo, which is not installed: python -m pip install 'pincal[mujoco]'"
+        ) from error
+    mujoco.set_mju_user_warning(lambda _: None)  # it writes a log into the working folder
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of masses, which do not count here
+            spec = mujoco.MjSpec.from_file(str(path))
+            _drop_shapes(spec)
+            model = spec.compile()
+    except (ValueError, RuntimeError) as error:
+        why = " ".join(_NOISE.sub("", str(error)).split())[:240]
+        raise MechanismError(f"{path}: MuJoCo does not read it: {why}") from error
+    finally:
+        mujoco.set_mju_user_warning(handler)
+    for numbers in (model.body_pos, model.body_quat, model.jnt_pos, model.site_pos, model.eq_data):
+        if not (np.abs(numbers) <= LARGEST).all():
+            raise MechanismError(f"{path}: a place holds a number that is not finite or too large")
+    return model
 
 
-def _moved(joint: Joint, kind: str, parent: str, child: str) -> tuple[Edge, ...]:
-    """Return the edges of a joint."""
-    if kind == "ball":
-        return ball(joint, parent, child)
-    if kind == "free":
-        return turns(joint, parent, child, "XYZxyz")
-    return (Edge(joint, parent, child),)
+def _drop_shapes(spec: mujoco.MjSpec) -> None:
+    """Put something small in the place of every file of shapes, and masses where none are.
+
+    Bodies stay where the file has them: none is fused with another, none turned to its inertia.
+    """
+    for mesh in spec.meshes:
+        mesh.file, mesh.uservert = "", _TETRAHEDRON
+    for texture in spec.textures:
+        texture.file, texture.builtin = "", mujoco.mjtBuiltin.mjBUILTIN_FLAT
+        texture.cubefiles = [""] * len(texture.cubefiles)
+        texture.width = texture.height = 1
+    for field in spec.hfields:
+        field.file, field.nrow, field.ncol, field.userdata = "", 2, 2, [0.0, 1.0, 1.0, 0.0]
+    for skin in list(spec.skins):
+        spec.delete(skin)
+    spec.compiler.boundmass = spec.compiler.boundinertia = 1.0
+    spec.compiler.balanceinertia = True
+    spec.compiler.fusestatic = spec.compiler.alignfree = False
 
 
-def _home(root: etree._Element, reader: _Reader, path: Path) -> dict[str, float]:
+def _names(model: mujoco.MjModel, kind: int, unnamed: list[str]) -> list[str]:
+    """Return the names of all objects of a kind, and other ones for those without."""
+    named = [mujoco.mj_id2name(model, kind, i) for i in range(len(unnamed))]
+    return [name or other for name, other in zip(named, unnamed, strict=True)]
+
+
+def _pose(position: Array, quaternion: Array) -> Array:
+    """Return a pose, shape (4, 4), of a position [m] and a quaternion, its scalar first."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = position
+    matrix[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    return matrix
+
+
+def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]) -> Iterator[Edge]:
+    """Yield a body's joints one after the other, each in a frame at its anchor."""
+    link, name = links[model.body_parentid[body]], links[body]
+    T_link_body = _pose(model.body_pos[body], model.body_quat[body])
+    anchor = np.zeros(3)
+    first, count = model.body_jntadr[body], model.body_jntnum[body]
+    for i in range(first, first + count):
+        kind = model.jnt_type[i]
+        place = model.jnt_pos[i] * (kind != mujoco.mjtJoint.mjJNT_FREE)
+        T_link_body[:3, 3] += T_link_body[:3, :3] @ (place - anchor)
+        last = i == first + count - 1 and not place.any()
+        child = name if last else f"{name}_after_{joints[i]}"
+        placement = placement_of(T_link_body)
+        if kind == mujoco.mjtJoint.mjJNT_BALL:
+            yield from ball(Joint(joints[i], "fixed", placement), link, child)
+        elif kind == mujoco.mjtJoint.mjJNT_FREE:
+            yield from turns(Joint(joints[i], "fixed", placement), link, child, "XYZxyz")
+        else:
+            turning = kind == mujoco.mjtJoint.mjJNT_HINGE
+            lower, upper = -np.inf, np.inf
+            if model.jnt_limited[i]:
+                lower, upper = model.jnt_range[i] - model.qpos0[model.jnt_qposadr[i]]
+            x, y, z = map(float, model.jnt_axis[i])
+            joint = Joint(
+                joints[i],
+                "revolute" if turning else "prismatic",
+                placement,
+                (x, y, z),
+                float(lower),
+                float(upper),
+            )
+            yield Edge(joint, link, child)
+        link, anchor, T_link_body = child, place, np.eye(4)
+    if link != name:
+        T_link_body[:3, 3] -= T_link_body[:3, :3] @ anchor
+        yield Edge(Joint(f"{name}_fixed", "fixed", placement_of(T_link_body)), link, name)
+
+
+def _sites(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
+    """Yield each named site as a link that is fixed to its body."""
+    for i, body in enumerate(model.site_bodyid):
+        name = model.site(i).name
+        if name and name not in links:
+            placement = placement_of(_pose(model.site_pos[i], model.site_quat[i]))
+            yield Edge(Joint(name, "fixed", placement), links[body], name)
+
+
+def _home(model: mujoco.MjModel, joints: list[str]) -> dict[str, float]:
     """Return the joint positions of the first keyframe, by name, from where they are drawn."""
-    key = root.find("keyframe/key")
-    if key is None or key.get("qpos") is None:
-        return {}
-    count = sum(_COUNTS[kind] for _, kind in reader.joints)
-    qpos = iter(numbers(key, attributes(key), "qpos", "", count, path))
     home: dict[str, float] = {}
-    for name, kind in reader.joints:
-        values = [next(qpos) for _ in range(_COUNTS[kind])]
-        if kind == "ball":
-            w, x, y, z = values
-            angles = turns_in_series(Rotation.from_quat([[x, y, z, w]]).as_matrix())[0]
-            home |= {f"{name}_{axis}": float(a) for axis, a in zip("xyz", angles, strict=True)}
-        elif kind != "free":  # where a free body is follows from the loops
-            home[name] = values[0] - reader.zeros.get(name, 0.0)
+    for i in range(model.njnt if model.nkey else 0):
+        kind, address = model.jnt_type[i], model.jnt_qposadr[i]
+        qpos = model.key_qpos[0, address : address + 4]
+        if kind == mujoco.mjtJoint.mjJNT_BALL:
+            angles = turns_in_series(_pose(np.zeros(3), qpos)[None, :3, :3])[0]
+            home |= {f"{joints[i]}_{axis}": float(a) for axis, a in zip("xyz", angles, strict=True)}
+        elif kind != mujoco.mjtJoint.mjJNT_FREE:  # where a free body is follows from the loops
+            home[joints[i]] = float(qpos[0] - model.qpos0[address])
     return home
 
 
-def _driven(root: etree._Element, reader: _Reader, path: Path) -> tuple[str, ...]:
-    """Return the joints that actuators drive.
+def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Loop]:
+    """Yield what connect and weld close.
 
-    Raises:
-        MechanismError: an actuator of an unknown joint, or of one that is no hinge or slide.
+    Of bodies both anchors are in ``eq_data``: of connect that of the first body, then the
+    second's; of weld the second's, then the pose that the first body sees it in.
     """
-    kinds = dict(reader.joints)
-    found: list[str] = []
-    for one in root.iterfind("actuator/*"):
-        name = one.get("joint") or one.get("jointinparent")
-        if name is None:
+    for i, data in enumerate(model.eq_data):
+        connects = model.eq_type[i] == mujoco.mjtEq.mjEQ_CONNECT
+        welds = model.eq_type[i] == mujoco.mjtEq.mjEQ_WELD
+        if not (connects or welds) or not model.eq_active0[i]:
             continue
-        if name not in kinds or _COUNTS[kinds[name]] > 1:
-            raise MechanismError(
-                f"{path}, line {one.sourceline}: an actuator drives {name!r}, which is no hinge or "
-                f"slide; there are {listed(n for n, kind in kinds.items() if _COUNTS[kind] == 1)}"
-            )
-        found.append(name)
-    return tuple(dict.fromkeys(found))
-
-
-def _loops(root: etree._Element, reader: _Reader, tree: Tree) -> Iterator[Loop]:
-    """Yield the loops that equalities close.
-
-    Raises:
-        MechanismError: an equality of another kind, or of bodies or sites that there are not.
-    """
-    at = poses_at_zero(tree)
-    for index, one in enumerate(root.iterfind("equality/*")):
-        where = f"{reader.path}, line {one.sourceline}"
-        if not isinstance(one.tag, str) or one.get("active", "true") == "false":
-            continue
-        if one.tag not in ("connect", "weld"):
-            raise MechanismError(
-                f"{where}: <{one.tag}> couples joints, which legs of pincal cannot; expected "
-                "connect or weld"
-            )
-        name = one.get("name") or f"{one.tag}_{index + 1}"
-        closes = "point" if one.tag == "connect" else "frame"
-        sites = [one.get(key) for key in ("site1", "site2")]
-        if any(sites):
-            for site in sites:
-                if site not in reader.sites:
-                    raise MechanismError(
-                        f"{where}: no site named {site!r}; there are {listed(reader.sites)}"
-                    )
-            first, second = (reader.sites[str(site)] for site in sites)
-            yield Loop(name, first, second, closes)  # type: ignore[arg-type]
-            continue
-        links = [one.get("body1"), one.get("body2", _WORLD)]
-        for link in links:
-            if link not in tree.links:
-                raise MechanismError(
-                    f"{where}: no body named {link!r}; there are {listed(tree.links)}"
-                )
-        body1, body2 = (str(link) for link in links)
-        T_body2_body1 = np.linalg.inv(at[body2]) @ at[body1]
-        there: Array = np.eye(4)
-        if one.tag == "connect":
-            there[:3, 3] = numbers(one, attributes(one), "anchor", None, 3, reader.path)
-            second = Spot(body2, placement_of(T_body2_body1 @ there))
+        ends = (int(model.eq_obj1id[i]), int(model.eq_obj2id[i]))
+        if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
+            poses = [_pose(model.site_pos[end], model.site_quat[end]) for end in ends]
+            ends = (int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]]))
         else:
-            relpose = numbers(one, attributes(one), "relpose", "0 1 0 0 0 0 0", 7, reader.path)
-            there = np.asarray(np.linalg.inv(T_body2_body1))
-            if any(relpose[3:]):
-                w, x, y, z = relpose[3:]
-                there[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
-                there[:3, 3] = relpose[:3]
-            second = Spot(body2)
-        yield Loop(name, Spot(body1, placement_of(there)), second, closes)  # type: ignore[arg-type]
+            still = np.array([1.0, 0.0, 0.0, 0.0])
+            if connects:
+                poses = [_pose(data[:3], still), _pose(data[3:6], still)]
+            else:
+                poses = [_pose(data[3:6], data[6:10]), _pose(data[:3], still)]
+        first, second = (Spot(links[e], placement_of(T)) for e, T in zip(ends, poses, strict=True))
+        closes: Closing = "point" if connects else "frame"
+        yield Loop(model.eq(i).name or f"loop_{i + 1}", first, second, closes)
+
+
+def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, str]:
+    """Return why joints cannot move on their own, by name: equalities of joints and tendons."""
+    why: dict[str, str] = {}
+    for i, kind in enumerate(model.eq_type):
+        if not model.eq_active0[i]:
+            continue
+        coupled: list[int] = []
+        if kind == mujoco.mjtEq.mjEQ_JOINT:
+            coupled = [model.eq_obj1id[i]]
+        elif kind == mujoco.mjtEq.mjEQ_TENDON:
+            coupled = [j for t in (model.eq_obj1id[i], model.eq_obj2id[i]) for j in _of(model, t)]
+        for joint in coupled:
+            why[joints[joint]] = (
+                f"{path}: an <equality> couples joint {joints[joint]!r} to others, and joints of "
+                "a leg move on their own"
+            )
+    return why
+
+
+def _of(model: mujoco.MjModel, tendon: int) -> list[int]:
+    """Return the joints that change the length of a tendon; none for no tendon."""
+    if tendon < 0:
+        return []
+    first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
+    moving: list[int] = []
+    for kind, i in zip(
+        model.wrap_type[first : first + count], model.wrap_objid[first : first + count], strict=True
+    ):
+        if kind == mujoco.mjtWrap.mjWRAP_JOINT:
+            moving.append(i)
+        elif kind != mujoco.mjtWrap.mjWRAP_PULLEY:
+            site = kind == mujoco.mjtWrap.mjWRAP_SITE
+            body = (model.site_bodyid if site else model.geom_bodyid)[i]
+            while body:
+                moving += np.flatnonzero(model.jnt_bodyid == body).tolist()
+                body = model.body_parentid[body]
+    return moving

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -57,10 +57,12 @@ class Tree:
     """Names of the joints with a drive."""
     platform: str | None = None
     """Link of the platform, if the file says it."""
-    zeros: Mapping[str, float] = field(default_factory=dict)
-    """What drives read where their joints are at zero, if not zero, [rad] or [m]."""
     homed: bool = False
     """Whether the file says the joints' home positions, so that they need not be zero."""
+    refused: Mapping[str, str] = field(default_factory=dict)
+    """Why joints cannot be part of a leg, by name: refused where one is, and only there."""
+    remarks: Mapping[str, str] = field(default_factory=dict)
+    """What is to be said of joints that are part of a leg, by name."""
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -81,6 +83,36 @@ class Tree:
         raise MechanismError(
             f"{self.source}: no frame named {name!r} for {what}; it has {listed(self.links)}"
         )
+
+    def check_joints(self, names: Iterable[str]) -> None:
+        """Raise if a leg or an arm is to have joints that cannot be part of one.
+
+        Raises:
+            MechanismError: why the first of them cannot.
+        """
+        for name in names:
+            if name in self.refused:
+                raise MechanismError(self.refused[name])
+
+
+def with_ranges(tree: Tree) -> Tree:
+    """Return a tree whose slides all have a range: of those without one, as the tree is long."""
+    placed = [edge.joint.placement.xyz for edge in tree.edges]
+    reach = max(float(np.linalg.norm(placed, axis=1).sum()) if placed else 0.0, 1.0)
+    endless = [
+        edge.joint.name
+        for edge in tree.edges
+        if edge.joint.kind == "prismatic" and not np.isfinite(edge.joint.lower)
+    ]
+    edges = tuple(
+        replace(edge, joint=replace(edge.joint, lower=-reach, upper=reach))
+        if edge.joint.name in endless
+        else edge
+        for edge in tree.edges
+    )
+    remark = f"slides without a range in the file; ±{reach:.3g} m is taken"
+    said = {name: f"{name!r} {remark}" for name in endless}
+    return replace(tree, edges=edges, remarks=dict(tree.remarks) | said)
 
 
 def ball(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
