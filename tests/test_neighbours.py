@@ -28,11 +28,11 @@ from neighbours import (
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.formats.arm import serial_arm
 from pincal.formats.trees.calibrated_urdf import calibrated_urdf
 from pincal.formats.trees.closed import closed_mechanism
 from pincal.formats.trees.loops_yaml import read_loops
 from pincal.formats.trees.mjcf import read_mjcf
-from pincal.formats.trees.serial import serial_arm
 from pincal.formats.trees.tree_mjcf import mjcf
 from pincal.formats.trees.tree_of import tree_of
 from pincal.formats.trees.tree_urdf import loops_urdf, loops_yaml

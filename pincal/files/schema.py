@@ -31,7 +31,7 @@ Zero = Annotated[Literal["home"] | Number, WrapValidator(_number_or_home)]
 class SensorSpec(Strict):
     """Sensor of a leg."""
 
-    joint: Name
+    joint: str
     form: Literal["joint", "reading"] = "joint"
     gain: Value = 1.0
     offset: Value = 0.0

@@ -1,4 +1,4 @@
-"""URDF in: a leg is read strictly, as one serial chain; an arm as a path in a tree."""
+"""URDF in: joints, of which every element is read or refused, and legs that are one chain."""
 
 from __future__ import annotations
 
@@ -8,17 +8,28 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.input import plain_number, why_no_number
 from pincal.files.xml import read_xml
 from pincal.model.checks import LARGEST
 from pincal.model.joint import Joint, JointKind
-from pincal.model.placement import Placement
+from pincal.model.placement import Placement, placement_of
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
+#: Elements of a joint, and their attributes that are read; others are refused.
+_PLACING = {
+    "joint": {"name", "type", "dont_collapse"},
+    "origin": {"xyz", "rpy", "quat_xyzw"},
+    "axis": {"xyz"},
+    "parent": {"link"},
+    "child": {"link"},
+}
+#: Elements of a joint whose attributes place nothing, but for limits, which are read.
+_PLACING_NOTHING = {"limit", "mimic", "dynamics", "safety_controller", "calibration"}
 _KINDS: dict[str, JointKind] = {
     "revolute": "revolute",
     "continuous": "revolute",
@@ -67,52 +78,13 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
             )
         element = by_parent[link]
         link = link_of(element, "child", path)
-        chain.append(_weighed(read_joint(element, path), robot, link, path))
+        chain.append(weighed(read_joint(element, path), robot, link, path))
     if not any(joint.kind != "fixed" for joint in chain):
         raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
     return tuple(chain)
 
 
-def read_path(path: Path, tip: str, base: str | None = None) -> tuple[Joint, ...]:
-    """Return the joints between two links of a URDF that may branch, base first.
-
-    Args:
-        path: The URDF.
-        tip: Link at the end.
-        base: Link at the foot; the root if not given.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: not well-formed, or no path from base to tip.
-    """
-    robot = read_xml(path, "robot")
-    links = [str(link.get("name")) for link in robot.findall("link")]
-    for name in (tip, *([] if base is None else [base])):
-        if name not in links:
-            raise MechanismError(f"{path}: no link named {name!r}; it has {', '.join(links)}")
-    above: dict[str, etree._Element] = {}
-    for element in robot.findall("joint"):
-        child = link_of(element, "child", path)
-        if child in above:
-            raise MechanismError(
-                f"{path}, line {element.sourceline}: link {child!r} hangs on two joints; a URDF "
-                "is a tree"
-            )
-        above[child] = element
-    link: str = tip
-    found: list[etree._Element] = []
-    while link in above and link != base and len(found) <= len(above):
-        found.append(above[link])
-        link = link_of(above[link], "parent", path)
-    if (base is not None and link != base) or (link in above and base is None):
-        raise MechanismError(f"{path}: no chain of joints leads from {base or 'a root'} to {tip!r}")
-    return tuple(
-        _weighed(read_joint(element, path), robot, link_of(element, "child", path), path)
-        for element in reversed(found)
-    )
-
-
-def _weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint:
+def weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint:
     """Return a joint with the mass of the link behind it, if its URDF says one.
 
     Raises:
@@ -161,25 +133,32 @@ def read_points(path: Path) -> dict[str, Joint]:
     return points
 
 
-def read_joint(element: etree._Element, path: Path) -> Joint:
-    """Return a <joint> of a URDF.
+def read_joint(element: etree._Element, path: Path, kind: str | None = None) -> Joint:
+    """Return a <joint> of a URDF; limits may be equal.
+
+    Args:
+        element: The element.
+        path: Its file.
+        kind: What it is read as; as its type says if not given.
 
     Raises:
-        MechanismError: of a type that a leg cannot have, or a number that is none.
+        MechanismError: of a type that a leg cannot have, a number that is none, or an element or
+            attribute that is not URDF's.
     """
     where = f"{path}, line {element.sourceline}"
-    name, kind = element.get("name"), element.get("type")
+    name, kind = element.get("name"), kind or element.get("type")
     if not name:
         raise MechanismError(f"{where}: a joint without a name")
+    _check_parts(element, f"{where}: joint {name!r}")
     if kind not in _KINDS:
         raise MechanismError(
             f"{where}: joint {name!r} is of type {kind!r}; a leg may have {', '.join(_KINDS)}"
         )
-    if element.find("mimic") is not None:
+    if element.find("mimic") is not None and kind != "fixed":
         raise MechanismError(f"{where}: joint {name!r} mimics another; a leg's joints are its own")
     placement = Placement(
         xyz=_triple(element.find("origin"), "xyz", where, (0.0, 0.0, 0.0)),
-        rpy=_triple(element.find("origin"), "rpy", where, (0.0, 0.0, 0.0)),
+        rpy=_turn(element, where),
     )
     if kind == "fixed":
         return Joint(name, "fixed", placement)
@@ -190,41 +169,66 @@ def read_joint(element: etree._Element, path: Path) -> Joint:
     if abs(norm - 1.0) > 1e-12:
         axis = axis / norm
     x, y, z = (float(v) for v in axis)
-    turns = kind == "continuous" or (kind == "revolute" and _unlimited(element))
-    lower, upper = (-np.inf, np.inf) if turns else _limits(element, name, where)
+    lower, upper = (-np.inf, np.inf) if kind == "continuous" else _limits(element, name, where)
     return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
 
 
-def more_than_a_turn(path: Path) -> tuple[str, ...]:
-    """Return the origins of a URDF whose rpy exceeds a full turn, with file and line: degrees?
+def _check_parts(element: etree._Element, where: str) -> None:
+    """Raise if a <joint> holds an element or attribute that might place it and is not read.
 
     Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: not well-formed, or a number that is none.
+        MechanismError: which one.
     """
-    found = []
-    for element in read_xml(path, "robot").iterfind("joint/origin"):
-        where = f"{path}, line {element.sourceline}"
-        rpy = _triple(element, "rpy", where, (0.0, 0.0, 0.0))
-        if np.abs(rpy).max() > 2 * np.pi:
-            found.append(f"{where}: rpy={element.get('rpy')!r}")
-    return tuple(found)
+    parts = [element, *(part for part in element if isinstance(part.tag, str))]
+    for part in parts:
+        tag = str(part.tag)
+        if tag in _PLACING_NOTHING and part is not element:
+            continue
+        if tag not in _PLACING or [one.tag for one in parts].count(tag) > 1:
+            raise MechanismError(
+                f"{where} has {'two' if tag in _PLACING else 'a'} <{tag}>; expected one each of "
+                f"{', '.join(sorted((_PLACING.keys() | _PLACING_NOTHING) - {'joint'}))}"
+            )
+        if odd := sorted(set(map(str, part.attrib)) - _PLACING[tag]):
+            raise MechanismError(
+                f"{where}: {odd[0]!r} of its <{tag}> is no attribute of URDF, and might place it; "
+                f"expected {', '.join(sorted(_PLACING[tag]))}"
+            )
 
 
-def _unlimited(element: etree._Element) -> bool:
-    """Return whether a <limit> says no range, as CAD exporters write for joints that may turn."""
-    limit = element.find("limit")
-    return limit is not None and limit.get("lower") is None and limit.get("upper") is None
+def _turn(element: etree._Element, where: str) -> Triple:
+    """Return roll, pitch and yaw of a joint's origin, whichever way they are written."""
+    origin = element.find("origin")
+    text = None if origin is None else origin.get("quat_xyzw")
+    if origin is None or text is None:
+        return _triple(origin, "rpy", where, (0.0, 0.0, 0.0))
+    robot = element.getparent()
+    version = "1.0" if robot is None else robot.get("version", "1.0")
+    if origin.get("rpy") is not None or version in ("1", "1.0"):
+        raise MechanismError(
+            f'{where}: quat_xyzw is URDF\'s from <robot version="1.1"> on, and without rpy beside '
+            "it; programs differ in what they make of this file"
+        )
+    numbers = [_number(word, where) for word in text.split()]
+    if len(numbers) != 4 or not any(numbers):
+        raise MechanismError(f"{where}: quat_xyzw={text!r} should hold four numbers, not all zero")
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(numbers).as_matrix()
+    return placement_of(matrix).rpy
 
 
 def _limits(element: etree._Element, name: str, where: str) -> tuple[float, float]:
+    """Return the ends of a joint's range; infinite ones where the file says none that counts."""
     limit = element.find("limit")
-    if limit is None:
-        raise MechanismError(f"{where}: joint {name!r} needs a <limit> with lower and upper")
-    lower, upper = (_number(limit.get(key, "0"), where) for key in ("lower", "upper"))
-    if not lower < upper:
+    if limit is None or (limit.get("lower") is None and limit.get("upper") is None):
+        return -np.inf, np.inf
+    lower, upper = (plain_number(limit.get(key, "0")) for key in ("lower", "upper"))
+    if max(abs(lower), abs(upper)) > LARGEST:
+        return -np.inf, np.inf
+    if not lower <= upper:
         raise MechanismError(
-            f"{where}: joint {name!r} has limits {lower:g} to {upper:g}; lower must be below upper"
+            f"{where}: joint {name!r} has limits {limit.get('lower', '0')!r} to "
+            f"{limit.get('upper', '0')!r}; expected numbers, lower below upper"
         )
     return lower, upper
 

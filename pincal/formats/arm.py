@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.files.urdf import read_path
+from pincal.formats.trees.tree import FREE, Edge, Tree
+from pincal.formats.trees.urdf import read_urdf
 from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.checks import must_be
+from pincal.model.consistency import identifiers
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -31,9 +33,38 @@ TOOL = "tool"
 def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
     """Return a serial arm from any URDF: see ``Mechanism.from_urdf``."""
     path = Path(must_be(path, (str, Path), "a URDF file", MechanismError))
-    joints = read_path(path, tip, base)
+    return replace(serial_arm(read_urdf(path), tip, base), name=re.sub(r"\W", "_", path.stem))
+
+
+def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
+    """Return the serial arm between two links of a tree; loops are left out.
+
+    Raises:
+        MechanismError: no such link, no chain of joints from base to tip, or a joint in it that an
+            arm cannot have.
+    """
+    link = tree.link(tip, "the tip")
+    foot = tree.root if base is None else tree.link(base, "the base")
+    carrying = {edge.child: edge for edge in tree.edges}
+    edges: list[Edge] = []
+    while link != foot and link in carrying:
+        edges.insert(0, carrying[link])
+        link = carrying[link].parent
+    if link != foot:
+        raise MechanismError(f"{tree.source}: no chain of joints leads from {base!r} to {tip!r}")
+    names = [edge.joint.name for edge in edges]
+    for i, name in enumerate(names):
+        stem = name.removesuffix(f"_{FREE[0]}")
+        if names[i : i + len(FREE)] == [f"{stem}_{end}" for end in FREE]:
+            floor = edges[i + len(FREE) - 1].child
+            raise MechanismError(
+                f"{tree.source}: joint {stem!r} lets link {floor!r} float, and an arm stands on a "
+                f"base; import it with --base {floor}"
+            )
+    tree.check_joints(names)
+    path, joints = Path(tree.source), tuple(edge.joint for edge in edges)
     try:
-        return arm(re.sub(r"\W", "_", path.stem), joints, f"Serial arm to {tip} of {path.name}.")
+        return arm(re.sub(r"\W", "_", tree.name), joints, f"Serial arm to {tip} of {path.name}.")
     except MechanismError as error:
         raise MechanismError(f"{path}: {error}") from error
 
@@ -54,6 +85,9 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         raise MechanismError(f"{name}: no joint moves")
     if joints[-1].kind != "fixed":
         joints = (*joints, Joint("tip", "fixed"))
+    names = identifiers((TOOL, *(joint.name for joint in moving)))[1:]
+    stems = [name.removesuffix("_joint") for name in names]
+    stem_of = dict(zip(moving, names if len(set(stems)) < len(stems) else stems, strict=True))
     parameters: dict[str, float] = {}
     placed = []
     for joint in joints:
@@ -61,10 +95,8 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         if joint.kind == "fixed" and not last:
             placed.append(joint)
             continue
-        stem = TOOL if last else re.sub(r"\W", "_", joint.name).removesuffix("_joint")
+        stem = TOOL if last else stem_of[joint]
         own = {f"{stem}_{axis}": 0.0 for axis in _AXES}
-        if set(own) & set(parameters):
-            raise MechanismError(f"{name}: joint names alike: {stem!r} names two of them")
         parameters |= own
         steps = tuple(Coordinate(axis, (name,)) for axis, name in zip(_AXES, own, strict=True))
         xyz = zip("xyz", joint.placement.xyz, strict=True)
@@ -76,7 +108,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         joints=tuple(placed),
         sensors=tuple(Sensor(joint.name) for joint in moving),
         parameters=tuple(parameters.items()),
-        point=Joint(TOOL, "fixed"),
+        point=Joint(identifiers((*(joint.name for joint in placed), TOOL))[-1], "fixed"),
         tip="tip",
         closes="frame",
     )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import unicodedata
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +25,25 @@ Array = NDArray[np.float64]
 RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
     name for names, _ in WAYS.values() for name in names
 }
+
+
+def identifiers(names: Iterable[str]) -> tuple[str, ...]:
+    """Return names of ASCII letters, digits and underscores for joints, no two alike.
+
+    They head columns and stand in code; what a joint is called in a file stays its own name.
+    """
+    taken: list[str] = []
+    for name in names:
+        plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+        plain = re.sub(r"\W", "_", plain)[:50]
+        if not re.match("[A-Za-z_]", plain) or plain in RESERVED or plain.startswith("sigma_"):
+            plain = f"joint_{plain}"
+        count, unlike = 1, plain
+        while unlike in taken:
+            count += 1
+            unlike = f"{plain}_{count}"
+        taken.append(unlike)
+    return tuple(taken)
 
 
 def check_leg(leg: Leg) -> None:
@@ -52,11 +73,6 @@ def check_leg(leg: Leg) -> None:
         raise MechanismError(
             f"{leg.name}: its sensors read {', '.join(read) or 'nothing'}; expected one "
             "sensor or more, each of another joint"
-        )
-    if odd := [name for name in read if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]:
-        raise MechanismError(
-            f"{leg.name}: joint {odd[0]!r} is read, but its name cannot head a column; "
-            "expected letters, digits and underscores. Rename it in the URDF"
         )
     check_terms(leg, leg.placed)
     used = set(leg.units)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.checks import must_be, number_of
-from pincal.model.consistency import check_leg
+from pincal.model.consistency import check_leg, identifiers
 from pincal.model.joint import Joint
 from pincal.model.overview import counted, one_line
 from pincal.model.parameter import listed
@@ -138,7 +138,7 @@ class Leg:
         """Names of the readings: the leg's, or of several sensors their joints'."""
         if len(self.sensors) == 1:
             return (self.name,)
-        return tuple(sensor.joint for sensor in self.sensors)
+        return identifiers(sensor.joint for sensor in self.sensors)
 
     @cached_property
     def influences(self) -> tuple[str, ...]:

@@ -17,8 +17,7 @@ from pincal.files.mechanism_writing import YAML, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.tables.measurement_writing import write_measurements
 from pincal.files.tables.measurements import read_poses
-from pincal.files.urdf import more_than_a_turn
-from pincal.formats.arm import load_arm
+from pincal.formats.arm import serial_arm
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.klipper import read_klipper
 from pincal.formats.printers.reprap import read_reprap
@@ -26,7 +25,7 @@ from pincal.formats.trees.closed import closed_mechanism
 from pincal.formats.trees.drawn import closing_in_words
 from pincal.formats.trees.loops_yaml import loops_beside, read_loops
 from pincal.formats.trees.mjcf import read_mjcf
-from pincal.formats.trees.serial import serial_arm
+from pincal.formats.trees.urdf import XACRO, read_urdf
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Measurements
@@ -36,7 +35,7 @@ PROBING = "probing.csv"
 TREES = ("urdf", "mjcf")
 _LARGE = 20.0  # [m]
 #: Whose file it is.
-Neighbour = Literal["urdf", "mjcf", "klipper", "reprap", "figaroh"]
+Neighbour = Literal["urdf", "mjcf", "klipper", "reprap", "marlin", "figaroh"]
 SUFFIXES: dict[str, Neighbour] = {
     ".cfg": "klipper",
     ".conf": "klipper",
@@ -45,6 +44,12 @@ SUFFIXES: dict[str, Neighbour] = {
     ".urdf": "urdf",
     ".xml": "mjcf",
     ".mjcf": "mjcf",
+}
+#: What a file is that must become another one before it is read.
+_OTHER = {
+    ".sdf": "SDF, which is not read; import the URDF that it was made from, or make one (sdf2urdf "
+    "of sdformat_tools)",
+    ".xacro": f"a file of macros, which xacro expands to URDF: {XACRO}",
 }
 
 
@@ -117,10 +122,10 @@ def import_(
     with connect and weld and actuators, becomes a mechanism folder: legs, platform and drives are
     found, and each joint's place on its link gets parameters. With --tip a serial arm.
 
-    A delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware, become a mechanism
-    folder. Heights that DELTA_CALIBRATE saved, or points given by --probed, are written into it
-    as probing.csv: readings are the ways of the carriages down from their endstops. Calibrate with
-    'pincal calibrate OUT OUT/probing.csv'.
+    A delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware or Marlin, become a
+    mechanism folder. Heights that DELTA_CALIBRATE saved, or points given by --probed, are written
+    into it as probing.csv: readings are the ways of the carriages down from their endstops.
+    Calibrate with 'pincal calibrate OUT OUT/probing.csv'.
     """
     if file.is_dir():
         known = sorted(one.name for one in file.iterdir() if one.suffix.lower() in SUFFIXES)
@@ -128,7 +133,9 @@ def import_(
             f"{file} is a folder; name the file to read"
             f"{f', such as {file / known[0]}' if known else ''}"
         )
-    whose = how.form or SUFFIXES.get(file.suffix.lower(), "figaroh")
+    if (suffix := file.suffix.lower()) in _OTHER and how.form is None:
+        raise FileError(f"{file} is {_OTHER[suffix]}")
+    whose = how.form or SUFFIXES.get(suffix, "figaroh")
     for_trees = {"--loops": how.loops, "--platform": how.platform, "--tip": how.tip}
     for_trees["--base"] = how.base
     if whose in TREES:
@@ -143,20 +150,22 @@ def import_(
         return
     if how.mech is not None:
         raise MechanismError(f"{file} describes its own mechanism; leave out --mech {how.mech}")
-    _import_printer(file, output, whose, how.probed, force=force)
+    _import_printer(file, output, whose, how, force=force)
 
 
 def _import_printer(
-    file: Path, output: Path, whose: str, probed: Path | None, *, force: bool
+    file: Path, output: Path, whose: Neighbour, how: ImportOptions, *, force: bool
 ) -> None:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
+    probed = how.probed
     refuse_existing(output, force=force, folder=YAML)
     if whose == "klipper":
         config = read_klipper(file)
         printer, remarks = config.printer, config.remarks
         heights, readings = config.heights, config.readings
     else:
-        printer, remarks = read_reprap(file), ()
+        firmware = how.form if how.form == "reprap" or how.form == "marlin" else None
+        printer, remarks = read_reprap(file, firmware), ()
         heights, readings = np.empty(0), np.empty((0, 3))
     name = re.sub(r"\W+", "_", output.absolute().name) or "printer"
     mechanism = printer.mechanism(name, f"Linear delta of {file.name}.")
@@ -232,10 +241,10 @@ def _import_tree(file: Path, output: Path, whose: str, how: ImportOptions, *, fo
         raise MechanismError("--tip is for serial arms, --platform and --loops for closed loops")
     if whose == "mjcf" and loops is not None:
         raise MechanismError("--loops goes with URDF; MJCF holds its loops in <equality>")
-    remarks: tuple[str, ...] = _turned(file) if whose == "urdf" else ()
+    remarks: tuple[str, ...] = ()
     if tip is not None:
-        serial = whose == "urdf"
-        found = load_arm(file, tip, base) if serial else serial_arm(read_mjcf(file), tip, base)
+        tree = read_urdf(file) if whose == "urdf" else read_mjcf(file)
+        found = serial_arm(tree, tip, base)
     else:
         yaml = None if whose == "mjcf" else loops or loops_beside(file)
         tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
@@ -248,6 +257,9 @@ def _import_tree(file: Path, output: Path, whose: str, how: ImportOptions, *, fo
         else:
             stdout.print(words, markup=False, soft_wrap=True)
         remarks += more
+    absent = {edge.joint.name for edge in tree.edges}
+    absent -= {joint.name for leg in found.legs for joint in leg.joints}
+    remarks += tuple(said for name, said in tree.remarks.items() if name not in absent)
     remarks += _huge(found)
     name = re.sub(r"\W+", "_", output.absolute().name).strip("_") or found.name
     save_mechanism(replace(found, name=name), output, force=force)
@@ -255,15 +267,6 @@ def _import_tree(file: Path, output: Path, whose: str, how: ImportOptions, *, fo
     for text in remarks:
         warn(text)
     wrote(output)
-
-
-def _turned(file: Path) -> tuple[str, ...]:
-    """Return what to say of origins that are turned by more than a full turn."""
-    turned = more_than_a_turn(file)
-    if not turned:
-        return ()
-    more = f" (and {len(turned) - 1} more)" if len(turned) > 1 else ""
-    return (f"{turned[0]}{more} is more than a turn: radians are expected; is this degrees?",)
 
 
 def _huge(mechanism: Mechanism) -> tuple[str, ...]:

@@ -14,13 +14,14 @@ from pathlib import Path
 from xml.parsers import expat
 
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.files.urdf import link_of, read_joint
+from pincal.files.urdf import link_of
 from pincal.files.xml import read_xml
 from pincal.formats.trees.tree import listed
+from pincal.formats.trees.urdf import read_urdf
 from pincal.model.checks import ROUNDING
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
@@ -77,19 +78,19 @@ class _Urdf:
         self.joints: dict[str, Joint] = {}
         self.parents: dict[str, str] = {}
         self._children: dict[str, str] = {}
+        joints = {edge.joint.name: edge.joint for edge in read_urdf(path).edges}
         for element in read_xml(path, "robot").findall("joint"):
-            if element.get("type") in ("floating", "planar"):
-                continue  # nothing to calibrate
-            joint = read_joint(_without_mimic(element), path)
-            self.joints[joint.name] = joint
-            self.parents[joint.name] = link_of(element, "parent", path)
-            self._children[joint.name] = link_of(element, "child", path)
+            name = str(element.get("name"))
+            if name in joints:  # those of links that float are not: nothing to calibrate
+                self.joints[name] = joints[name]
+                self.parents[name] = link_of(element, "parent", path)
+                self._children[name] = link_of(element, "child", path)
 
     def named(self, name: str) -> str | None:
         """Return the joint that a joint of the mechanism is, or is an axis of; None if none."""
         if name in self.joints:
             return name
-        stem = re.sub(r"_[xyz]$", "", name)
+        stem = re.sub(r"_([xyz]|at)$", "", name)
         return stem if stem in self.joints else None
 
     def before(self, name: str) -> str | None:
@@ -106,12 +107,6 @@ class _Urdf:
         """Return whether a joint's origin is another one in the URDF."""
         change = placement.origin() - self.joints[name].placement.origin()
         return bool(np.abs(change).max() > ROUNDING)
-
-
-def _without_mimic(element: etree._Element) -> etree._Element:
-    for one in element.findall("mimic"):
-        element.remove(one)
-    return element
 
 
 def _legs_of(urdf: _Urdf, mechanism: Mechanism, name: str | None) -> list[Leg]:
@@ -199,7 +194,7 @@ def _of_point(urdf: _Urdf, leg: Leg) -> tuple[dict[str, Placement], Array | None
     last = leg.joints[-1]
     tip = urdf.named(last.name)
     if leg.closes == "frame":
-        if tip is not None:
+        if last.name in urdf.joints:
             return {}, None
         shift = last.placement.origin()
         return {}, None if _is_nothing(shift) else shift
@@ -279,7 +274,10 @@ def _tag_length(text: bytes) -> int:
 
 def _with_origin(tag: bytes, placement: Placement) -> bytes:
     """Return the start tag of an <origin> with another place, its other bytes kept."""
-    for key, values in (("xyz", placement.xyz), ("rpy", placement.rpy)):
+    turn: tuple[str, Iterable[float]] = ("rpy", placement.rpy)
+    if re.search(rb"\squat_xyzw\s*=", tag):
+        turn = ("quat_xyzw", Rotation.from_matrix(placement.origin()[:3, :3]).as_quat())
+    for key, values in (("xyz", placement.xyz), turn):
         numbers = " ".join(repr(float(v) + 0.0) for v in values).encode()
         pattern = rb"(\s" + key.encode() + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')"
         if re.search(pattern, tag):

@@ -22,6 +22,7 @@ from pincal.formats.trees.limbs import Limb, limb, point_platform, poses_at_zero
 from pincal.formats.trees.tree import Tree, listed
 from pincal.kinematics.assembly import assembled, independent
 from pincal.model.checks import EXACT
+from pincal.model.consistency import identifiers
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -201,7 +202,7 @@ def _leg_names(limbs: tuple[Limb, ...]) -> list[str]:
         if any(len(name) > len(stem) and name[len(stem)] not in "_-./ " for name in own):
             stem = re.sub(r"[^_\-./ ]*$", "", stem)
         names.append(re.sub(r"\W", "_", stem).strip("_"))
-    if len(set(names)) == len(names) and all(names) and "platform" not in names:
+    if identifiers(names) == tuple(names) and "platform" not in names:
         return names
     return [f"leg_{index + 1}" for index in range(len(limbs))]
 
@@ -222,7 +223,8 @@ def _stems(names: list[str], limbs: tuple[Limb, ...]) -> list[list[str]]:
         own = [joint.name.removeprefix(name) for joint in one.joints if joint.kind != "fixed"]
         stems.append([re.sub(r"\W", "_", s).strip("_").removesuffix("_joint") for s in own])
     first = stems[0]
-    if all(own == first for own in stems) and all(first) and len(set(first)) == len(first):
+    plain = all(stem.isidentifier() and stem.isascii() for stem in first)
+    if all(own == first for own in stems) and plain and len(set(first)) == len(first):
         return stems
     return [[f"joint_{index + 1}" for index in range(len(own))] for own in stems]
 

@@ -10,21 +10,19 @@ positions in the configuration that is drawn. Source: github.com/Gepetto/example
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from copy import deepcopy
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from lxml import etree
 from pydantic import BaseModel, ConfigDict, Field
 
 from pincal.errors import FileError, MechanismError
 from pincal.files.strict import Number
-from pincal.files.urdf import link_of, read_joint
 from pincal.files.xml import read_xml
 from pincal.files.yaml_reading import meant, read_yaml
-from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns
+from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, listed
+from pincal.formats.trees.urdf import read_urdf
 
 _TURNED = {"SPHERICAL": "xyz", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 
@@ -78,24 +76,18 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
                 f"{loops}: {len(one)} entries of {first!r}, but {len(other)} of {second!r}; each "
                 "needs one"
             )
-    replaced = dict(zip(spec.joint_name, spec.joint_type, strict=True))
-    robot = read_xml(urdf, "robot")
-    edges: tuple[Edge, ...] = ()
-    names: list[str] = []
-    for element in robot.findall("joint"):
-        parent, child = link_of(element, "parent", urdf), link_of(element, "child", urdf)
-        names.append(str(element.get("name")))
-        edges += _edges(element, parent, child, urdf, replaced)
+    axes = [_TURNED.get(kind, "") for kind in spec.joint_type]
+    tree = read_urdf(urdf, dict(zip(spec.joint_name, axes, strict=True)))
+    names = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
     _known(spec.joint_name, names, "joint_name", loops, urdf)
-    _known(spec.home, [edge.joint.name for edge in edges], "home", loops, urdf)
-    links = tuple(str(link.get("name")) for link in robot.findall("link"))
-    root = root_of(edges, links, str(urdf))
-    tree = Tree(
-        name=str(robot.get("name") or urdf.stem),
-        source=str(urdf),
-        root=root,
+    _known(spec.home, [edge.joint.name for edge in tree.edges], "home", loops, urdf)
+    edges = tuple(
+        replace(edge, joint=replace(edge.joint, mass=0.0, centre=(0.0, 0.0, 0.0)))
+        for edge in tree.edges  # frames of legs with loops are turned, centres of mass are not
+    )
+    tree = replace(
+        tree,
         edges=at_home(edges, spec.home),
-        loops=(),
         active=_motors(spec.name_mot, edges, loops, urdf),
         platform=spec.platform,
         homed=bool(spec.home),
@@ -113,20 +105,6 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         for pair, kind in zip(spec.closed_loop, kinds, strict=True)
     )
     return replace(tree, loops=closed)
-
-
-def _edges(
-    element: etree._Element, parent: str, child: str, urdf: Path, replaced: Mapping[str, str]
-) -> tuple[Edge, ...]:
-    """Return the edges that a <joint> means."""
-    name, floating = str(element.get("name")), element.get("type") == "floating"
-    axes = "XYZxyz" if floating else _TURNED.get(replaced.get(name, ""), "")
-    if not axes and name not in replaced:
-        return (Edge(read_joint(element, urdf), parent, child),)
-    still = deepcopy(element)
-    still.set("type", "fixed")
-    placed = read_joint(still, urdf)
-    return turns(placed, parent, child, axes) if axes else (Edge(placed, parent, child),)
 
 
 def _motors(wanted: list[str], edges: tuple[Edge, ...], loops: Path, urdf: Path) -> tuple[str, ...]:

@@ -14,6 +14,8 @@ from pincal.model.leg import Closing
 from pincal.model.placement import Placement
 
 Array = NDArray[np.float64]
+#: Ends of the names of the six freedoms of a link that floats, in order (see ``turns``).
+FREE = ("px", "py", "pz", "x", "y", "z")
 
 
 @dataclass(frozen=True)

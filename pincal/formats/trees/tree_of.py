@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.formats.trees.tree import Edge, Loop, Spot, Tree, at_home, turns
+from pincal.formats.trees.tree import FREE, Edge, Loop, Spot, Tree, at_home, turns
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.legs.closure import LegClosure
 from pincal.model.joint import Joint
@@ -82,7 +82,7 @@ def _floating(mechanism: Mechanism) -> tuple[Edge, ...]:
     edges = turns(Joint(PLATFORM, "fixed"), BASE, PLATFORM, freedoms)
     at = platform.home_pose.as_matrix()[0]
     x, y, z = turns_in_series(at[None, :3, :3])[0]
-    values = dict(zip(("px", "py", "pz", "x", "y", "z"), (*at[:3, 3], x, y, z), strict=True))
+    values = dict(zip(FREE, (*at[:3, 3], x, y, z), strict=True))
     reach = sum(LegClosure(leg, platform).reach for leg in mechanism.legs)
     limited = tuple(
         replace(edge, joint=replace(edge.joint, lower=-reach, upper=reach))

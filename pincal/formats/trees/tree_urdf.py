@@ -6,7 +6,7 @@ import numpy as np
 import yaml
 from lxml import etree
 
-from pincal.formats.trees.tree import Edge, Tree
+from pincal.formats.trees.tree import FREE, Edge, Tree
 
 
 def loops_urdf(tree: Tree) -> str:
@@ -48,7 +48,7 @@ def loops_yaml(tree: Tree) -> str:
 def _free(tree: Tree) -> tuple[Edge, ...]:
     """Return the joints of a platform with six freedoms, none for another."""
     free = tree.edges[:6]
-    names = [f"{tree.platform}_{end}" for end in ("px", "py", "pz", "x", "y", "z")]
+    names = [f"{tree.platform}_{end}" for end in FREE]
     return free if [edge.joint.name for edge in free] == names else ()
 
 

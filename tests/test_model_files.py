@@ -1,0 +1,265 @@
+"""Random URDF and MJCF files: what is imported moves as Pinocchio and MuJoCo move it.
+
+Files have odd names, rounded numbers, frames, includes, defaults, references, quaternions with
+zeros, joints off the path, couplings, and elements that place nothing. A file is imported right or
+refused with a reason that is listed; none is imported wrong.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincal
+from pincal.errors import MechanismError
+from pincal.files.mechanism_folders import load_mechanism, save_mechanism
+from pincal.formats.arm import serial_arm
+from pincal.formats.trees.mjcf import read_mjcf
+from pincal.formats.trees.urdf import read_urdf
+
+NAMES = ("Revolute 1", "joint.{}", "arm-joint-{}", "gelenk_ä{}", "{}_joint", "x", "roll", "J{}/a")
+QUARTER_TURNS = (0.0, np.pi / 2, -np.pi / 2, np.pi)
+
+
+class Numbers:
+    """Numbers as files have them: rounded to a few digits, often zero, often quarter turns."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.digits = int(self.rng.integers(4, 18))
+
+    def chance(self, probability: float = 0.5) -> bool:
+        """Return whether something of a probability is so."""
+        return bool(self.rng.random() < probability)
+
+    def text(self, values: object) -> str:
+        """Return numbers with the file's digits."""
+        return " ".join(f"{float(v):.{self.digits}g}" for v in np.atleast_1d(values))  # type: ignore[arg-type]
+
+    def triple(self) -> str:
+        """Return a position, some of it zero."""
+        values = self.rng.uniform(-0.5, 0.5, 3) * (self.rng.random(3) < 0.7)
+        return self.text(values)
+
+    def angles(self) -> str:
+        """Return three angles, often quarter turns."""
+        if self.chance():
+            return self.text(self.rng.choice(QUARTER_TURNS, 3))
+        return self.text(self.rng.uniform(-3, 3, 3))
+
+    def quaternion(self) -> str:
+        """Return a quaternion of any length, some of it zero."""
+        values = self.rng.normal(size=4) * (self.rng.random(4) < 0.6)
+        return self.text(values if values.any() else (0, 1, 0, 0))
+
+    def axis(self) -> str:
+        """Return an axis, often one of a frame, of any length."""
+        if self.chance(0.7):
+            return self.text(self.rng.choice((-1.0, 1.0)) * np.eye(3)[self.rng.integers(3)])
+        return self.text(self.rng.normal(size=3))
+
+    def name(self, index: int) -> str:
+        """Return a joint's name, often one that is no identifier."""
+        pattern = str(self.rng.choice(NAMES)) if self.chance() else "joint_{}"
+        return pattern.format(index) if "{}" in pattern else f"{pattern}{index * (index > 1) or ''}"
+
+
+def random_urdf(seed: int) -> tuple[str, list[str]]:
+    """Return a URDF whose tip is link 'tool', and the names of the joints that move it."""
+    numbers = Numbers(seed)
+    version = 'version="1.1"' if numbers.chance() else ""
+    links, joints, moving = ["base"], [], []
+
+    def add(name: str, kind: str, parent: str, child: str, rest: str = "") -> None:
+        turn = f'rpy="{numbers.angles()}"'
+        if version and numbers.chance(0.4):
+            turn = f'quat_xyzw="{numbers.quaternion()}"'
+        place = f'<origin xyz="{numbers.triple()}" {turn * numbers.chance(0.8)}/>'
+        axis = f'<axis xyz="{numbers.axis()}"/>' if numbers.chance(0.9) else ""
+        joints.append(
+            f'<joint name="{name}" type="{kind}">{place * numbers.chance(0.9)}'
+            f'<parent link="{parent}"/><child link="{child}"/>{axis}{rest}</joint>'
+        )
+        links.append(child)
+
+    limits = ('lower="-3" upper="3" ', "", 'lower="-1e16" upper="1e16" ', 'lower="0" upper="0" ')
+    count = int(numbers.rng.integers(1, 7))
+    for i in range(1, count + 1):
+        link = f"link {i}"
+        kind = str(numbers.rng.choice(["revolute", "continuous", "prismatic", "fixed"]))
+        limit = str(numbers.rng.choice(limits, p=[0.7, 0.1, 0.1, 0.1]))
+        kind, limit = ("revolute", limits[0]) if i == count and not moving else (kind, limit)
+        name = numbers.name(i)
+        rest = f'<limit {limit}effort="1" velocity="1"/>' if kind != "continuous" else ""
+        rest += '<dynamics damping="1"/>' * numbers.chance(0.2)
+        rest += '<calibration rising="0.1"/>' * numbers.chance(0.1)
+        add(name, kind, links[-1] if i > 1 else "base", link, rest)
+        if kind != "fixed" and (limit != limits[3] or kind == "continuous"):
+            moving.append(name)
+    last = links[-1]
+    add("mount", "fixed", last, "tool")
+    if numbers.chance():
+        finger = '<limit lower="0" upper="0.1" effort="1" velocity="1"/>'
+        add("finger_a", "prismatic", "tool", "fa", finger)
+        add("finger_b", "prismatic", "tool", "fb", f'<mimic joint="finger_a"/>{finger}')
+        add("trailer", "floating", last, "loose")
+    text = "".join(f'<link name="{link}"/>' for link in links) + "".join(joints)
+    text += '<transmission name="t"/><gazebo/>' * numbers.chance(0.3)
+    return f'<?xml version="1.0"?><robot name="r" {version}>{text}</robot>', moving
+
+
+def random_mjcf(seed: int, folder: Path) -> Path:
+    """Write an MJCF file whose tip is site or body 'tool', with an included one beside it."""
+    numbers = Numbers(seed)
+    rng = numbers.rng
+    degrees = numbers.chance()
+
+    def place() -> str:
+        angles = rng.uniform(-3, 3, 3)
+        if degrees:
+            angles = np.degrees(rng.choice(QUARTER_TURNS, 3))
+        turn = rng.choice(["quat", "euler", "axisangle", "xyaxes", "zaxis", ""])
+        said = {
+            "quat": f'quat="{numbers.quaternion()}"',
+            "euler": f'euler="{numbers.text(angles)}"',
+            "axisangle": f'axisangle="{numbers.axis()} {numbers.text(rng.uniform(-3, 3))}"',
+            "xyaxes": f'xyaxes="{numbers.text(rng.normal(size=6))}"',
+            "zaxis": f'zaxis="{numbers.axis()}"',
+            "": "",
+        }[str(turn)]
+        return f'pos="{numbers.triple()}" {said}'
+
+    def joint(index: int) -> str:
+        kind = str(rng.choice(["hinge", "hinge", "slide"]))
+        ranges = f'range="{"-90 90" if degrees else "-1.5 1.5"}"' * numbers.chance()
+        ref = f'ref="{numbers.text(rng.uniform(-0.4, 0.4))}"' * numbers.chance(0.3)
+        at = f'pos="{numbers.triple()}"' * numbers.chance()
+        axis = f'axis="{numbers.axis()}"' * numbers.chance(0.7)
+        of = 'class="lift"' * numbers.chance(0.2) or f'type="{kind}"'
+        text = f'<joint name="{numbers.name(index)}" {of} {axis} {at} {ranges} {ref}/>'
+        return f"<frame {place()}>{text}</frame>" if numbers.chance(0.2) else text
+
+    count, inner = int(rng.integers(1, 5)), ""
+    inner = f'<body name="hand" {place()}><site name="tool" {place()}/>'
+    inner += '<body name="f"><joint name="f1" type="slide" range="0 1"/><geom size=".01"/></body>'
+    inner += '<body name="g"><joint name="f2" type="slide" range="0 1"/><geom size=".01"/></body>'
+    inner += "</body>"
+    index, shape = 1, '<geom type="mesh" mesh="m"/>'
+    for i in range(count, 0, -1):
+        joints = ""
+        for _ in range(int(rng.integers(1, 3))):
+            joints += joint(index)
+            index += 1
+        own = 'childclass="turned"' * numbers.chance(0.2)
+        body = f'<body name="b{i}" {place()} {own}>{joints}{shape}{inner}</body>'
+        inner = f"<frame {place()}>{body}</frame>" if numbers.chance(0.3) else body
+    sequence = "".join(rng.choice(list("xyzXYZ"), 3))
+    (folder / "defaults.xml").write_text(
+        "<mujocoinclude><default><default class='lift'><joint type='slide' axis='0 1 2'/></default>"
+        "<default class='turned'><joint axis='1 1 0'/></default></default></mujocoinclude>"
+    )
+    file = folder / "robot.xml"
+    file.write_text(
+        f'<mujoco model="m"><compiler angle="{"degree" if degrees else "radian"}" '
+        f'eulerseq="{sequence}"/><include file="defaults.xml"/>'
+        '<asset><mesh name="m" file="absent.stl"/></asset>'
+        f'<worldbody><body name="other"><freejoint/><geom size=".1"/></body>{inner}</worldbody>'
+        '<equality><joint joint1="f1" joint2="f2"/></equality></mujoco>'
+    )
+    return file
+
+
+def moved(arm: pincal.Mechanism, folder: Path, q: np.ndarray) -> np.ndarray:
+    """Return the tip of an arm that was saved and loaded, shape (N, 4, 4)."""
+    again = load_mechanism(save_mechanism(arm, folder))
+    return again.platform.transforms(pincal.forward(again, q).poses).as_matrix()
+
+
+def check_urdf(seed: int, folder: Path) -> None:
+    """Compare one URDF with Pinocchio; raise if pincal refuses it."""
+    text, moving = random_urdf(seed)
+    file = folder / "robot.urdf"
+    file.write_text(text, encoding="utf-8")
+    arm = serial_arm(read_urdf(file), "tool")
+    joints = [joint.name for joint in arm.legs[0].moving]
+    assert joints == moving
+    model = pin.buildModelFromUrdf(str(file))
+    data = model.createData()
+    q = np.random.default_rng(seed).uniform(-1, 1, (3, len(moving)))
+    found = moved(arm, folder / "arm", q)
+    for row, T in zip(q, found, strict=True):
+        full = pin.neutral(model)
+        for name, value in zip(moving, row, strict=True):
+            entry = model.joints[model.getJointId(name)]
+            turn = (np.cos(value), np.sin(value))
+            full[entry.idx_q : entry.idx_q + entry.nq] = value if entry.nq == 1 else turn
+        pin.framesForwardKinematics(model, data, full)
+        expected = data.oMf[model.getFrameId("tool")].homogeneous
+        np.testing.assert_allclose(T, expected, atol=1e-9)
+
+
+def check_mjcf(seed: int, folder: Path) -> None:
+    """Compare one MJCF file with MuJoCo; raise if pincal refuses it."""
+    file = random_mjcf(seed, folder)
+    arm = serial_arm(read_mjcf(file), "tool")
+    spec = mujoco.MjSpec.from_file(str(file))
+    for mesh in spec.meshes:
+        mesh.make_sphere(1)
+        mesh.file = ""
+    model = spec.compile()
+    names = [joint.name for joint in arm.legs[0].moving]
+    above = model.site("tool").bodyid[0]
+    ways = set()
+    while above:
+        ways.add(int(above))
+        above = model.body_parentid[above]
+    assert names == [model.joint(i).name for i in range(model.njnt) if model.jnt_bodyid[i] in ways]
+    data = mujoco.MjData(model)
+    q = np.random.default_rng(seed).uniform(-1, 1, (3, len(names)))
+    found = moved(arm, folder / "arm", q)
+    for row, T in zip(q, found, strict=True):
+        data.qpos[:] = model.qpos0
+        for name, value in zip(names, row, strict=True):
+            data.qpos[model.joint(name).qposadr[0]] += value
+        mujoco.mj_kinematics(model, data)
+        site = data.site("tool")
+        np.testing.assert_allclose(T[:3, 3], site.xpos, atol=1e-9)
+        np.testing.assert_allclose(T[:3, :3], site.xmat.reshape(3, 3), atol=1e-9)
+
+
+CHECKS = {"urdf": check_urdf, "mjcf": check_mjcf}
+
+
+def refusals(form: str, seeds: range, folder: Path) -> Counter[str]:
+    """Return how many files are refused, by reason; the others are imported right."""
+    reasons: Counter[str] = Counter()
+    for seed in seeds:
+        place = folder / str(seed)
+        place.mkdir()
+        try:
+            CHECKS[form](seed, place)
+        except MechanismError as error:
+            reasons[str(error)] += 1
+        except AssertionError as error:
+            raise AssertionError(f"seed {seed}: {error}") from error
+    return reasons
+
+
+@pytest.mark.filterwarnings("ignore:Inertia matrix")
+@pytest.mark.parametrize("form", CHECKS)
+def test_random_files_move_as_their_own_readers_move_them(form: str, tmp_path: Path) -> None:
+    """Of 60 random files each is imported as Pinocchio or MuJoCo has it, to 1e-9, none refused."""
+    assert refusals(form, range(60), tmp_path) == Counter()
+
+
+@pytest.mark.filterwarnings("ignore:Inertia matrix")
+@pytest.mark.fuzz
+@pytest.mark.parametrize("form", CHECKS)
+def test_many_random_files_move_as_their_own_readers_move_them(form: str, tmp_path: Path) -> None:
+    """Of 2,000 random files each is imported as Pinocchio or MuJoCo has it, none refused."""
+    assert refusals(form, range(60, 2060), tmp_path) == Counter()
