@@ -50,9 +50,9 @@ from .symmetry.detect import symmetry_group
 from .symmetry.elements import Element, cyclic, dihedral
 from .symmetry.generate import generate
 from .workspace.articular import articular_symmetry
+from .workspace.axes import Orientations
 from .workspace.criteria import Margins
 from .workspace.inscribed import Inscribed, largest_inscribed
-from .workspace.orientations import Orientations
 from .workspace.positions import Grid
 from .workspace.region import Workspace, compute_workspace
 from .workspace.sampling import sample_configurations, sample_workspace

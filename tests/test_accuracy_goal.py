@@ -12,11 +12,10 @@ from marks import slow_or_fuzz
 from measured import workspace
 
 import pincal
-from pincal.design.selection.accuracy_bound import accurate_design
-from pincal.design.selection.certificate import continuous_design
-from pincal.design.selection.criteria import Determinant, MeanVariance, grams
-from pincal.design.selection.exchange import exchange
-from pincal.design.selection.search import accurate
+from pincal.design.certificate import continuous_design
+from pincal.design.criteria import Determinant, MeanVariance, grams
+from pincal.design.exchange import accurate_design, exchange
+from pincal.design.search import accurate
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 

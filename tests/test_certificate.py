@@ -10,12 +10,14 @@ import pytest
 from measured import workspace
 
 import pincal
+from pincal.design import certificate
+from pincal.design import criteria as candidates
+from pincal.design import search as leg_rows
+from pincal.design.certificate import continuous_design, least_share
+from pincal.design.criteria import squares
+from pincal.design.exchange import exchange
 from pincal.design.information import leg_rows as leg_rows_of
-from pincal.design.selection import candidates, certificate, leg_rows
-from pincal.design.selection.candidates import squares
-from pincal.design.selection.certificate import continuous_design, least_share
-from pincal.design.selection.exchange import exchange
-from pincal.design.selection.leg_rows import LegRows, held
+from pincal.design.search import LegRows, held
 from pincal.kinematics.derivatives import leg_demand
 
 

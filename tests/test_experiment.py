@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal.design.certificate import continuous_design
+from pincal.design.exchange import exchange
 from pincal.design.information import leg_whitener
-from pincal.design.selection.certificate import continuous_design
-from pincal.design.selection.exchange import exchange
 from pincal.estimation.observability.indices import identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import leg_demand
 from pincal.workspace.criteria import in_workspace

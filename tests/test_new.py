@@ -17,7 +17,7 @@ from data_sheets import FORMS, wrapped
 from marks import quick, some_slow
 
 import pincal
-from pincal.architectures.arms import dh_joints
+from pincal.architectures.built import dh_joints
 from pincal.architectures.new import ARCHITECTURES, architecture_of
 
 PAGE = Path(__file__).parents[1] / "docs" / "your_mechanism.md"

@@ -12,9 +12,8 @@ from moved import moved, random_motion
 
 import pincal
 from pincal.design.information import leg_whitener
-from pincal.design.selection.distinct import distinct
-from pincal.design.selection.leg_rows import LegRows
-from pincal.design.selection.orbits import (
+from pincal.design.orbits import (
+    distinct,
     leg_orbits,
     maps,
     merged,
@@ -23,6 +22,7 @@ from pincal.design.selection.orbits import (
     selection_group,
     smallest,
 )
+from pincal.design.search import LegRows
 from pincal.estimation.observability.indices import indices
 from pincal.kinematics.derivatives import leg_demand
 
@@ -247,7 +247,7 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
 
     log det is concave, and the group turns each leg's information into another's.
     """
-    from pincal.design.selection.certificate import continuous_design
+    from pincal.design.certificate import continuous_design
     from pincal.kinematics.batches import block_diagonal
 
     mechanism = pincal.load_mechanism("3RRR")

@@ -23,7 +23,7 @@ from pincal.kinematics.readers import skeleton
 from pincal.model.links import link_placements
 from pincal.show.view.bodies import Body, body
 from pincal.show.view.scene import scene
-from pincal.symmetry.domain import in_domain
+from pincal.symmetry.detect import in_domain
 
 MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
 EVIL = "<script>alert('Ω \"é\"')</script>"

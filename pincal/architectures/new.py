@@ -7,8 +7,7 @@ from difflib import get_close_matches
 from math import isfinite
 from typing import Any
 
-from pincal.architectures.arms import ARM
-from pincal.architectures.cables import CABLES
+from pincal.architectures.built import ARM, CABLES
 from pincal.architectures.dimension import Architecture, Dimension, Values
 from pincal.architectures.resized import RESIZED
 from pincal.errors import MechanismError

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
-from pincal.design.selection.orbits import (
+from pincal.design.orbits import (
     leg_orbits,
     merged,
     multiplicities,
     selection_group,
     smallest,
 )
-from pincal.design.selection.search import Search, SelectionOptions
+from pincal.design.search import Search, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.given import as_noise

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from pincal.blas import on_one_thread
 from pincal.design.estimable import apart_from_frames, null_directions
 from pincal.design.information import information_rows
+from pincal.design.orbits import distinct
 from pincal.design.platform_error import without_frames
-from pincal.design.selection.distinct import distinct
-from pincal.design.selection.search import SelectionOptions, accurate, d_optimal
+from pincal.design.search import SelectionOptions, accurate, d_optimal
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import (
     NEGLIGIBLE,

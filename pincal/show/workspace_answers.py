@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pincal.model.mechanism import Mechanism
 from pincal.workspace.articular import ArticularSymmetry
+from pincal.workspace.axes import Orientations
 from pincal.workspace.inscribed import Inscribed
-from pincal.workspace.orientations import Orientations
 from pincal.workspace.region import Workspace
 
 Array = NDArray[np.float64]

@@ -8,16 +8,152 @@ is measured again with these.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pincal.errors import SymmetryError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.kinematics.inverse import inverse
 from pincal.model.checks import number_of
 from pincal.model.mechanism import Mechanism
-from pincal.symmetry.fits import NEARLY, Fits, suggested
-from pincal.symmetry.group import SymmetryGroup
-from pincal.symmetry.groups import distinct, exact, largest_closed, place_of, product_table
+from pincal.model.platform import Poses
+from pincal.symmetry.breaks import Break, breaks_of, no_symmetries
+from pincal.symmetry.elements import SAME, Element
+from pincal.symmetry.fits import NEARLY, Fits, Permutation, suggested
+from pincal.symmetry.groups import (
+    distinct,
+    exact,
+    generators,
+    group_name,
+    largest_closed,
+    place_of,
+    product_table,
+    subgroups,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, repr=False)
+class SymmetryGroup:
+    """Elements that leave a mechanism as it is, and where they carry its legs: a group."""
+
+    mechanism: Mechanism
+    elements: tuple[Element, ...]
+    """The identity first."""
+    permutations: tuple[Permutation, ...]
+    """For each element: index of the leg onto which each leg is carried."""
+    tolerance: float = 1e-6
+    """Within which it was found."""
+    readings: bool = True
+    """Whether sensors were compared too: if not, legs move alike and may read differently."""
+
+    @cached_property
+    def breaks(self) -> tuple[Break, ...]:
+        """Why the other elements that the leg points suggest fail."""
+        return breaks_of(self.mechanism, self.elements, self.tolerance, self.readings)
+
+    @cached_property
+    def name(self) -> str:
+        """Name of the group: D_2n with its order 2n, C_n of rotations only, or Schoenflies'."""
+        return group_name(self.elements)
+
+    @cached_property
+    def table(self) -> NDArray[np.intp]:
+        """Index of each product, shape (n, n): first the column's element, then the row's."""
+        return product_table(self.elements)
+
+    @property
+    def generators(self) -> tuple[Element, ...]:
+        """Elements whose products are all of the group; none for the identity alone."""
+        return tuple(self.elements[i] for i in generators(self.table))
+
+    def subgroups(self) -> tuple[SymmetryGroup, ...]:
+        """Return all subgroups, the largest first.
+
+        The index of one is the number of elements over the number of its own.
+        """
+        return tuple(self.part(sorted(one)) for one in reversed(subgroups(self.table)))
+
+    def part(self, indices: Sequence[int]) -> SymmetryGroup:
+        """Return the group of some elements, by index; they are closed."""
+        elements = tuple(self.elements[i] for i in indices)
+        permutations = tuple(self.permutations[i] for i in indices)
+        return SymmetryGroup(self.mechanism, elements, permutations, self.tolerance, self.readings)
+
+    @property
+    def leg_orbits(self) -> tuple[tuple[str, ...], ...]:
+        """Names of legs that the elements carry onto each other, orbit by orbit."""
+        names = self.mechanism.leg_names
+        orbits = [sorted({p[i] for p in self.permutations}) for i in range(len(names))]
+        return tuple(dict.fromkeys(tuple(names[i] for i in orbit) for orbit in orbits))
+
+    def carriers(self, leg: str | None = None) -> tuple[Element, ...]:
+        """Return G_C: for each leg, an element that carries one onto it (3-RRR paper, Eq. 7).
+
+        Args:
+            leg: The leg that is carried; leg 1 if not given, which must be carried onto every leg.
+                For another one, the legs of its orbit, in order.
+
+        Raises:
+            SymmetryError: some leg cannot be reached from leg 1.
+        """
+        names = self.mechanism.leg_names
+        first = names.index(leg) if leg is not None else 0
+        found: dict[int, Element] = {}
+        for element, permutation in zip(self.elements, self.permutations, strict=True):
+            found.setdefault(permutation[first], element)
+        for index, name in enumerate(names):
+            if leg is None and index not in found:
+                broken = "; ".join(no_symmetries(self.breaks))
+                raise SymmetryError(
+                    f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name}"
+                    f"{broken and f' ({broken})'}. "
+                    "Choose poses for each leg on its own (--independent)"
+                )
+        return tuple(found[index] for index in sorted(found))
+
+    def orbit(self, poses: Poses) -> Array:
+        """Return the poses onto which each pose is carried, shape (n_elements, N, dof).
+
+        A pose that an element leaves where it is appears as often as that.
+        """
+        platform = self.mechanism.platform
+        return np.stack([element.poses(platform, poses) for element in self.elements])
+
+    def equivariance(self, poses: Poses) -> float:
+        """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5).
+
+        The identity carries nothing; readings need not follow from poses then.
+
+        Args:
+            poses: N poses that the mechanism reaches.
+        """
+        platform = self.mechanism.platform
+        if len(self.elements) == 1:
+            return 0.0
+        before = inverse(self.mechanism, poses).readings
+        columns, worst = self.mechanism.reading_columns, 0.0
+        for element, permutation in zip(self.elements, self.permutations, strict=True):
+            after = inverse(self.mechanism, element.poses(platform, poses)).readings
+            order = np.concatenate([np.r_[columns[index]] for index in permutation])
+            worst = max(worst, float(np.abs(after[:, order] - before).max()))
+        return worst
+
+    def __repr__(self) -> str:
+        """Return the group in a line."""
+        count = len(self.elements)
+        return f"SymmetryGroup: {self.name} of {self.mechanism.name}, {count} element(s)"
+
+    def __str__(self) -> str:
+        """Return a page: the elements, and what breaks the others."""
+        lines = [f"{self.name}: {', '.join(str(e) for e in self.elements)}"]
+        return "\n".join(lines + [f"  no symmetry: {one}" for one in no_symmetries(self.breaks)])
+
 
 __all__ = ["NearestGroup", "SymmetryGroup", "nearest_group", "symmetry_group"]
 
@@ -84,3 +220,30 @@ def nearest_group(mechanism: GivenMechanism) -> NearestGroup:
     fits = Fits(mechanism, False)
     each = [fits.measured(e, p) for e, p in zip(group.elements, group.permutations, strict=True)]
     return NearestGroup(group, max(m for m, _ in each), max(r for _, r in each), tuple(each))
+
+
+def in_domain(group: SymmetryGroup, positions: Array) -> NDArray[np.bool_]:
+    """Return which positions lie in one fundamental domain of a group, shape (N,).
+
+    Of a position and its images, that nearest to a point which no element leaves where it is
+    (Dirichlet's domain): with mirrors through an axis, the sector between two of them.
+
+    Args:
+        group: The group.
+        positions: In the base frame, shape (N, 2) or (N, 3), [m].
+    """
+    turns = group.mechanism.platform.home_pose.rotation.as_matrix()
+    moves = [element.positions(turns) or element.base for element in group.elements]
+    points = np.zeros((len(positions), 3))
+    points[:, : positions.shape[1]] = positions
+    size = max(leg.reach for leg in group.mechanism.legs)
+    angles = np.linspace(0.0, 2 * np.pi, 48, endpoint=False) + 0.01
+    centre = np.mean([move.t for move in moves], axis=0)
+    ring = centre + size * np.stack(
+        (np.cos(angles), np.sin(angles), 0.1 * np.sin(angles + 1.0)), axis=1
+    )
+    away = [np.linalg.norm(move(ring) - ring, axis=1) for move in moves[1:]]
+    least = np.min(away, axis=0, initial=4.0 * size) / size
+    point = ring[np.argmax(least.round(6))]  # in the middle of a sector
+    distances = np.stack([np.linalg.norm(move(points) - point, axis=1) for move in moves])
+    return np.asarray(distances[0] <= distances.min(axis=0) + SAME * size)

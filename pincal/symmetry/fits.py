@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
-from pincal.symmetry.candidates import Points, candidates
 from pincal.symmetry.carry import bare, canonical, carry
-from pincal.symmetry.differences import Difference, Traits, differences
+from pincal.symmetry.differences import Difference, Points, Traits, candidates, differences
 from pincal.symmetry.elements import Element
 
 Array = NDArray[np.float64]

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree, QhullError, Voronoi
 
 from pincal.errors import WorkspaceError
-from pincal.workspace.neighbours import at_edge, edges
 from pincal.workspace.positions import Grid
-from pincal.workspace.region import Workspace
+from pincal.workspace.region import Workspace, at_edge, edges
 
 Array = NDArray[np.float64]
 _ROUNDS = 60

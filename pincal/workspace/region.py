@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,29 +21,183 @@ from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.files.tables.table import write_table
+from pincal.kinematics.singularity import margins
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import IDENTITY, Element, Isometry
 from pincal.words.numbers import measured
+from pincal.workspace.axes import Orientations
 from pincal.workspace.chunks import run
 from pincal.workspace.criteria import Margins, as_margins, refuse_readings
-from pincal.workspace.neighbours import at_edge, edges, part_around
-from pincal.workspace.orientations import Orientations
-from pincal.workspace.position_test import PositionTest
 from pincal.workspace.positions import (
     BLOCK,
     Carrier,
     Grid,
     Indices,
     Positions,
+    PositionTest,
     Samples,
     representatives,
 )
-from pincal.workspace.symmetric import keep_side, moves_of, usable
+
+
+def keep_side(
+    mechanism: Mechanism, group: tuple[Element, ...], least: Margins
+) -> tuple[Element, ...]:
+    """Return the elements that keep home on its side of type-2 singularities.
+
+    An element that permutes legs oddly turns the determinant's sign over, which the margin
+    looks at, unless home is where it was.
+    """
+    platform = mechanism.platform
+    if least.least_type2(mechanism) == -np.inf:
+        return group
+    home = np.array([platform.home])
+    images = np.concatenate([element.poses(platform, home) for element in group])
+    with np.errstate(invalid="ignore"):
+        same = margins(mechanism, images).type2 > 0.0
+    return tuple(element for element, ok in zip(group, same, strict=True) if ok)
+
+
+def usable(
+    group: tuple[Element, ...], positions: Positions, asked: Orientations
+) -> tuple[Element, ...]:
+    """Return the elements of a group that map positions and orientations onto themselves.
+
+    Raises:
+        WorkspaceError: they are no group, so that orbits would not be what they stand for.
+    """
+    turns = asked.rotations.as_matrix()
+    found = []
+    for element in group:
+        move = element.positions(turns)
+        if move is not None and asked.maps(element) and positions.carrier(move):
+            found.append(element)
+    for first, second in product(found, found):
+        if not any(first.after(second).equals(one) for one in found):
+            raise WorkspaceError(
+                f"the elements that map these positions onto themselves are no group: {first} "
+                f"after {second} is missing. Compute all positions (symmetry=False, --no-symmetry)"
+            )
+    return tuple(found)
+
+
+def moves_of(elements: tuple[Element, ...], asked: Orientations) -> tuple[Isometry, ...]:
+    """Return what elements do to positions in all of some orientations."""
+    turns = asked.rotations.as_matrix()
+    return tuple(move for element in elements if (move := element.positions(turns)) is not None)
+
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+def edges(grid: Grid, inside: Mask) -> Indices:
+    """Return pairs of neighbours of which one counts, by number, shape (M, 2)."""
+    cells = inside.reshape(grid.shape)
+    found = []
+    for place, n in enumerate(grid.shape):
+        first, second = [slice(None)] * cells.ndim, [slice(None)] * cells.ndim
+        first[place], second[place] = slice(0, n - 1), slice(1, n)
+        differ = np.argwhere(cells[tuple(first)] != cells[tuple(second)])
+        found.append(_pairs(grid, differ, differ + np.eye(cells.ndim, dtype=np.int64)[place]))
+        if _closed(grid, place):
+            wrap = np.argwhere(cells.take([0], place) != cells.take([n - 1], place))
+            last = wrap.copy()
+            last[:, place] = n - 1
+            found.append(_pairs(grid, last, wrap))
+    return np.concatenate(found)
+
+
+def at_edge(grid: Grid, inside: Mask) -> Array:
+    """Return where positions that count end the grid, half a step outside, shape (M, 3), [m]."""
+    cells = inside.reshape(grid.shape)
+    found = [np.empty((0, 3))]
+    for place, axis in enumerate(grid.axes):
+        n = len(axis.values)
+        if n < 2 or axis.full_turn:
+            continue
+        for end, sign in ((0, -1.0), (n - 1, 1.0)):
+            if axis.name == "radius" and sign < 0 and axis.values[0] <= axis.step:
+                continue  # the centre is no edge
+            where = np.argwhere(cells.take([end], place))
+            where[:, place] = end
+            coordinates = [a.values[i] for a, i in zip(grid.axes, where.T, strict=True)]
+            coordinates[place] = coordinates[place] + sign * axis.step / 2
+            found.append(grid.cartesian(coordinates))
+    return np.concatenate(found)
+
+
+def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
+    """Return the positions that count and hang together with the one nearest to home, (N,).
+
+    Args:
+        grid: The grid.
+        inside: Which positions count, shape (N,).
+        home: Shape (3,), [m].
+    """
+    from scipy.ndimage import binary_propagation  # slow to import, and needed here only
+
+    whole = inside.reshape(grid.shape)
+    box = tuple(_extent(grid, whole, place) for place in range(whole.ndim))
+    cells = whole[box]
+    part = np.zeros(cells.shape, dtype=bool)
+    first = np.unravel_index(_nearest(grid, inside, home), grid.shape)
+    part[tuple(i - side.start for i, side in zip(first, box, strict=True))] = True
+    around = [place for place in range(cells.ndim) if _closed(grid, place)]
+    while True:
+        part = binary_propagation(part, mask=cells)
+        grown = False
+        for place in around:  # first and last value are neighbours
+            ends = part.take([0, -1], place).any(axis=place, keepdims=True)
+            for end in (0, -1):
+                where = [slice(None)] * cells.ndim
+                where[place] = slice(end, None) if end else slice(0, 1)
+                more = ends & cells[tuple(where)] & ~part[tuple(where)]
+                part[tuple(where)] |= more
+                grown |= bool(more.any())
+        if not grown:
+            break
+    result = np.zeros(grid.shape, dtype=bool)
+    result[box] = part
+    return result.ravel()
+
+
+def _extent(grid: Grid, cells: Mask, place: int) -> slice:
+    """Return the values of an axis between which cells count; all of one that closes."""
+    if _closed(grid, place):
+        return slice(0, cells.shape[place])
+    others = tuple(axis for axis in range(cells.ndim) if axis != place)
+    some = np.flatnonzero(cells.any(axis=others))
+    return slice(int(some[0]), int(some[-1]) + 1)
+
+
+def _nearest(grid: Grid, inside: Mask, home: Array) -> int:
+    """Return the number of the position that counts and is nearest to home."""
+    best, least = 0, np.inf
+    for begin in range(0, len(inside), BLOCK):
+        index = begin + np.flatnonzero(inside[begin : begin + BLOCK])
+        if len(index):
+            away = np.linalg.norm(grid.at(index) - home, axis=1)
+            place = int(np.argmin(away))
+            if away[place] < least:
+                best, least = int(index[place]), float(away[place])
+    return best
+
+
+def _closed(grid: Grid, place: int) -> bool:
+    """Return whether the first and last value of an axis are neighbours."""
+    axis = grid.axes[place]
+    return axis.name == "bearing" and axis.full_turn and len(axis.values) > 2
+
+
+def _pairs(grid: Grid, first: Indices, second: Indices) -> Indices:
+    """Return places on the axes as pairs of numbers, shape (M, 2)."""
+    ends = [np.ravel_multi_index(tuple(end.T), grid.shape) for end in (first, second)]
+    return np.stack(ends, axis=1).astype(np.int64)
+
+
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
 _CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
 

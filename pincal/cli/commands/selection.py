@@ -23,10 +23,10 @@ from pincal.cli.app import (
 from pincal.cli.options import PlanOptions, TableOptions
 from pincal.design.drift import Drift, drift
 from pincal.design.forecast import forecast
+from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_reference, with_verification
 from pincal.design.select import Protocol, select_poses
 from pincal.design.select_configurations import Goal, select_configurations
-from pincal.design.selection.orbits import selection_group
 from pincal.errors import MeasurementError, SymmetryError
 from pincal.files.output import refuse_existing
 from pincal.files.tables.measurement_writing import write_poses

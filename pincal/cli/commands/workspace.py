@@ -36,11 +36,10 @@ from pincal.show.workspace_answers import (
     region_answer,
 )
 from pincal.workspace.articular import articular_space, articular_symmetry
-from pincal.workspace.axes import Axis
+from pincal.workspace.axes import Axis, Orientations
 from pincal.workspace.box import closer_grid, default_grid, default_samples
 from pincal.workspace.criteria import Margins, refuse_readings
 from pincal.workspace.inscribed import largest_inscribed
-from pincal.workspace.orientations import Orientations
 from pincal.workspace.positions import POSITION_AXES, Positions
 from pincal.workspace.region import KINDS, Workspace, compute_workspace
 from pincal.workspace.sampling import sample_configurations, sample_workspace

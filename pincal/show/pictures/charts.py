@@ -10,9 +10,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
+from pincal.design.exchange import accurate_design
 from pincal.design.information import information_rows
 from pincal.design.platform_error import without_frames
-from pincal.design.selection.accuracy_bound import accurate_design
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.kinematics.configurations import legs_at

@@ -21,8 +21,7 @@ from pincal.show.style import DIMENSION, EVERY, look
 from pincal.show.view.bodies import Body, body
 from pincal.show.view.found import Found
 from pincal.show.view.solids import Shape
-from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.domain import in_domain
+from pincal.symmetry.detect import in_domain, symmetry_group
 
 Array = NDArray[np.float64]
 MOST_POSES = 2000

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack, qr
 
-from pincal.design.selection.candidates import Held, Rows, most_of, squares
-from pincal.design.selection.criteria import Parts
+from pincal.design.criteria import Held, Parts, Rows, most_of, squares
 from pincal.errors import ObservabilityError
 from pincal.model.checks import ROUNDING
 
