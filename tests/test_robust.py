@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 from cramer_rao import drawn
 from marks import quick, slow_or_fuzz
-from measured import EXACT, NOISE, error, machine, put, shaken, workspace
+from measured import (
+    EXACT,
+    NOISE,
+    error,
+    machine,
+    put,
+    seen_from_elsewhere,
+    shaken,
+    workspace,
+)
 from scipy.stats import chi2
 
 import pincal
@@ -479,3 +488,36 @@ def test_wrong_rows_hide_nothing_that_is_found_without_them() -> None:
     named = {row for one in result.findings if one.code == "wrong-rows" for row in one.rows}
     assert named <= {11, 32}
     assert set(codes) & {"model-lacks", "step", "chi2-too-large"}
+
+
+SLIPS = [
+    ("3RRR", "poses", 0, False, False),
+    ("3RRR", "poses", 1, False, True),
+    ("3RRR", "readings", 2, True, False),
+    ("delta", "poses", 0, False, False),
+    ("delta", "readings", 1, True, False),
+    ("6UPS", "poses", 2, False, False),
+    ("6UPS", "readings", 4, True, False),
+    ("6UPS", "poses", 0, True, True),
+]
+
+
+@pytest.mark.parametrize(("kind", "field", "column", "full", "target"), quick(1, SLIPS))
+def test_one_slip_of_the_decimal_in_an_unknown_frame_is_named(
+    kind: str, field: str, column: int, full: bool, target: bool
+) -> None:
+    """Ten times too large: the row is rejected, or the verdict of a fit of all rows."""
+    mechanism, _, data = machine(kind, 40)
+    offset = (0.03, -0.02, 0.0 if kind == "3RRR" else 0.05) if target else (0.0, 0.0, 0.0)
+    data = seen_from_elsewhere(mechanism, data, offset)
+    if not full:
+        turned = slice(mechanism.platform.lengths, None)
+        data = put(data, "poses", (slice(None), turned), np.nan)
+    setup = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=target)})
+    wrong = put(data, field, (30, column), 10.0 * getattr(data, field)[30, column])
+    result = pincal.calibrate(mechanism, wrong, setup=setup, loss="reject", noise=NOISE)
+    assert result.converged
+    assert [one.row for one in result.outliers] == [30]
+    judged = pincal.calibrate(mechanism, wrong, setup=setup, noise=NOISE)
+    assert judged.findings[0].code == "wrong-rows"
+    assert judged.findings[0].rows == (30,)

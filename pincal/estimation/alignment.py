@@ -1,7 +1,8 @@
 """Where the frame of the measurements lies: the rigid motion that best takes points to points.
 
 Points of the nominal machine, where its readings put it, onto where they were measured (Kabsch
-1976), in turn with targets whose place on the platform is unknown.
+1976), in turn with targets whose place on the platform is unknown. Rows with a gross error are
+found by the alignment of least absolute distances, and left out.
 """
 
 from __future__ import annotations
@@ -39,47 +40,106 @@ class Alignment:
     """Of the extent of the measured points, from which a mirror is suspected."""
     refused: float = 0.3
     """Of it, from which nothing is identified."""
+    gross: float = 10.0
+    """Times as far off as usual: a row that says nothing of where frame and target are."""
 
 
 _BY = Alignment()
 
 
-def aligned(problem: Problem, data: Measurements, state: State, good: Mask) -> External:
+def aligned(
+    problem: Problem, data: Measurements, state: State, placed: Mask
+) -> tuple[External, Mask]:
     """Return the external unknowns that take the targets to where they were measured.
 
-    Frame and unknown offsets in turn, each by least squares with the others as they are.
+    Frame and unknown offsets in turn, each by least squares with the others as they are, of the
+    rows that agree: see ``_agreeing``.
+
+    Args:
+        problem: The problem.
+        data: The measurements.
+        state: The nominal machine, poses where its readings put it.
+        placed: Which poses the readings give, shape (N,).
+
+    Returns:
+        The unknowns, and which rows agree with the others on them, shape (N,).
+
+    Raises:
+        MeasurementError: frames that cannot be aligned, or only mirrored.
     """
     seen, platform = problem.observation, problem.platform
-    external, matrices = state.external, state.matrices
-    R, r = matrices[:, :3, :3], matrices[:, :3, 3]
-    measured = [_positions(platform, data, target) for target in seen.setup.targets]
-    known = [good & np.isfinite(points).all(axis=1) for points in measured]
-    frame, offsets = external.frame, external.offsets.copy()
-    unknown = {index for index, _ in seen.external.offset_entries}
-    for _ in range(_BY.turns if unknown else 1):
-        if seen.external.frame_rows:
-            here = np.concatenate([(r + R @ t)[own] for t, own in zip(offsets, known, strict=True)])
-            there = np.concatenate([p[own] for p, own in zip(measured, known, strict=True)])
-            frame = _kabsch(here, there, platform)
-        before = offsets.copy()
-        for index in unknown:
-            own = known[index]
-            if own.any():
-                inside = (measured[index][own] - frame[:3, 3]) @ frame[:3, :3] - r[own]
-                offsets[index] = (R[own].transpose(0, 2, 1) @ inside[:, :, None])[:, :, 0].mean(
-                    axis=0
-                )
-        if np.abs(offsets - before).max(initial=0.0) <= _BY.still * max(np.ptp(r), 1e-300):
-            break
+    measured = np.stack([_positions(platform, data, target) for target in seen.setup.targets])
+    known = placed & np.isfinite(measured).all(axis=2)
+    agreeing = known & _agreeing(problem, state, measured, known)
+    frame, offsets, _ = _in_turn(problem, state, measured, agreeing.astype(float))
     if seen.external.frame_rows:
-        _check_frame(here, there, frame, platform)
-    turn = external.turn
-    turns = seen.orientations
-    own = good & np.isfinite(turns).all(axis=(1, 2))
-    if seen.external.turn_axes and own.any():
-        each = R[own].transpose(0, 2, 1) @ frame[:3, :3].T @ turns[own]
-        turn = Rotation.from_matrix(each).mean().as_matrix()
-    return replace(external, frame=frame, offsets=offsets, turn=turn)
+        reached = (state.matrices[None, :, :3, :3] @ offsets[:, None, :, None])[..., 0]
+        reached += state.matrices[:, :3, 3]
+        _check_frame(reached[agreeing], measured[agreeing], frame, platform)
+    turn, turns = state.external.turn, seen.orientations
+    turned = placed & np.isfinite(turns).all(axis=(1, 2))
+    if seen.external.turn_axes and turned.any():
+        R = state.matrices[turned, :3, :3]
+        each = Rotation.from_matrix(R.transpose(0, 2, 1) @ frame[:3, :3].T @ turns[turned])
+        off = (each.mean().inv() * each).magnitude()
+        each = each[off <= np.maximum(_BY.gross * np.median(off), _BY.misfit)]
+        turn = each.mean().as_matrix()
+    agrees = ~(known & ~agreeing).any(axis=0)
+    return replace(state.external, frame=frame, offsets=offsets, turn=turn), agrees
+
+
+def _agreeing(problem: Problem, state: State, measured: Array, known: Mask) -> Mask:
+    """Return which positions agree with most others on frame and offsets, shape (n_targets, N).
+
+    They miss the alignment of least absolute values by no gross multiple of the usual. Where that
+    alignment begins, a position far from the others weighs no more than they do.
+    """
+    points = measured[known]
+    if not len(points):
+        return known
+    far = np.linalg.norm(measured - np.median(points, axis=0), axis=2)
+    extent = max(float(np.median(far[known])), 1e-300)
+    weights = np.where(known, extent / np.maximum(far, extent), 0.0)
+    missed = _in_turn(problem, state, measured, weights, absolute=True)[2]
+    usual = float(np.median(missed[known]))
+    return known & (missed <= max(_BY.gross * usual, _BY.misfit * extent))
+
+
+def _in_turn(
+    problem: Problem, state: State, measured: Array, weights: Array, *, absolute: bool = False
+) -> tuple[Array, Array, Array]:
+    """Return frame (4, 4), offsets (n_targets, 3) and distances missed (n_targets, N), in [m].
+
+    Args:
+        problem: The problem.
+        state: The nominal machine.
+        measured: Positions of the targets, shape (n_targets, N, 3).
+        weights: Of their squares, shape (n_targets, N); 0 where not measured.
+        absolute: Whether distances are summed instead, by weights that follow them.
+    """
+    external, platform = problem.observation.external, problem.platform
+    R, r = state.matrices[:, :3, :3], state.matrices[:, :3, 3]
+    frame, offsets = state.external.frame, state.external.offsets.copy()
+    unknown = {index for index, _ in external.offset_entries}
+    still = _BY.still * max(np.ptp(r), 1e-300)
+    known = weights > 0.0
+    for _ in range(_BY.turns if unknown or absolute else 1):
+        before = offsets.copy()
+        if external.frame_rows:
+            reached = r + (R @ offsets[:, None, :, None])[..., 0]
+            frame = _kabsch(reached[known], measured[known], weights[known], platform)
+        inside = (measured - frame[:3, 3]) @ frame[:3, :3] - r
+        for index in unknown:
+            if (rows := known[index]).any():
+                each = (R[rows].transpose(0, 2, 1) @ inside[index, rows, :, None])[:, :, 0]
+                offsets[index] = np.average(each, axis=0, weights=weights[index, rows])
+        missed = np.linalg.norm(inside - (R @ offsets[:, None, :, None])[..., 0], axis=2)
+        if absolute:
+            usual = max(float(np.median(missed[known])), 1e-300)
+            weights = np.where(known, usual / np.maximum(missed, usual), 0.0)
+        elif np.abs(offsets - before).max(initial=0.0) <= still:
+            break
+    return frame, offsets, missed
 
 
 def _positions(platform: Platform, data: Measurements, target: str) -> Array:
@@ -93,7 +153,7 @@ def _positions(platform: Platform, data: Measurements, target: str) -> Array:
     return measured
 
 
-def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
+def _kabsch(here: Array, there: Array, weights: Array, platform: Platform) -> Array:
     """Return the rigid motion that takes points to others, homogeneous, shape (4, 4).
 
     Raises:
@@ -115,10 +175,11 @@ def _kabsch(here: Array, there: Array, platform: Platform) -> Array:
                 f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
                 "that span the workspace"
             )
-    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
+    middle_here, middle_there = (np.average(p, axis=0, weights=weights) for p in (here, there))
+    a, b = here - middle_here, there - middle_there
     frame = np.eye(4)
-    frame[:3, :3], _ = _rotation(a, b, platform, mirrored=False)
-    frame[:3, 3] = there.mean(axis=0) - frame[:3, :3] @ here.mean(axis=0)
+    frame[:3, :3], _ = _rotation(a * weights[:, None], b, platform, mirrored=False)
+    frame[:3, 3] = middle_there - frame[:3, :3] @ middle_here
     return frame
 
 

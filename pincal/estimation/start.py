@@ -82,11 +82,13 @@ def align_start(
     for share in np.linspace(0.0, 1.0, _BY.way + 1)[1:] if there is None else ():
         state = poses_at_rest(_driven(mechanism, problem, share), state)
     good = _well(mechanism, problem, state)
+    agrees = np.ones(len(data), dtype=bool)
     if len(outside):
-        state = replace(state, external=aligned(problem, data, state, good))
+        values, agrees = aligned(problem, data, state, good)
+        state = replace(state, external=values)
     guess = placed(problem, data, parameters, state.external)
     matrices = np.where(good[:, None, None], state.matrices, guess.matrices)
-    known = np.isfinite(data.poses[:, : platform.lengths]).all(axis=1)
+    known = agrees & np.isfinite(data.poses[:, : platform.lengths]).all(axis=1)
     arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
     matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
     state = replace(state, matrices=matrices, joints=(None,) * len(problem.legs))

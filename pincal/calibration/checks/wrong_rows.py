@@ -15,7 +15,6 @@ from pincal.errors import PincalError
 from pincal.estimation.residuals.losses import FALSE_ALARM
 from pincal.words.sentences import finding
 
-_GROSS = "bad-rows"
 #: Findings that follow from wrong rows.
 _FOLLOW = frozenset(
     {
@@ -26,7 +25,7 @@ _FOLLOW = frozenset(
         "step",
         "reference-moved",
         "noise-in-other-proportion",
-        _GROSS,
+        "bad-rows",
         "curved",
     }
 )
@@ -41,8 +40,6 @@ def wrong_rows(result: CalibrationResult) -> CalibrationResult:
     """
     if result.loss != "none" or result.excess == 1.0:
         return result
-    if not (result.converged or any(one.code == _GROSS for one in result.findings)):
-        return result  # a search that found no optimum says nothing of rows
     try:
         robust = assemble(fitted(result.calibration.with_options(loss="reject")), None)
     except PincalError:
