@@ -205,7 +205,9 @@ def test_page_is_served_to_this_machine_under_its_own_name_only() -> None:
     place = urlsplit(view.url)
     assert place.hostname == "127.0.0.1"
     with urlopen(view.url) as answer:
-        assert answer.read().decode() == view.html()
+        served = answer.read().decode()
+    assert "connect-src 'self'" in served
+    assert "connect-src" not in view.html()  # a file asks for nothing
 
     def status(path: str, host: str) -> int:
         connection = http.client.HTTPConnection("127.0.0.1", place.port)
@@ -218,6 +220,10 @@ def test_page_is_served_to_this_machine_under_its_own_name_only() -> None:
     assert status("/", f"elsewhere.example:{place.port}") == 421
     assert status("/", "elsewhere.example") == 421
     assert status("/other", place.netloc) == 404
+    assert status("/moved?row=0&by=0.01,0", place.netloc) == 200
+    assert status("/moved?row=0&by=0.01,0", "elsewhere.example") == 421
+    for wrong in ("", "?row=1&by=0,0", "?row=-1&by=0,0", "?row=0&by=x", "?row=0"):
+        assert status(f"/moved{wrong}", place.netloc) == 400
     view.close()
     with pytest.raises(OSError):
         urlopen(f"http://{place.netloc}/")

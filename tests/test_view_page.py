@@ -19,8 +19,9 @@ import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.readers import skeleton
 from pincal.show.style import DARK, LEGS
-from pincal.show.view.bodies import body
+from pincal.show.view.scene import scene
 from pincal.show.view.view import View
+from pincal.words.numbers import POSES, per_si
 
 pytestmark = pytest.mark.slow
 
@@ -75,6 +76,14 @@ class Window:
         """Return the place of the pose that is shown."""
         return int(self.page.evaluate("() => window.pincal.pose()"))
 
+    def values(self, head: str) -> list[float]:
+        """Return the numbers in the panel's table below a head."""
+        lines = self.page.locator("#rows tr").all_inner_texts()
+        below = lines[lines.index(head) + 1 :]
+        cells = [line.split("\t") for line in below]
+        count = next((i for i, line in enumerate(cells) if len(line) < 2), len(cells))
+        return [float(line[1].split()[0]) for line in cells[:count]]
+
     def slide(self, place: int) -> None:
         """Move the slider."""
         self.page.locator("#slider").fill(str(place + 1))
@@ -97,18 +106,17 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
-    """Function that opens a view's file in a browser without network."""
+    """Function that opens a view in a browser without network: its file, or as it is served."""
     context = browser.new_context(viewport={"width": 1200, "height": 760})
 
-    def open_(view: View) -> Window:
-        path = view.save(tmp_path / "view.html", force=True)
+    def open_(view: View, *, served: bool = False) -> Window:
+        address = view.url if served else view.save(tmp_path / "view.html", force=True).as_uri()
         window = Window(context.new_page())
         window.page.on("console", lambda message: window.said.append(message.text))
         window.page.on("pageerror", lambda error: window.said.append(str(error)))
 
         def route(route: Any) -> None:
-            own = route.request.url == path.as_uri()
-            if own:
+            if route.request.url == address or (served and route.request.url.startswith(address)):
                 route.continue_()
             else:
                 window.asked.append(route.request.url)
@@ -116,7 +124,7 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
 
         window.page.route("**/*", route)
         begin = perf_counter()
-        window.page.goto(path.as_uri())
+        window.page.goto(address)
         window.page.wait_for_function("() => window.pincal && window.pincal.drawn()")
         window.seconds = perf_counter() - begin
         return window
@@ -255,160 +263,69 @@ def test_keys_buttons_and_play(opened: Any) -> None:
     assert window.clean(), window.said
 
 
-_GO = """(wanted) => {
-  const { jog } = window.pincal;
-  const reached = jog.go(wanted);
-  return [reached, jog.state().T, jog.state().joints];
-}"""
+_GO = "(wanted) => window.pincal.jog.go(wanted)"
 
 
-@pytest.mark.parametrize("name", ["3RRR", "6UPS", "delta", "8cable"])
-def test_sliders_move_the_platform_and_loops_stay_closed(name: str, opened: Any) -> None:
-    """The page's own inverse kinematics gives pincal's joints and parts, in and between poses.
+@pytest.mark.parametrize("name", ["3RRR", "6UPS", "delta", "8cable", "3RPS"])
+def test_a_served_page_moves_off_its_poses(name: str, opened: Any) -> None:
+    """Parts, both machines' and readings are those of inverse kinematics at the moved pose.
 
-    Out of reach nothing moves, and it is said.
+    Sliders move the platform, or the readings where these do not follow from poses. Out of reach
+    nothing moves, and it is said. A step leads back to the pose.
     """
     mechanism = pincal.load_mechanism(name)
-    view = pincal.view(mechanism)
-    window = opened(view)
-    shift = np.array([0.02, -0.01, 0.03, 0.02, -0.03, 0.04])[list(mechanism.platform.twist_rows)]
-    home = np.array([mechanism.platform.home])
-    reached, T, joints = window.page.evaluate(_GO, shift.tolist())
-    assert reached
-    moved = mechanism.platform.displaced(mechanism.platform.matrices(home), shift[None])
-    pose = mechanism.platform.from_matrices(moved)
-    assert np.allclose(np.reshape(T, (4, 4)), mechanism.platform.matrices(pose)[0], atol=1e-9)
-    solution = pincal.inverse(mechanism, pose)
-    for leg, own in zip(mechanism.legs, joints, strict=True):
-        assert np.allclose(own, solution.joints[leg.name][0], atol=1e-6)
-    there = body(mechanism, np.concatenate((view.scene.plan.poses, pose)))
-    assert np.allclose(window.matrices(view), there.placements[-1], atol=1e-6)
+    true = pincal.disturb(mechanism, 1e-3, seed=1)
+    view = pincal.view(mechanism, identified=true, magnify=3.0)
+    window, first = opened(view, served=True), view.scene.plan.rows([0])
+    if mechanism.by_readings:
+        shift = np.array([0.02, -0.01, 0.03])
+        readings = view.scene.readings[:1] + shift
+        pose = pincal.forward(mechanism, readings).poses
+    else:
+        shift = np.array([0.02, -0.01, 0.03, 0.02, -0.03, 0.04])[
+            list(mechanism.platform.twist_rows)
+        ]
+        moved = mechanism.platform.displaced(mechanism.platform.matrices(first.poses), shift[None])
+        pose = mechanism.platform.from_matrices(moved)
+        readings = pincal.inverse(mechanism, pose).readings
+    window.page.evaluate(_GO, shift.tolist())
+    plan = pincal.Plan(np.concatenate((view.scene.plan.poses, pose)))
+    if view.scene.plan.readings is not None:
+        plan = replace(plan, readings=np.concatenate((view.scene.plan.readings, readings)))
+    there = scene(mechanism, plan, None, true, 3.0)
+    assert there.identified is not None
+    for own, root in ((there.body, "mechanism"), (there.identified.body, "identified")):
+        assert np.allclose(window.matrices(view, root), own.placements[-1], atol=1e-6)
+    head = "readings, as given" if mechanism.by_readings else "readings of the nominal model"
+    for title, units, numbers in (
+        ("pose", mechanism.platform.units, pose[0]),
+        (head, mechanism.reading_units, readings[0]),
+    ):
+        expected = np.array([per_si(unit, POSES) for unit in units]) * numbers
+        assert window.values(title) == pytest.approx(expected.tolist(), abs=6e-3)
     if name in ("3RRR", "delta"):  # sliders of the others have no end
-        far = [10.0, *[0.0] * (len(shift) - 1)]
-        assert not window.page.evaluate(_GO, far)[0]
+        window.page.evaluate(_GO, [10.0, *[0.0] * (len(shift) - 1)])
         assert window.page.get_by_text("Out of reach.").is_visible()
-        assert np.allclose(window.matrices(view), there.placements[-1], atol=1e-6)
+        assert np.allclose(window.matrices(view), there.body.placements[-1], atol=1e-6)
     window.page.evaluate("() => window.pincal.show(0)")
     assert np.allclose(window.matrices(view), view.scene.body.placements[0], atol=1e-9)
-    for part in (0.3, 0.8):
-        assert window.page.evaluate("(part) => window.pincal.jog.between(0, 1, part)", part)
-        matrices, points = window.matrices(view), there.part("platform/point 1")
-        tip = matrices[there.chains[0][-1], :3, 3]
-        assert np.linalg.norm(tip - matrices[points, :3, 3]) < 1e-6
+    assert not window.page.get_by_text("Out of reach.").is_visible()
     assert window.clean(), window.said
 
 
-def test_coordinates_that_follow_have_no_slider(opened: Any) -> None:
-    """A 3-RPS has sliders for height and two tilts; where they lead, forward kinematics agrees."""
-    mechanism = pincal.load_mechanism("3RPS")
-    view = pincal.view(mechanism)
-    window = opened(view)
-    assert window.page.locator("#jog label span").all_inner_texts() == ["z", "rx", "ry"]
-    for wanted in ([0.0, 0.1, 0.1], [0.05, 0.2, -0.1]):
-        reached, T, joints = window.page.evaluate(_GO, wanted)
-        assert reached
-        pose = mechanism.platform.from_matrices(np.reshape(T, (1, 4, 4)))
-        there = pincal.forward(mechanism, [[own[1] for own in joints]], pose)
-        assert np.allclose(there.poses, pose, atol=1e-8)
-        assert np.reshape(T, (4, 4))[2, 3] == pytest.approx(0.786 + wanted[0])
-        assert np.abs(pose[0, :2]).max() > 1e-3  # x and y followed
-    window.page.evaluate("() => window.pincal.show(0)")
-    assert window.page.evaluate("() => window.pincal.jog.between(0, 1, 0.4)")
-    matrices, own = window.matrices(view), view.scene.body
-    for number, chain in enumerate(own.chains, 1):
-        point = matrices[own.part(f"platform/point {number}"), :3, 3]
-        assert np.linalg.norm(matrices[chain[-1], :3, 3] - point) < 1e-6
-    assert window.clean(), window.said
-
-
-_DRAWN = """(quickly) => {
-  const { viewer, pace, show } = window.pincal;
-  pace.decide(quickly);
-  show(1);
-  viewer.render();
-  viewer.render();
-  const { quick } = pace.state();
-  const shown = quick && quick.domElement.style.visibility === "visible";
-  const { calls, triangles } = (shown ? quick : viewer.renderer).info.render;
-  return { shown, calls, triangles };
-}"""
-_BOXES = """() => {
-  const { viewer } = window.pincal;
-  const box = (root, merged) => {
-    const found = new MeshCat.THREE.Box3();
-    root.traverseVisible((one) => {
-      const { geometry } = one;
-      if (!one.isMesh || geometry.drawRange.count === 0) return;
-      const corners = geometry.attributes.position;
-      const count = merged ? geometry.drawRange.count : corners.count;
-      for (let i = 0; i < count; i++) {
-        const at = new MeshCat.THREE.Vector3();
-        at.fromBufferAttribute(corners, merged ? geometry.index.getX(i) : i);
-        found.expandByPoint(at.applyMatrix4(one.matrixWorld));
-      }
-    });
-    return [...found.min.toArray(), ...found.max.toArray()];
-  };
-  const merged = viewer.scene.children.filter((one) => one.isMesh && one.layers.mask === 4);
-  return [box(viewer.scene_tree.find(["meshcat", "mechanism"]).object), box(merged[0], true)];
-}"""
-
-
-def test_what_moves_is_one_coarse_mesh_where_full_frames_take_long(opened: Any) -> None:
-    """Then a machine is one call of few triangles in the same place, until all rests in full.
-
-    Where full frames are quick, there is no second canvas.
-    """
-    mechanism = pincal.load_mechanism("6UPS")
-    cloud = pincal.sample_workspace(mechanism, 500)
-    shift = np.random.default_rng(0).uniform(-0.1, 0.1, (3, 6))
-    poses = pincal.Plan(mechanism.platform.home + shift)
-    truth = pincal.disturb(mechanism, 1e-3, seed=1)
-    window = opened(pincal.view(mechanism, poses, workspace=cloud, identified=truth))
-    full = window.page.evaluate(_DRAWN, False)
-    assert not full["shown"]
-    window.page.wait_for_timeout(500)
-    quick = window.page.evaluate(_DRAWN, True)
-    assert quick["shown"]
-    assert quick["calls"] <= 12  # machines, shadow, axes, and what rests until the view has rested
-    assert quick["triangles"] < full["triangles"] / 4
-    whole, merged = map(np.array, window.page.evaluate(_BOXES))
-    assert np.allclose(whole, merged, atol=0.02 * np.ptp(whole.reshape(2, 3), axis=0).max())
-    window.page.wait_for_function("() => !window.pincal.pace.state().owed")
-    state = "() => window.pincal.pace.state().quick.domElement.style.visibility"
-    assert window.page.evaluate(state) == "hidden"
-    drag = """() => { const { viewer, jog } = window.pincal; jog.go([0.01, 0, 0, 0, 0, 0]);
-      return jog.state().T[3]; }"""
-    assert window.page.evaluate(drag) == pytest.approx(poses.poses[1, 0] + 0.01)
-    assert not [text for text in window.said if "ReadPixels" not in text], window.said
-
-
-def test_playing_moves_in_every_frame(opened: Any) -> None:
-    """Between poses the platform is elsewhere in every frame, and goes through the plan's poses."""
-    window = opened(pincal.view(*plan("5R")))
-    window.page.wait_for_timeout(600)
-    follow = """() => new Promise((done) => {
-      const places = [];
-      const tick = () => {
-        const { T } = window.pincal.jog.state();
-        places.push(T[3] + 1000 * T[7]);
-        if (places.length < 12) requestAnimationFrame(tick);
-        else done(places);
-      };
-      requestAnimationFrame(tick);
-    })"""
-    window.page.locator("#play").click()
-    places = window.page.evaluate(follow)
-    assert len(set(places[2:])) == len(places[2:])
-    window.page.wait_for_function("() => window.pincal.pose() >= 2")
+def test_a_file_shows_its_poses_alone(opened: Any) -> None:
+    """Nothing moves a saved page off its poses: it has no sliders, and its policy bars asking."""
+    window = opened(pincal.view(*plan("3RRR")))
+    assert not window.page.locator("#jog").count()
+    assert window.page.evaluate("() => window.pincal.jog") is None
 
 
 def test_the_platform_follows_the_pointer(opened: Any) -> None:
     """Dragging the platform moves it in x and y as the pointer goes, and does not turn the view."""
     mechanism = pincal.load_mechanism("3RRR")
-    window = opened(pincal.view(mechanism))
+    view = pincal.view(mechanism)
+    window = opened(view, served=True)
     page, pane = window.page, window.page.locator("main").bounding_box()
-    state = "() => window.pincal.jog.state().T"
     x, y = page.evaluate(_ON_SCREEN, [[0.05, 0.05, 0.0]])[0]
     place = (
         pane["x"] + (x + 1) / 2 * pane["width"],
@@ -419,9 +336,11 @@ def test_the_platform_follows_the_pointer(opened: Any) -> None:
     page.mouse.down()
     page.mouse.move(place[0] + 20, place[1] - 10)
     page.mouse.up()
-    T = page.evaluate(state)
-    assert T[3] > 0.02
-    assert T[7] == pytest.approx(T[3] / 2, rel=0.05)
+    page.evaluate("() => window.pincal.jog.idle()")
+    x, y = window.matrices(view)[view.scene.body.part("platform/body"), :2, 3]
+    assert x > 0.02
+    assert y == pytest.approx(x / 2, rel=0.05)
+    assert window.values("pose")[:2] == pytest.approx([1e3 * x, 1e3 * y], abs=6e-3)
     assert np.allclose(page.evaluate(_ON_SCREEN, [[0, 0, 0]]), before, atol=1e-6)
     assert window.clean(), window.said
 
@@ -477,7 +396,7 @@ def test_names_are_text(opened: Any) -> None:
     assert window.clean(), window.said
 
 
-def test_notebooks_and_browsers_get_the_same_page(browser: Any) -> None:
+def test_notebooks_and_browsers_show_the_mechanism(browser: Any) -> None:
     """A notebook's frame and the served address show the mechanism; nothing else is asked."""
     view = pincal.view(*plan("5R"))
     page = browser.new_page()
@@ -531,7 +450,7 @@ def test_large_views_stay_small_and_quick(opened: Any, record_property: Any) -> 
 def test_a_telephone_shows_all_of_the_mechanism(name: str, opened: Any) -> None:
     """Upright and narrow: pane and panel one above the other, all points and names in the pane."""
     view = pincal.view(pincal.load_mechanism(name))
-    page = opened(view).page
+    page = opened(view, served=True).page
     page.set_viewport_size({"width": 390, "height": 800})
     page.reload()
     page.wait_for_function("() => window.pincal")
@@ -557,9 +476,9 @@ def test_a_telephone_shows_all_of_the_mechanism(name: str, opened: Any) -> None:
         assert beside or box["y"] + box["height"] <= scale["y"] + 1
     sliders, values = page.locator("#jog input"), page.locator("#jog output")
     for index in range(sliders.count()):
-        sliders.nth(index).evaluate(
-            "(one) => { one.value = one.min; one.dispatchEvent(new Event('input')); }"
-        )
+        sliders.nth(index).evaluate("(one) => { one.value = one.min / 50; }")
+        sliders.nth(index).dispatch_event("input")
+        page.evaluate("() => window.pincal.jog.idle()")
     lines = [one.bounding_box()["height"] for one in values.all()]
     assert all(high < 30 for high in lines)  # values are not broken
     panel = page.locator("aside")

@@ -10,12 +10,12 @@
   viewer.set_3d_pane_size = () => resize(pane.clientWidth, pane.clientHeight);
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const node = (path) => viewer.scene_tree.find(path.split("/"));
+  const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y); // the world's y points up
   const poses = data.set.length;
+  const [low, high] = data.bounds;
+  const size = Math.hypot(...high.map((value, i) => value - low[i])) || 1;
   let pose = -1;
-  let frame = 0; // of the animation that plays
-
-  // meshcat's scene is in a world whose y points up
-  const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y);
+  let drawn = null; // of what is shown: matrices and problems of each body, values of the rows
 
   const element = (kind, text, parent) => {
     const made = document.createElement(kind);
@@ -26,7 +26,6 @@
 
   const setVisible = (path, visible) => {
     node(path).set_property("visible", visible);
-    pace.changed();
     viewer.set_dirty();
   };
 
@@ -39,185 +38,168 @@
     body.share = 1; // of what differs from the nominal machine that is drawn
   }
 
-  const jog = Jog({ data, viewer, pane, node, move, element, bytes, halt: () => play(false) });
-  const moving = [...data.bodies.map(({ name }) => name), "shadow", "base axes"];
-  const [movingNodes, heavyNodes] = [moving, ["cloud", "errors"]].map((names) => names.map((name) => node(`meshcat/${name}`).object));
-  const pace = Pace({ viewer, pane, moving: movingNodes, heavy: heavyNodes });
-
-  function move(part, m, k) { // m: columns of 3, from k on; sheared parts have no quaternion
-    const { object } = part;
-    object.matrixAutoUpdate = false;
-    object.matrix.set(m[k], m[k + 3], m[k + 6], m[k + 9], m[k + 1], m[k + 4], m[k + 7], m[k + 10], m[k + 2], m[k + 5], m[k + 8], m[k + 11], 0, 0, 0, 1);
-    object.matrixWorldNeedsUpdate = true;
+  function place(body, index) {
+    // matrices hold columns of 3 for each part; NaN where it is not to be drawn
+    const [nominal, own] = [drawn.matrices[0], drawn.matrices[index]];
+    const mixed = body.share !== 1 && nominal.length === own.length;
+    body.nodes.forEach(({ object }, part) => {
+      let m = own ? own.subarray(12 * part, 12 * part + 12) : [NaN];
+      if (mixed) m = m.map((value, i) => value * body.share + (1 - body.share) * nominal[12 * part + i]);
+      object.visible = !Number.isNaN(m[0]);
+      if (!object.visible) return;
+      object.matrixAutoUpdate = false; // sheared parts have no quaternion
+      object.matrix.set(m[0], m[3], m[6], m[9], m[1], m[4], m[7], m[10], m[2], m[5], m[8], m[11], 0, 0, 0, 1);
+      object.matrixWorldNeedsUpdate = true;
+    });
+    viewer.set_dirty();
   }
 
-  function place(body) {
-    // matrices hold the columns of 3 of poses x parts; NaN where a part is not to be drawn
-    body.nodes.forEach((part, index) => {
-      const k = 12 * (pose * body.nodes.length + index);
-      const there = !Number.isNaN(body.matrices[k]);
-      part.object.visible = there;
-      if (!there) return;
-      const { share } = body;
-      if (share === 1 || data.bodies[0].paths.length !== body.paths.length) move(part, body.matrices, k);
-      else move(part, body.matrices.subarray(k, k + 12).map((one, i) => one * share + (1 - share) * data.bodies[0].matrices[k + i]), 0);
+  // Beneath a mechanism in space, its shadow and the line down from its platform
+
+  const [machine] = data.bodies;
+  const platform = machine.paths.indexOf("meshcat/mechanism/platform/body");
+  const drop = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0x777777 }));
+  const shadows = [];
+  if (!data.planar) {
+    const dark = new THREE.MeshBasicMaterial({ color: 0xd9dce0, side: THREE.DoubleSide });
+    const flat = new THREE.Group();
+    flat.matrixAutoUpdate = false;
+    flat.matrix.set(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1e-4, data.level + 5e-4 * size, 0, 0, 0, 1);
+    machine.nodes.forEach(({ object }, part) => {
+      if (machine.paths[part].endsWith("/frame")) return;
+      const group = object.clone();
+      group.matrixAutoUpdate = false;
+      group.traverse((one) => {
+        if (one.isMesh) one.material = dark;
+      });
+      shadows.push({ object, group });
+      flat.add(group);
     });
+    node("meshcat/shadow").object.add(flat, drop);
+  }
+
+  function beneath() {
+    for (const { object, group } of shadows) {
+      group.visible = object.visible;
+      group.matrix.copy(object.matrix);
+      group.matrixWorldNeedsUpdate = true;
+    }
+    const [x, y, z] = drawn.matrices[0].subarray(12 * platform + 9, 12 * platform + 12);
+    drop.geometry.setFromPoints([new THREE.Vector3(x, y, z), new THREE.Vector3(x, y, data.level)]);
   }
 
   // Colours on dark ground; materials keep their own where the palette has none
 
   const night = window.matchMedia("(prefers-color-scheme: dark)");
-  const lights = new Map();
+  const byDay = new Map(); // colours of materials and of points
+  const tint = (colour) => (night.matches && data.dark[colour]) || colour;
+
+  function coloured(one, colour) { // an element, which follows the theme
+    one.dataset.colour = colour;
+    one.style.setProperty("--own", tint(colour));
+  }
+
+  function dots(colours) { // of points, each with its own
+    if (!byDay.has(colours)) byDay.set(colours, colours.array.slice());
+    const own = byDay.get(colours);
+    const colour = new THREE.Color();
+    for (let i = 0; i < own.length; i += 3) {
+      colour.setRGB(own[i], own[i + 1], own[i + 2]);
+      colour.set(tint(`#${colour.getHexString()}`)).toArray(colours.array, i);
+    }
+    colours.needsUpdate = true;
+  }
 
   function paint() {
-    const ground = night.matches ? data.paper[1] : data.paper[0];
-    viewer.scene.background = new THREE.Color(ground);
-    pace.changed();
+    viewer.scene.background = new THREE.Color(data.paper[night.matches ? 1 : 0]);
     viewer.scene.traverse(({ material, geometry }) => {
       if (!material || !material.color) return;
       if (material.vertexColors) {
         dots(geometry.attributes.color);
         return;
       }
-      if (!lights.has(material)) lights.set(material, `#${material.color.getHexString()}`);
-      const own = lights.get(material);
-      material.color.set(night.matches ? data.dark[own] || own : own);
+      if (!byDay.has(material)) byDay.set(material, `#${material.color.getHexString()}`);
+      material.color.set(tint(byDay.get(material)));
     });
-    document.querySelectorAll("[data-colour]").forEach((one) => {
-      const own = one.dataset.colour;
-      one.style.setProperty("--own", night.matches ? data.dark[own] || own : own);
-    });
+    document.querySelectorAll("[data-colour]").forEach((one) => coloured(one, one.dataset.colour));
     viewer.set_dirty();
-  }
-
-  const shades = new Map();
-
-  function dots(colours) { // of points, each with its own
-    if (!shades.has(colours)) shades.set(colours, colours.array.slice());
-    const own = shades.get(colours);
-    const changed = new Map();
-    for (let i = 0; i < own.length; i += 3) {
-      const hex = `#${[0, 1, 2].map((k) => Math.round(255 * own[i + k]).toString(16).padStart(2, "0")).join("")}`;
-      if (!changed.has(hex)) {
-        const dark = data.dark[hex];
-        changed.set(hex, night.matches && dark ? [1, 3, 5].map((k) => parseInt(dark.slice(k, k + 2), 16) / 255) : [own[i], own[i + 1], own[i + 2]]);
-      }
-      colours.array.set(changed.get(hex), i);
-    }
-    colours.needsUpdate = true;
-  }
-
-  function coloured(one, colour) { // an element, which follows the theme
-    one.dataset.colour = colour;
-    one.style.setProperty("--own", night.matches ? data.dark[colour] || colour : colour);
   }
 
   // A leg that is pointed at elsewhere
 
   function light(name) {
-    data.legs.forEach((leg, index) => {
-      const on = leg.name === name;
-      data.bodies[0].paths.forEach((path, i) => {
-        if (!path.includes(`/leg ${index + 1}/`)) return;
-        data.bodies[0].nodes[i].object.traverse(({ material }) => {
-          if (material && material.emissive) material.emissive.set(on ? leg.colour : "#000000");
-        });
+    data.legs.forEach((leg, index) => machine.paths.forEach((path, part) => {
+      if (!path.includes(`/leg ${index + 1}/`)) return;
+      machine.nodes[part].object.traverse(({ material }) => {
+        if (material && material.emissive) material.emissive.set(leg.name === name ? leg.colour : "#000000");
       });
-    });
+    }));
     viewer.set_dirty();
   }
 
   // The panel
 
+  const heads = {
+    pose: "pose",
+    measured: "readings, as measured",
+    given: "readings, as given",
+    nominal: "readings of the nominal model",
+    error: "identified goes off by",
+  };
   const cells = data.rows.map((row, index) => {
-    const table = find("rows");
     if (index === 0 || data.rows[index - 1].group !== row.group) {
-      const heads = {
-        pose: "pose",
-        measured: "readings, as measured",
-        given: "readings, as given",
-        nominal: "readings of the nominal model",
-        error: "identified goes off by",
-      };
-      const head = element("th", heads[row.group], element("tr", "", table));
-      head.colSpan = 2;
+      element("th", heads[row.group], element("tr", "", find("rows"))).colSpan = 2;
     }
-    const line = element("tr", "", table);
+    const line = element("tr", "", find("rows"));
     element("td", row.name, line);
     return element("td", "", line);
   });
 
+  function draw(state) {
+    drawn = state;
+    data.bodies.forEach(place);
+    beneath();
+    const shown = data.bodies.filter(({ name }) => name !== "weakest");
+    const problems = shown.map(({ name }, i) => drawn.problems[i] && (i ? `${name}: ` : "") + drawn.problems[i]).filter(Boolean);
+    find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
+    find("problem").hidden = !problems.length;
+    data.rows.forEach(({ group, unit }, i) => {
+      const value = drawn.values[i];
+      cells[i].textContent = value === null ? "–" : `${value.toFixed(group === "error" ? 3 : 2)} ${unit}`;
+    });
+  }
+
   function show(index) {
     pose = Math.min(Math.max(index, 0), poses - 1);
-    data.bodies.forEach(place);
-    jog.at(pose);
-    viewer.set_dirty();
+    const part = ({ matrices, paths }) => matrices.subarray(12 * pose * paths.length, 12 * (pose + 1) * paths.length);
+    draw({
+      matrices: data.bodies.map(part),
+      problems: data.bodies.map(({ problems }) => problems[pose]),
+      values: data.rows.map(({ values }) => values[pose]),
+    });
+    if (jog) jog.at(pose);
     find("slider").value = pose + 1;
     find("count").textContent = `${pose + 1} of ${poses}`;
     const set = data.sets[data.set[pose]];
     find("set").hidden = !set.name;
     coloured(find("set").querySelector("i"), set.colour);
     find("set").querySelector("span").textContent = set.name === "all" ? "for every leg" : `set ${set.name}`;
-    const shown = data.bodies.filter((body) => body.name !== "weakest");
-    const problems = shown.map((body, i) => body.problems[pose] && (i ? `${body.name}: ` : "") + body.problems[pose]).filter(Boolean);
-    find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
-    find("problem").hidden = !problems.length;
-    data.rows.forEach((row, i) => {
-      const value = row.values[pose];
-      const digits = row.group === "error" ? 3 : 2;
-      cells[i].textContent = value === null ? "–" : `${value.toFixed(digits)} ${row.unit}`;
-    });
   }
 
-  // From pose to pose in the order of the plan, as the mechanism moves
-
-  const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  const LASTS = 600; // milliseconds from pose to pose, slow at both
+  let timer = 0;
 
   function play(on) {
-    cancelAnimationFrame(frame);
-    if (!on && frame) show(pose);
-    frame = 0;
-    if (on) step(performance.now());
+    clearInterval(timer);
+    timer = on ? setInterval(() => show((pose + 1) % poses), 600) : 0;
     find("play").textContent = on ? "pause" : "play";
   }
 
-  function step(begin) {
-    const next = (pose + 1) % poses;
-    const tick = (now) => {
-      const part = (now - begin) / LASTS;
-      if (part >= 1) {
-        show(next);
-        step(now);
-        return;
-      }
-      const eased = part * part * (3 - 2 * part);
-      if (!calm && next > 0 && jog.between(pose, next, eased)) data.bodies.slice(1).forEach((body) => blend(body, pose, next, eased));
-      frame = requestAnimationFrame(tick);
-    };
-    frame = requestAnimationFrame(tick);
-  }
-
-  function blend(body, from, to, part) { // another machine, whose loops are not closed here
-    const mixed = new Float64Array(12);
-    body.nodes.forEach((node, index) => {
-      const [a, b] = [from, to].map((one) => 12 * (one * body.nodes.length + index));
-      const whole = body.share === 1 || data.bodies[0].paths.length !== body.paths.length;
-      const mix = (matrices, i) => (1 - part) * matrices[a + i] + part * matrices[b + i];
-      mixed.forEach((_, i) => {
-        mixed[i] = mix(body.matrices, i);
-        if (!whole) mixed[i] = body.share * mixed[i] + (1 - body.share) * mix(data.bodies[0].matrices, i);
-      });
-      node.object.visible = !mixed.some(Number.isNaN);
-      if (node.object.visible) move(node, mixed, 0);
-    });
-  }
+  const jog = window.Jog ? Jog({ data, viewer, element, bytes, halt: () => play(false), draw }) : null;
 
   function checkbox(parent, name, shown, change, colour) {
     const label = element("label", "", parent);
     const box = element("input", "", label);
-    box.type = "checkbox";
-    box.checked = shown;
+    Object.assign(box, { type: "checkbox", checked: shown });
     box.addEventListener("change", () => change(box.checked));
     if (colour) {
       const swatch = element("i", "", label);
@@ -226,12 +208,10 @@
     }
     element("span", name, label);
     change(shown);
+    return box;
   }
 
-  find("name").textContent = data.name;
-  find("description").textContent = data.description;
-  find("source").textContent = data.source;
-  find("grid").textContent = data.grid;
+  for (const name of ["name", "description", "source", "grid"]) find(name).textContent = data[name];
   data.notices.forEach((text) => element("li", text, find("notices")));
   find("notices").hidden = !data.notices.length;
   data.sets.forEach((set, index) => {
@@ -240,43 +220,45 @@
     const change = (on) => ["sets", "ghosts"].forEach((layer) => setVisible(`meshcat/${layer}/${index + 1}`, on));
     checkbox(find("sets"), `${name}${count} ${count === 1 ? "pose" : "poses"}`, true, change, set.colour);
   });
-  data.layers.forEach((layer) => checkbox(find("layers"), layer.name, layer.shown, (on) => setVisible(layer.path, on), layer.colour));
+  const boxes = {};
+  data.layers.forEach(({ path, name, shown, colour }) => {
+    boxes[path] = checkbox(find("layers"), name, shown, (on) => setVisible(path, on), colour);
+  });
 
   // Between the nominal machine and another one
 
-  function between(body, id, least, ends, said) {
-    const label = element("label", "", find("layers"));
-    element("span", ends[0], label);
-    const input = element("input", "", label);
-    Object.assign(input, { type: "range", id, className: "share", min: least, max: 1, step: 0.02, value: 1 });
-    input.setAttribute("aria-label", said);
-    element("span", ends[1], label);
+  function between(name, id, least, ends, label) {
+    const index = data.bodies.findIndex((body) => body.name === name);
+    if (index < 0) return null;
+    const line = element("label", "", find("layers"));
+    element("span", ends[0], line);
+    const input = element("input", "", line);
+    Object.assign(input, { type: "range", id, className: "share", min: least, max: 1, step: 0.02, value: 1, ariaLabel: label });
+    element("span", ends[1], line);
     input.addEventListener("input", () => {
-      body.share = input.valueAsNumber;
-      place(body);
-      viewer.set_dirty();
+      data.bodies[index].share = input.valueAsNumber;
+      place(data.bodies[index], index);
     });
     return input;
   }
 
-  const named = (name) => data.bodies.find((body) => body.name === name);
-  if (named("identified")) between(named("identified"), "share", 0, ["nominal", "identified"], "from nominal to identified");
-  if (named("weakest")) {
-    const input = between(named("weakest"), "weakest", -1, ["−", "+"], "along the weakest direction");
-    const swing = element("button", "swing", input.parentElement);
+  between("identified", "share", 0, ["nominal", "identified"], "from nominal to identified");
+  const weakest = between("weakest", "weakest", -1, ["−", "+"], "along the weakest direction");
+  if (weakest) {
+    const swing = element("button", "swing", weakest.parentElement);
     swing.type = "button";
-    let moving = 0;
+    let frame = 0;
     const sway = (begin) => (now) => {
-      input.value = Math.sin((now - begin) / 600);
-      input.dispatchEvent(new Event("input"));
-      moving = requestAnimationFrame(sway(begin));
+      weakest.value = Math.sin((now - begin) / 600);
+      weakest.dispatchEvent(new Event("input"));
+      frame = requestAnimationFrame(sway(begin));
     };
-    const layer = [...find("layers").querySelectorAll("label")].find((one) => one.textContent.startsWith("weakest")).querySelector("input");
-    input.addEventListener("input", () => layer.checked || layer.click());
+    const layer = boxes["meshcat/weakest"];
+    weakest.addEventListener("input", () => layer.checked || layer.click());
     swing.addEventListener("click", () => {
-      if (moving) cancelAnimationFrame(moving);
-      moving = moving ? 0 : requestAnimationFrame(sway(performance.now()));
-      swing.textContent = moving ? "stop" : "swing";
+      if (frame) cancelAnimationFrame(frame);
+      frame = frame ? 0 : requestAnimationFrame(sway(performance.now()));
+      swing.textContent = frame ? "stop" : "swing";
     });
   }
 
@@ -304,9 +286,7 @@
 
   // The camera: from above where all is in a plane, else from the side
 
-  const [low, high] = data.bounds;
   const centre = turned(low.map((value, i) => (value + high[i]) / 2));
-  const size = Math.hypot(...high.map((value, i) => value - low[i])) || 1;
   const camera = data.planar
     ? new THREE.OrthographicCamera(-1, 1, 1, -1, 0.01 * size, 20 * size)
     : new THREE.PerspectiveCamera(30, 1, 0.01 * size, 50 * size);
@@ -348,8 +328,8 @@
   viewer.render = () => {
     viewer.controls.update();
     viewer.camera.updateProjectionMatrix();
+    viewer.renderer.render(viewer.scene, viewer.camera);
     viewer.needs_render = false;
-    pace.draw();
     labels.place();
   };
   window.addEventListener("resize", () => {
@@ -359,14 +339,15 @@
 
   // What people do
 
+  const [forth, back] = [() => show(pose + 1), () => show(pose - 1)];
   const keys = {
-    ArrowRight: () => show(pose + 1),
-    ArrowLeft: () => show(pose - 1),
-    ArrowUp: () => show(pose + 1),
-    ArrowDown: () => show(pose - 1),
+    ArrowRight: forth,
+    ArrowUp: forth,
+    ArrowLeft: back,
+    ArrowDown: back,
     Home: () => show(0),
     End: () => show(poses - 1),
-    " ": () => play(!frame),
+    " ": () => play(!timer),
   };
   document.addEventListener("keydown", (event) => {
     const typing = event.key === " " && ["BUTTON", "INPUT"].includes(event.target.tagName) && event.target.id !== "slider";
@@ -378,13 +359,10 @@
   });
   find("slider").max = poses;
   find("slider").addEventListener("input", (event) => show(event.target.valueAsNumber - 1));
-  find("back").addEventListener("click", () => show(pose - 1));
-  find("forth").addEventListener("click", () => show(pose + 1));
-  find("play").addEventListener("click", () => play(!frame));
-  find("fit").addEventListener("click", fit);
+  for (const [id, act] of Object.entries({ back, forth, play: () => play(!timer), fit })) find(id).addEventListener("click", act);
   fit();
   show(0);
   paint();
   night.addEventListener("change", paint);
-  window.pincal = { viewer, show, jog, pace, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
+  window.pincal = { viewer, show, jog, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();

@@ -7,6 +7,7 @@ Where a leg does not reach, its links are NaN.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +58,8 @@ class Body:
     """For each leg, its links' places among the parts, base first, without base link and rods."""
     problems: tuple[str, ...]
     """Why something is not drawn at a pose; empty strings where all is."""
+    barrels: dict[str, float]
+    """Lengths of cylinders around prismatic joints, by the path of the rod, [m]; 0 of none."""
 
     def part(self, path: str) -> int:
         """Return a part's place by its path."""
@@ -72,12 +75,15 @@ class Body:
         return at[:, pairs]
 
 
-def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
+def body(
+    mechanism: Mechanism, planned: Plan | Array, barrels: Mapping[str, float] | None = None
+) -> Body:
     """Return a mechanism at poses, each leg in its working mode, or as readings say.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
         planned: Platform coordinates, shape (N, dof), [m] and [rad], or a plan.
+        barrels: Lengths of cylinders, of a body at other poses; else they suit these.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
@@ -89,6 +95,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
     parts: list[Part] = []
     placements: list[Array] = []
     chains = []
+    lengths = dict(barrels or {})
 
     def add(path: str, shapes: tuple[Shape, ...], placement: Array) -> None:
         parts.append(Part(path, shapes))
@@ -112,11 +119,10 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
             axis, strokes = leg.joints[place].axis, joints[:, column]
             thin = 0.16 * radius if pulls(leg) else 0.4 * radius
             piston = Shape("cylinder", (thin, 1.0), _UPWARD, PISTON)
-            shortest = float(np.nanmin(np.abs(strokes), initial=np.inf))
-            longest = float(np.nanmax(np.abs(strokes), initial=0.0))
-            inside = 0.0 if pulls(leg) or longest > 3.0 * shortest else BARREL * shortest
+            path = f"leg {number}/rod {place + 1}"
+            inside = lengths.setdefault(path, 0.0 if pulls(leg) else _barrel(strokes))
             rod, barrel = _rod(axis, strokes, inside)
-            add(f"leg {number}/rod {place + 1}", (piston,), links[:, place] @ rod)
+            add(path, (piston,), links[:, place] @ rod)
             if inside:
                 outer = Shape("cylinder", (0.8 * radius, 1.0), _UPWARD, GREY)
                 add(f"leg {number}/cylinder {place + 1}", (outer,), links[:, place] @ barrel)
@@ -134,7 +140,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
     problems = tuple(solution.reason(row) for row in range(len(poses)))
     T_base_part = np.stack(placements, axis=1)
     T_base_part[~np.isfinite(T_base_part).all(axis=(2, 3))] = np.nan
-    return Body(tuple(parts), T_base_part, tuple(chains), problems)
+    return Body(tuple(parts), T_base_part, tuple(chains), problems, lengths)
 
 
 PISTON = "#b9bec5"
@@ -152,6 +158,13 @@ def _strokes(leg: Leg) -> list[tuple[int, int]]:
         for place, joint in enumerate(leg.joints)
         if joint.kind == "prismatic"
     ]
+
+
+def _barrel(strokes: Array) -> float:
+    """Return the length of a cylinder that suits strokes, shape (N,), [m]; 0 where none does."""
+    shortest = float(np.nanmin(np.abs(strokes), initial=np.inf))
+    longest = float(np.nanmax(np.abs(strokes), initial=0.0))
+    return 0.0 if longest > 3.0 * shortest else BARREL * shortest
 
 
 def _rod(axis: tuple[float, float, float], strokes: Array, inside: float) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pincal.errors import MechanismError
 from pincal.show.style import (
     DARK,
     DOMAIN,
@@ -28,25 +29,29 @@ from pincal.show.view.bodies import Body
 from pincal.show.view.drawing import commands, viewer_script
 from pincal.show.view.found import Found
 from pincal.show.view.marks import cut, tips
-from pincal.show.view.motion import motion
-from pincal.show.view.scene import Scene, frame_axes, grid_step, set_colour
+from pincal.show.view.scene import Scene, frame_axes, grid_step, moved, set_colour
 from pincal.show.view.solids import GREY
 from pincal.words import views
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.pages import rendered
 
 Array = NDArray[np.float64]
+#: How far sliders go: of the scene's size, and [rad].
+_MOST = {"m": 0.25, "rad": 0.5}
 #: Links and shadows on dark ground.
 SOLIDS_DARK = {GREY: "#8b929b", "#d9dce0": "#0b0d10"}
 
 
-def page(scene: Scene, source: str = "", notices: Sequence[str] = ()) -> str:
+def page(
+    scene: Scene, source: str = "", notices: Sequence[str] = (), *, served: bool = False
+) -> str:
     """Return the page of a scene.
 
     Args:
         scene: What to show.
         source: Where it comes from.
         notices: What to know first.
+        served: Whether the page can ask for the scene off its poses (``answer``).
     """
     data = _data(scene, source) | {"notices": list(notices)}
     text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
@@ -55,6 +60,25 @@ def page(scene: Scene, source: str = "", notices: Sequence[str] = ()) -> str:
         title=scene.mechanism.name,
         meshcat=viewer_script(),
         data=text.replace("<", "\\u003c"),
+        served=served,
+    )
+
+
+def answer(scene: Scene, row: int, shift: Array) -> str:
+    """Return what a page draws and writes off its poses, as JSON: see ``moved``."""
+    try:
+        there = moved(scene, row, shift)
+    except MechanismError as error:
+        return json.dumps({"problem": str(error)})
+    values = {(one["group"], one["name"]): one["values"][0] for one in _rows(there)}
+    bodies = [there.body] + ([there.identified.body] if there.identified else [])
+    return json.dumps(
+        {
+            "problem": "",
+            "matrices": [_columns(one) for one in bodies],
+            "problems": [one.problems[0] for one in bodies],
+            "values": [values.get((one["group"], one["name"])) for one in _rows(scene)],
+        }
     )
 
 
@@ -89,7 +113,7 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         ],
         "layers": _layers(scene),
         "errors": _errors(scene),
-        "motion": motion(scene),
+        "sliders": _sliders(scene),
         "level": scene.level,
         "axis": frame_axes(scene)[0].size[1],
         "dark": DARK | SOLIDS_DARK,
@@ -119,13 +143,45 @@ def _bounds(scene: Scene) -> Array:
 
 def _body(root: str, body: Body) -> dict[str, Any]:
     """Return a body's paths, and its placements as columns of 3, N x n_parts x 4 x 3 doubles."""
-    columns = np.ascontiguousarray(body.placements[:, :, :3].swapaxes(2, 3), dtype="<f8")
     return {
         "name": root,
         "paths": [f"meshcat/{root}/{part.path}" for part in body.parts],
-        "matrices": base64.b64encode(columns.tobytes()).decode(),
+        "matrices": _columns(body),
         "problems": list(body.problems),
     }
+
+
+def _columns(body: Body) -> str:
+    """Return where parts are as columns of 3, N x n_parts x 4 x 3 doubles, in base 64."""
+    columns = np.ascontiguousarray(body.placements[:, :, :3].swapaxes(2, 3), dtype="<f8")
+    return base64.b64encode(columns.tobytes()).decode()
+
+
+def _sliders(scene: Scene) -> list[dict[str, Any]]:
+    """Return what moves the mechanism off its poses: coordinates, or readings of an arm.
+
+    ``axis`` is the base's that a coordinate shifts along, -1 of all else.
+    """
+    mechanism, platform = scene.mechanism, scene.mechanism.platform
+    size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
+    if mechanism.by_readings:
+        moves = [
+            (name, unit, -1)
+            for name, unit in zip(mechanism.reading_names, mechanism.reading_units, strict=True)
+        ]
+    else:
+        rows = [row if row < 3 else -1 for row in platform.twist_rows]
+        moves = list(zip(platform.freedoms, platform.units, rows, strict=True))
+    return [
+        {
+            "name": name,
+            "unit": POSES[unit],
+            "scale": per_si(unit, POSES),
+            "most": _MOST[unit] * (size if unit == "m" else 1.0),
+            "axis": axis,
+        }
+        for name, unit, axis in moves
+    ]
 
 
 def _rows(scene: Scene) -> list[dict[str, Any]]:

@@ -34,6 +34,7 @@ class Identified:
     """The identified machine, driven by the nominal model's readings, its errors magnified."""
 
     body: Body
+    mechanism: Mechanism
     magnify: float
     errors: Array
     """Unmagnified twists from the nominal to the identified pose, shape (N, dof); NaN if none."""
@@ -193,14 +194,51 @@ def driven(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
     solution = forward(machine, scene.readings[known], poses[known])
     reached = known[solution.converged]
     there = Plan(solution.poses[solution.converged], readings=scene.readings[reached])
-    at = body(machine, there)
+    at = body(machine, there, scene.body.barrels)
     placements = np.full((len(poses), *at.placements.shape[1:]), np.nan)
     placements[reached] = at.placements
     why = dict.fromkeys(range(len(poses)), "the nominal model does not reach this pose")
     why |= dict(zip(known.tolist(), solution.reasons, strict=True))
     why |= dict(zip(reached.tolist(), at.problems, strict=True))
     everywhere = replace(at, placements=placements, problems=tuple(why.values()))
-    return Identified(everywhere, magnify, platform_errors(mechanism, identified, scene.plan))
+    errors = platform_errors(mechanism, identified, scene.plan)
+    return Identified(everywhere, identified, magnify, errors)
+
+
+def moved(scene: Scene, row: int, shift: Array) -> Scene:
+    """Return the scene at a single pose, moved off one of its poses.
+
+    Args:
+        scene: The mechanism at poses.
+        row: From which of them, counted from 0.
+        shift: A twist of the platform in its freedoms, [m] and [rad], base axes at its origin;
+            where readings do not follow from poses, changes of the readings, [m] and [rad].
+
+    Raises:
+        MechanismError: not finite, or of a wrong shape; readings that no pose has.
+    """
+    mechanism, platform = scene.mechanism, scene.mechanism.platform
+    pose, readings = scene.plan.poses[[row]], scene.readings[[row]]
+    width = readings.shape[1] if mechanism.by_readings else platform.dof
+    if shift.shape != (width,) or not np.isfinite(shift).all():
+        raise MechanismError(f"moved by an array of shape {shift.shape}; expected ({width},)")
+    if mechanism.by_readings:
+        readings = readings + shift
+        solution = forward(mechanism, readings, pose)
+        if not solution.converged.all():
+            raise MechanismError(solution.reasons[0])
+        plan = Plan(solution.poses, readings=readings)
+    else:
+        matrices = platform.displaced(platform.matrices(pose), shift[None])
+        plan = Plan(platform.from_matrices(matrices))
+    drawn = body(mechanism, plan, scene.body.barrels)
+    if drawn.problems[0]:
+        raise MechanismError(drawn.problems[0])
+    there = Scene(mechanism, plan, drawn, joints_at(mechanism, plan).readings)
+    if scene.identified is None:
+        return there
+    machine = driven(there, scene.identified.mechanism, scene.identified.magnify)
+    return replace(there, identified=machine)
 
 
 def set_colour(scene: Scene, name: str) -> str:

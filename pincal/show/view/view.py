@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -28,7 +28,10 @@ Array = NDArray[np.float64]
 
 
 class View(Page):
-    """A view of a mechanism: a page to open, to save, or to see in a notebook."""
+    """A view of a mechanism: a page to open, to save, or to see in a notebook.
+
+    At its ``url`` the mechanism can be moved off the poses; saved it shows these alone.
+    """
 
     sandbox, height = "allow-scripts allow-downloads", "600px"
 
@@ -72,9 +75,17 @@ class View(Page):
     @cached_property
     def url(self) -> str:
         """Where browsers of this machine find the page, until ``close`` or the process ends."""
+        from pincal.show.view.page import answer, page
         from pincal.show.view.server import PageServer
 
-        server = PageServer(self.html())
+        def asked(query: Mapping[str, list[str]]) -> str:
+            row = int(query["row"][0])
+            if not 0 <= row < len(self.scene.plan.poses):
+                raise IndexError(row)
+            return answer(self.scene, row, np.array(query["by"][0].split(","), dtype=np.float64))
+
+        text = page(self.scene, self._source, self._notices, served=True)
+        server = PageServer(text, asked)
         self._close = finalize(self, server.close)
         return server.url
 
