@@ -10,6 +10,14 @@ BASE, GRID = "base frame", "grid"
 MEASURED, OUTLIERS = "measured → predicted", "outliers"
 FRAME = "frame of the measurements"
 TRACKER = "tracker"
+POSE, READ = "pose", "readings, as measured"
+GIVEN, NOMINAL = "readings, as given", "readings of the nominal model"
+ERROR = "identified goes off by"
+#: The workspace in colours of errors.
+BY_ERROR = {
+    "before": "workspace by error, nominal (before)",
+    "after": "workspace by error, identified, as expected",
+}
 
 
 def identified(magnify: float) -> str:

@@ -91,7 +91,7 @@
   // Colours on dark ground; materials keep their own where the palette has none
 
   const night = window.matchMedia("(prefers-color-scheme: dark)");
-  const byDay = new Map(); // colours of materials and of points
+  const byDay = new Map(); // colours of materials
   const tint = (colour) => (night.matches && data.dark[colour]) || colour;
 
   function coloured(one, colour) { // an element, which follows the theme
@@ -99,25 +99,10 @@
     one.style.setProperty("--own", tint(colour));
   }
 
-  function dots(colours) { // of points, each with its own
-    if (!byDay.has(colours)) byDay.set(colours, colours.array.slice());
-    const own = byDay.get(colours);
-    const colour = new THREE.Color();
-    for (let i = 0; i < own.length; i += 3) {
-      colour.setRGB(own[i], own[i + 1], own[i + 2]);
-      colour.set(tint(`#${colour.getHexString()}`)).toArray(colours.array, i);
-    }
-    colours.needsUpdate = true;
-  }
-
   function paint() {
     viewer.scene.background = new THREE.Color(data.paper[night.matches ? 1 : 0]);
-    viewer.scene.traverse(({ material, geometry }) => {
+    viewer.scene.traverse(({ material }) => {
       if (!material || !material.color) return;
-      if (material.vertexColors) {
-        dots(geometry.attributes.color);
-        return;
-      }
       if (!byDay.has(material)) byDay.set(material, `#${material.color.getHexString()}`);
       material.color.set(tint(byDay.get(material)));
     });
@@ -139,19 +124,10 @@
 
   // The panel
 
-  const heads = {
-    pose: "pose",
-    measured: "readings, as measured",
-    given: "readings, as given",
-    nominal: "readings of the nominal model",
-    error: "identified goes off by",
-  };
-  const cells = data.rows.map((row, index) => {
-    if (index === 0 || data.rows[index - 1].group !== row.group) {
-      element("th", heads[row.group], element("tr", "", find("rows"))).colSpan = 2;
-    }
+  const cells = data.rows.map(({ head, name }, index) => {
+    if (index === 0 || data.rows[index - 1].head !== head) element("th", head, element("tr", "", find("rows"))).colSpan = 2;
     const line = element("tr", "", find("rows"));
-    element("td", row.name, line);
+    element("td", name, line);
     return element("td", "", line);
   });
 
@@ -163,9 +139,8 @@
     const problems = shown.map(({ name }, i) => drawn.problems[i] && (i ? `${name}: ` : "") + drawn.problems[i]).filter(Boolean);
     find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
     find("problem").hidden = !problems.length;
-    data.rows.forEach(({ group, unit }, i) => {
-      const value = drawn.values[i];
-      cells[i].textContent = value === null ? "–" : `${value.toFixed(group === "error" ? 3 : 2)} ${unit}`;
+    drawn.values.forEach((value, i) => {
+      cells[i].textContent = value === null ? "–" : `${value.toFixed(data.rows[i].digits)} ${data.rows[i].unit}`;
     });
   }
 
@@ -229,7 +204,7 @@
 
   function between(name, id, least, ends, label) {
     const index = data.bodies.findIndex((body) => body.name === name);
-    if (index < 0) return null;
+    if (index < 0) return;
     const line = element("label", "", find("layers"));
     element("span", ends[0], line);
     const input = element("input", "", line);
@@ -238,47 +213,18 @@
     input.addEventListener("input", () => {
       data.bodies[index].share = input.valueAsNumber;
       place(data.bodies[index], index);
+      if (!boxes[`meshcat/${name}`].checked) boxes[`meshcat/${name}`].click();
     });
-    return input;
   }
 
   between("identified", "share", 0, ["nominal", "identified"], "from nominal to identified");
-  const weakest = between("weakest", "weakest", -1, ["−", "+"], "along the weakest direction");
-  if (weakest) {
-    const swing = element("button", "swing", weakest.parentElement);
-    swing.type = "button";
-    let frame = 0;
-    const sway = (begin) => (now) => {
-      weakest.value = Math.sin((now - begin) / 600);
-      weakest.dispatchEvent(new Event("input"));
-      frame = requestAnimationFrame(sway(begin));
-    };
-    const layer = boxes["meshcat/weakest"];
-    weakest.addEventListener("input", () => layer.checked || layer.click());
-    swing.addEventListener("click", () => {
-      if (frame) cancelAnimationFrame(frame);
-      frame = frame ? 0 : requestAnimationFrame(sway(performance.now()));
-      swing.textContent = frame ? "stop" : "swing";
-    });
-  }
-
+  between("weakest", "weakest", -1, ["−", "+"], "along the weakest direction");
   if (data.errors) { // over the workspace, before and after, on one scale
-    const label = element("label", "workspace by error (log scale): ", find("layers"));
-    const select = element("select", "", label);
-    select.id = "errors";
-    const kinds = { none: "not shown", before: "nominal (before)", after: "identified, as expected" };
-    Object.entries(kinds).forEach(([value, text]) => (element("option", text, select).value = value));
     const bar = element("p", "", find("layers"));
     bar.className = "scale";
     element("span", data.errors.ends[0], bar);
     element("i", "", bar).style.background = `linear-gradient(to right, ${data.errors.colours.join(", ")})`;
     element("span", data.errors.ends[1], bar);
-    const change = () => {
-      ["before", "after"].forEach((one) => setVisible(`meshcat/errors/${one}`, select.value === one));
-      bar.hidden = select.value === "none";
-    };
-    select.addEventListener("change", change);
-    change();
   }
 
   const labels = Labels({ data, viewer, pane, node, element, coloured, turned });
@@ -310,17 +256,8 @@
       widen();
       camera.position.copy(centre).add(new THREE.Vector3(0, 10 * size, 0));
     } else {
-      const towards = turned(data.towards).normalize();
-      const right = new THREE.Vector3(0, 1, 0).cross(towards).normalize();
-      const up = towards.clone().cross(right);
-      const slope = Math.tan(((camera.fov / 2) * Math.PI) / 180);
-      let distance = 0;
-      for (let corner = 0; corner < 8; corner++) {
-        const v = turned(low.map((value, i) => ((corner >> i) & 1 ? high[i] : value))).sub(centre);
-        const needed = Math.max(Math.abs(v.dot(right)) / (slope * aspect), Math.abs(v.dot(up)) / slope);
-        distance = Math.max(distance, 1.12 * needed + v.dot(towards));
-      }
-      camera.position.copy(centre).addScaledVector(towards, distance);
+      const narrow = Math.min(aspect, 1) * Math.tan((camera.fov / 2) * (Math.PI / 180));
+      camera.position.copy(centre).addScaledVector(turned(data.towards).normalize(), (0.55 * size) / narrow);
     }
     viewer.set_3d_pane_size();
   }

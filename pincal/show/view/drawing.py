@@ -38,6 +38,7 @@ import umsgpack
 
 Array = NDArray[np.float64]
 _I = np.eye(4)
+_WHITE = 0xFFFFFF
 _DEPTH = 0.3  # of what a camera sees, of the scene's size
 #: Turns three.js' cylinders, which lie along y, to lie along z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -54,10 +55,11 @@ class _Recorder:
 
 
 class _Dots(g.PointsMaterial):  # type: ignore[misc]
-    """Points of a size in pixels, near and far."""
+    """Points of a size in pixels, near and far, of one colour or, if that is white, their own."""
 
     def lower(self, object_data: Any) -> dict[str, Any]:
-        return {**super().lower(object_data), "sizeAttenuation": False}
+        lowered = super().lower(object_data)
+        return {**lowered, "sizeAttenuation": False, "vertexColors": self.color == _WHITE}
 
 
 def commands(scene: Scene) -> list[bytes]:
@@ -80,12 +82,10 @@ def commands(scene: Scene) -> list[bytes]:
     if scene.identified:
         _body(draw["identified"], scene.identified.body, IDENTIFIED, opacity=0.45)
     if scene.cloud:
-        colours = np.where(scene.cloud.domain[:, None], _rgb(DOMAIN), _rgb(CARRIED))
-        # in no order, so that the first are an even sample: the page may draw no more
-        mixed = np.random.default_rng(0).permutation(len(colours))
-        _dots(draw["cloud"], scene.cloud.positions[mixed], colours[mixed], 2)
+        _dots(draw["cloud/domain"], scene.cloud.positions[scene.cloud.domain], DOMAIN, 2)
+        _dots(draw["cloud/carried"], scene.cloud.positions[~scene.cloud.domain], CARRIED, 2)
     for number, (_, colour, positions, lines) in enumerate(scene.by_set(), 1):
-        _dots(draw[f"sets/{number}"], positions, _rgb(colour), 7)
+        _dots(draw[f"sets/{number}"], positions, colour, 7)
         _lines(draw[f"ghosts/{number}"], lines, colour, opacity=0.45)
     if scene.found:
         _found(draw, scene.found, scene)
@@ -183,10 +183,11 @@ def _axes(draw: Any, shapes: tuple[Shape, ...]) -> None:
         draw[name].set_transform(shape.T_link_shape @ _UPRIGHT)
 
 
-def _dots(draw: Any, positions: Array, colours: Array, pixels: float) -> None:
-    """Draw positions (N, 3) in one colour (3,) or in one for each."""
-    every = np.ascontiguousarray(np.broadcast_to(colours, positions.shape).T)
-    draw.set_object(g.Points(g.PointsGeometry(positions.T, every), _Dots(size=pixels)))
+def _dots(draw: Any, positions: Array, colours: str | Array, pixels: float) -> None:
+    """Draw positions (N, 3) in one colour or in one for each, (N, 3)."""
+    colour = int(colours[1:], 16) if isinstance(colours, str) else _WHITE
+    geometry = g.PointsGeometry(positions.T, None if isinstance(colours, str) else colours.T)
+    draw.set_object(g.Points(geometry, _Dots(size=pixels, color=colour)))
 
 
 def _lines(draw: Any, segments: Array, colour: str, opacity: float = 1.0) -> None:
@@ -197,7 +198,3 @@ def _lines(draw: Any, segments: Array, colour: str, opacity: float = 1.0) -> Non
 
 def _matt(colour: str, opacity: float = 1.0) -> Any:
     return g.MeshLambertMaterial(int(colour[1:], 16), opacity=opacity)
-
-
-def _rgb(colour: str) -> Array:
-    return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255

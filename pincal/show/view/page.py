@@ -70,14 +70,14 @@ def answer(scene: Scene, row: int, shift: Array) -> str:
         there = moved(scene, row, shift)
     except MechanismError as error:
         return json.dumps({"problem": str(error)})
-    values = {(one["group"], one["name"]): one["values"][0] for one in _rows(there)}
+    values = {(row["head"], row["name"]): row["values"][0] for row in _rows(there)}
     bodies = [there.body] + ([there.identified.body] if there.identified else [])
     return json.dumps(
         {
             "problem": "",
             "matrices": [_columns(one) for one in bodies],
             "problems": [one.problems[0] for one in bodies],
-            "values": [values.get((one["group"], one["name"])) for one in _rows(scene)],
+            "values": [values.get((row["head"], row["name"])) for row in _rows(scene)],
         }
     )
 
@@ -188,22 +188,23 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     """Return the table under the slider: what each row is, and its value at each pose."""
     mechanism, platform = scene.mechanism, scene.mechanism.platform
     read = mechanism.reading_names, mechanism.reading_units
-    groups = [("pose", platform.coordinates, platform.units, POSES, scene.plan.poses)]
-    what = "given" if mechanism.by_readings else "nominal"
+    groups = [(views.POSE, platform.coordinates, platform.units, POSES, scene.plan.poses)]
+    what = views.GIVEN if mechanism.by_readings else views.NOMINAL
     groups.append((what, *read, POSES, scene.readings))
     if scene.plan.readings is not None and not mechanism.by_readings:
-        groups.append(("measured", *read, POSES, scene.plan.readings))
+        groups.append((views.READ, *read, POSES, scene.plan.readings))
     if scene.identified:
         errors = scene.identified.errors
-        groups.append(("error", platform.freedoms, platform.units, SMALL, errors))
+        groups.append((views.ERROR, platform.freedoms, platform.units, SMALL, errors))
     return [
         {
-            "group": group,
+            "head": head,
             "name": name,
             "unit": shown[unit],
+            "digits": 3 if shown is SMALL else 2,
             "values": [float(v) if np.isfinite(v) else None for v in values],
         }
-        for group, names, units, shown, every in groups
+        for head, names, units, shown, every in groups
         for name, unit, values in zip(
             names, units, (every * [per_si(u, shown) for u in units]).round(4).T, strict=True
         )
@@ -243,6 +244,8 @@ def _found(scene: Scene, found: Found) -> list[tuple[str, str, bool]]:
             if own.any():
                 said = views.misses(who, misses.magnify, int((own & short).sum()))
                 layers.append((path, said, True))
+    if found.errors:
+        layers += [(f"errors/{when}", name, False) for when, name in views.BY_ERROR.items()]
     if weakest := found.weakest:
         layers.append(("weakest", views.weakest(weakest.magnify, weakest.named), False))
     stands = [("instrument", views.TRACKER, found.instrument.at)] if found.instrument else []

@@ -78,13 +78,15 @@ class View(Page):
         from pincal.show.view.page import answer, page
         from pincal.show.view.server import PageServer
 
+        scene = self.scene
+
         def asked(query: Mapping[str, list[str]]) -> str:
             row = int(query["row"][0])
-            if not 0 <= row < len(self.scene.plan.poses):
+            if not 0 <= row < len(scene.plan.poses):
                 raise IndexError(row)
-            return answer(self.scene, row, np.array(query["by"][0].split(","), dtype=np.float64))
+            return answer(scene, row, np.array(query["by"][0].split(","), dtype=np.float64))
 
-        text = page(self.scene, self._source, self._notices, served=True)
+        text = page(scene, self._source, self._notices, served=True)
         server = PageServer(text, asked)
         self._close = finalize(self, server.close)
         return server.url
