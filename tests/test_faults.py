@@ -322,9 +322,9 @@ def test_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("threading.Event.wait", interrupt)
-    monkeypatch.setattr("pincal.show.view.server.PageServer.__init__", lambda *_: None)
-    monkeypatch.setattr("pincal.show.view.server.PageServer.url", "http://here/", raising=False)
-    monkeypatch.setattr("pincal.show.view.server.PageServer.close", lambda *_: None)
+    monkeypatch.setattr("pincal.show.view.view.PageServer.__init__", lambda *_: None)
+    monkeypatch.setattr("pincal.show.view.view.PageServer.url", "http://here/", raising=False)
+    monkeypatch.setattr("pincal.show.view.view.PageServer.close", lambda *_: None)
     outcome = run("view", "5R")
     assert outcome.code == 0
     assert outcome.out == "http://here/\n"

@@ -10,7 +10,7 @@ from arms import ARMS, loaded, robot, urdf
 from command_line import run
 
 import pincal
-from pincal.show.view.meshes import MOST, coarser
+from pincal.show.view.bodies import MOST, coarser
 
 ARM = """
 j1 | revolute | 0 0 1 | 0 0 0.1

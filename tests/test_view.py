@@ -383,23 +383,23 @@ def test_readings_are_told_apart(work: Path, tmp_path: Path) -> None:
     mechanism, page = pincal.load_mechanism("3RRR"), tmp_path / "view.html"
     data = pincal.Measurements.from_csv(work / "measured.csv", mechanism)
     done("view", "3RRR", work / "measured.csv", "--html", page)
-    assert np.allclose(shown_poses(page, "measured"), data.readings, atol=2e-6)
+    assert np.allclose(shown_poses(page, "readings, as measured"), data.readings, atol=2e-6)
     nominal = pincal.inverse(mechanism, data.poses).readings
-    assert np.allclose(shown_poses(page, "nominal"), nominal, atol=2e-6)
+    assert np.allclose(shown_poses(page, "readings of the nominal model"), nominal, atol=2e-6)
     assert np.abs(nominal - data.readings).max() > 1e-3
     done("view", "3RRR", work / "plan.csv", "--html", page, "--force")
-    assert not shown_poses(page, "measured").size
+    assert not shown_poses(page, "readings, as measured").size
     pincal.view(mechanism, data).save(page, force=True)
-    assert np.allclose(shown_poses(page, "measured"), data.readings, atol=2e-6)
+    assert np.allclose(shown_poses(page, "readings, as measured"), data.readings, atol=2e-6)
 
 
-def shown_poses(page: Path, group: str = "pose") -> np.ndarray:
+def shown_poses(page: Path, head: str = "pose") -> np.ndarray:
     """Return the poses that a page steps through, or readings, shape (N, n), [m] and [rad]."""
     block = re.search(
         r'<script type="application/json" id="data">(.*?)</script>', page.read_text("utf-8"), re.S
     )
     assert block
-    rows = [row for row in json.loads(block[1])["rows"] if row["group"] == group]
+    rows = [row for row in json.loads(block[1])["rows"] if row["head"] == head]
     factors = [{"mm": 1e-3, "°": np.pi / 180}[row["unit"]] for row in rows]
     return np.array([row["values"] for row in rows]).T * factors
 

@@ -18,9 +18,7 @@ from pincal.show.report.verdicts import verdicts
 from pincal.show.style import ERRORS, shades
 from pincal.show.view.calibrated import calibrated, stations
 from pincal.show.view.calibrated import misses as misses_of
-from pincal.show.view.found import Errors
-from pincal.show.view.marks import arrows, cut, frustum, tips
-from pincal.show.view.scene import Scene, scene
+from pincal.show.view.scene import Errors, Scene, arrows, cut, frustum, scene, tips
 
 NOISE = pincal.Noise(1e-5, 1e-5)
 OFF = np.array([2e-3, -1e-3])

@@ -17,8 +17,8 @@ from pincal.show.pictures.dimensions import Dimension
 from pincal.show.pictures.figure import axes_of_view, dimensions_at, name_axes
 from pincal.show.pictures.painting import paint
 from pincal.show.style import GROUND, NOMINAL, PICTURE
+from pincal.show.view.bodies import Shape
 from pincal.show.view.scene import Scene, frame_axes
-from pincal.show.view.solids import Shape
 
 Array = NDArray[np.float64]
 _LINES = 3.0  # of names that stand outside of what is drawn

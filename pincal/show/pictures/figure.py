@@ -34,10 +34,8 @@ from pincal.show.style import (
     PASSIVE,
     PICTURE,
 )
-from pincal.show.view.found import Instrument
-from pincal.show.view.marks import stand
-from pincal.show.view.scene import Scene, frame_axes, grid_step, ground
-from pincal.show.view.solids import Shape
+from pincal.show.view.bodies import Shape
+from pincal.show.view.scene import Instrument, Scene, frame_axes, grid_step, ground, stand
 from pincal.words.numbers import amount, counted, minus
 from pincal.words.pages import clean
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from pincal.show.style import PICTURE
-from pincal.show.view.bodies import Body
-from pincal.show.view.solids import Shape
+from pincal.show.view.bodies import Body, Shape
 
 Array = NDArray[np.float64]
 _TURNS = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)

@@ -17,8 +17,7 @@ from pincal.errors import MeasurementError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measuring.measurements import Plan
-from pincal.show.view.found import Found
-from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
+from pincal.show.view.scene import MAGNIFY, Found, Scene, plan_of, scene
 
 if TYPE_CHECKING:  # matplotlib is imported where it is needed
     from matplotlib.axes import Axes

@@ -1,39 +1,170 @@
 """A mechanism as parts that move: shapes of its links, and where each is at every pose.
 
 Parts are what the exported URDFs draw, and what rigid links cannot show: cylinder and piston or
-cable of a prismatic joint, as long as the joint has moved, parallelograms, plates (``solids``).
-Where a leg does not reach, its links are NaN.
+cable of a prismatic joint, as long as the joint has moved, parallelograms, plates; in their place
+meshes of one's own URDF (STL, DAE, OBJ). Names of joints say what kinematics do not: a ``line`` or
+``cable`` pulls, and a rod behind a joint called ``elbow`` or ``sway`` of a platform that does not
+turn is a parallelogram. Where a leg does not reach, its links are NaN.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from pincal.errors import FileError
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
+from pincal.files.xml import read_xml
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.leg import Leg
 from pincal.model.links import link_placements
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.view.solids import (
-    GREY,
-    Shape,
-    base,
-    parallel_frame,
-    parallelogram,
-    plate,
-    pulls,
-    two_rods,
-)
 
 Array = NDArray[np.float64]
+GREY, PALE = "#595959", "#9aa0a6"
+_FLAT = 1e-6  # of what is a plane's size
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A box, cylinder (along z) or sphere on a link, the hull of points, or a mesh."""
+
+    kind: str
+    size: tuple[float, ...]
+    """Edges of a box; radius and length of a cylinder; radius of a sphere; else none; [m]."""
+    T_link_shape: Array
+    """Shape (4, 4)."""
+    colour: str
+    """``"#rrggbb"``."""
+    points: Array | None = None
+    """Of a hull, or corners of a mesh, shape (n, 3), [m]."""
+    faces: NDArray[np.int64] | None = None
+    """Corners of a mesh's triangles, shape (m, 3)."""
+
+
+def rod(begin: Array, end: Array, radius: float, colour: str) -> Shape:
+    """Return a cylinder between two points, shape (3,) each, [m]."""
+    along = end - begin
+    length = float(np.linalg.norm(along))
+    T = np.eye(4)
+    T[:3, 2] = along / length
+    T[:3, 0], T[:3, 1] = across(T[:3, 2])
+    T[:3, 3] = (begin + end) / 2
+    return Shape("cylinder", (radius, length), T, colour)
+
+
+def across(axis: Array) -> tuple[Array, Array]:
+    """Return two unit vectors that make a right-handed frame with a unit vector as its z."""
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(axis, first)
+
+
+def plate(points: Array, thickness: float, colour: str = GREY) -> tuple[Shape, ...]:
+    """Return a plate through points, or a body where they are in no plane; none of a line.
+
+    Args:
+        points: Shape (n, 3), [m].
+        thickness: [m].
+        colour: ``"#rrggbb"``.
+    """
+    sizes, turned = _principal(points)
+    if sizes[1] < _FLAT * sizes[0] or not sizes[0]:
+        return ()
+    shift = 0.5 * thickness * turned[2]
+    both = np.concatenate((points + shift, points - shift))
+    return (Shape("hull", (), np.eye(4), colour, both[ConvexHull(both).vertices]),)
+
+
+def base(feet: Array, home: Array, size: float) -> tuple[Shape, ...]:
+    """Return what feet stand on: a plate where the machine is above them, else a frame.
+
+    Args:
+        feet: Shape (n, 3), [m].
+        home: Of the platform, shape (3,), [m].
+        size: Radius of joints, [m].
+    """
+    distinct = np.unique(feet.round(9), axis=0)
+    if len(distinct) < 2:
+        return ()
+    sizes, turned = _principal(distinct)
+    if sizes[1] < _FLAT * sizes[0]:
+        along = distinct @ turned[0]
+        ends = distinct[[int(np.argmin(along)), int(np.argmax(along))]]
+        return (rod(ends[0], ends[1], 0.25 * size, PALE),)
+    if sizes[2] > _FLAT * sizes[0]:
+        return ()
+    level = distinct.mean(axis=0)
+    if (home - level) @ np.array([0, 0, 1.0]) > size and abs(turned[2, 2]) > 1 - _FLAT:
+        lowered = distinct - np.array([0.0, 0.0, 0.9 * size])
+        return plate(lowered, 0.6 * size, PALE)
+    corners = distinct[ConvexHull(distinct @ turned[:2].T).vertices]
+    pairs = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    return tuple(rod(first, second, 0.25 * size, PALE) for first, second in pairs)
+
+
+def _principal(points: Array) -> tuple[Array, Array]:
+    """Return sizes along the principal axes, shape (3,), and these, shape (3, 3), as rows."""
+    _, sizes, turned = np.linalg.svd(points - points.mean(axis=0))
+    return np.concatenate((sizes, np.zeros(3)))[:3], turned
+
+
+def pulls(leg: Leg) -> bool:
+    """Return whether a leg is a cable."""
+    return any(j.kind == "prismatic" and j.name in ("line", "cable") for j in leg.joints)
+
+
+def parallelogram(leg: Leg) -> int | None:
+    """Return the place, among all joints, of the one that carries a parallelogram's rods."""
+    place = len(leg.joints) - 2
+    hinge = leg.joints[place - 1] if place > 0 else None
+    if hinge is None or not hinge.name.startswith(("elbow", "sway", "swing")):
+        return None
+    both = leg.joints[place].kind == hinge.kind == "revolute"
+    return place if both and np.any(leg.joints[-1].placement.xyz) else None
+
+
+def two_rods(leg: Leg, radius: float) -> tuple[Shape, ...]:
+    """Return a parallelogram in a frame whose x is along its rods and whose y is along its hinges.
+
+    Args:
+        leg: The leg.
+        radius: Of joints, [m].
+    """
+    length = float(np.linalg.norm(leg.joints[-1].placement.xyz))
+    half, parts = 2.4 * radius, []
+    for side in (-half, half):
+        ends = np.array([[0.0, side, 0.0], [length, side, 0.0]])
+        parts.append(rod(ends[0], ends[1], 0.35 * radius, GREY))
+    for place in (0.0, length):
+        ends = np.array([[place, -half, 0.0], [place, half, 0.0]])
+        parts.append(rod(ends[0], ends[1], 0.4 * radius, GREY))
+    return tuple(parts)
+
+
+def parallel_frame(leg: Leg, links: Array, place: int) -> Array:
+    """Return ``T_base_parallelogram``, shape (N, 4, 4): hinges stay parallel, so it shears.
+
+    Args:
+        leg: The leg.
+        links: ``T_base_link`` of all joints, shape (N, n, 4, 4).
+        place: Of the joint that carries the rods.
+    """
+    along = np.array(leg.joints[-1].placement.xyz)
+    T = links[:, place].copy()
+    T[:, :3, 0] = links[:, place, :3, :3] @ (along / np.linalg.norm(along))
+    T[:, :3, 1] = links[:, place - 1, :3, :3] @ np.array(leg.joints[place - 1].axis)
+    T[:, :3, 2] = np.cross(T[:, :3, 0], T[:, :3, 1])
+    return T
 
 
 @dataclass(frozen=True)
@@ -210,3 +341,116 @@ def _shape(visual: Any) -> Shape:
 
 def _numbers(text: str) -> list[float]:
     return [float(word) for word in text.split()]
+
+
+METAL, JOINT = "#aab1ba", "#595959"
+#: Triangles of a link, at most about; cells along it into which corners are gathered.
+MOST, _CELLS = 3000, (60, 45, 32, 22, 15)
+
+
+def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
+    """Return a body whose links look as a URDF's visuals do, where it has them as meshes.
+
+    Args:
+        body: Of the mechanism.
+        mechanism: Its legs' joints have the URDF's names.
+        urdf: The file; ``package://`` is looked for in the folders above it.
+
+    Raises:
+        FileError: the URDF or a mesh is missing or cannot be read, or moves no link of the
+            mechanism.
+        MechanismError: not a well-formed URDF.
+    """
+    links = _links(Path(urdf))
+    parts, found = list(body.parts), 0
+    for number, (leg, chain) in enumerate(zip(mechanism.legs, body.chains, strict=True), 1):
+        for place, joint in zip(chain, leg.joints, strict=True):
+            if own := links.get(joint.name):
+                parts[place] = replace(parts[place], shapes=own)
+                found += 1
+        first = leg.joints[0].name
+        if own := links.get(f"before {first}"):
+            place = body.part(f"leg {number}/base")
+            parts[place] = replace(parts[place], shapes=own)
+    if not found:
+        raise FileError(
+            f"{urdf}: no joint of {mechanism.name!r} moves a link with a mesh; expected the URDF "
+            "that the mechanism was read from"
+        )
+    hidden = [body.part("platform/body")]
+    for place in hidden:  # the last link is the platform
+        parts[place] = replace(parts[place], shapes=parts[place].shapes[:1])
+    return replace(body, parts=tuple(parts))
+
+
+def _links(path: Path) -> dict[str, tuple[Shape, ...]]:
+    """Return the meshes of links by the joint before them; ``before …`` of a joint's parent."""
+    read_xml(path, "robot")  # yourdfpy repairs what is broken
+    import yourdfpy  # slow to import, and needed here only
+
+    robot = yourdfpy.URDF.load(path, load_meshes=False, build_scene_graph=False).robot
+    shapes = {
+        link.name: tuple(
+            _mesh(path, visual) for visual in link.visuals if visual.geometry.mesh is not None
+        )
+        for link in robot.links
+    }
+    found = {joint.name: shapes.get(joint.child, ()) for joint in robot.joints}
+    return found | {f"before {joint.name}": shapes.get(joint.parent, ()) for joint in robot.joints}
+
+
+def _mesh(path: Path, visual: Any) -> Shape:
+    """Return a visual as triangles, in its link's frame."""
+    import trimesh  # as yourdfpy needs it
+
+    own = visual.geometry.mesh
+    file = _found(path, own.filename)
+    try:
+        mesh: Any = trimesh.load(file, force="mesh")
+    except Exception as error:  # whatever readers of meshes raise
+        raise FileError(f"{file}: a mesh that cannot be read: {error}") from error
+    scale = np.ones(3) if own.scale is None else np.broadcast_to(own.scale, 3)
+    corners, faces = coarser(np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces))
+    T = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
+    return Shape("mesh", (), T, METAL, corners, faces)
+
+
+def _found(path: Path, name: str) -> Path:
+    """Return the file of a mesh: beside the URDF, or in a package in a folder above it."""
+    bare = name.removeprefix("file://")
+    if "://" not in bare:
+        there = [path.parent / bare]
+    else:
+        rest = Path(bare.partition("://")[2])
+        short = Path(*rest.parts[1:])
+        there = [folder / one for folder in path.resolve().parents for one in (rest, short)]
+    for one in there:
+        if one.is_file():
+            return one
+    raise FileError(f"{path}: its mesh {name} is not found beside it, nor in a folder above it")
+
+
+def coarser(corners: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Return a mesh of fewer triangles: corners in one cell of a grid become their mean.
+
+    Args:
+        corners: Shape (n, 3), [m].
+        faces: Corners of triangles, shape (m, 3).
+    """
+    size = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
+    for cells in _CELLS:
+        if len(faces) <= MOST or not size:
+            break
+        cell = np.floor((corners - corners.min(axis=0)) / size * cells).astype(np.int64)
+        _, group = np.unique(cell, axis=0, return_inverse=True)
+        group = group.ravel()
+        means = np.zeros((group.max() + 1, 3))
+        np.add.at(means, group, corners)
+        means /= np.bincount(group)[:, None]
+        moved = group[faces]
+        whole = (np.diff(np.sort(moved, axis=1), axis=1) > 0).all(axis=1)
+        kept = moved[whole]
+        _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
+        if len(first) <= MOST or cells == _CELLS[-1]:
+            return means, kept[np.sort(first)]
+    return corners, faces

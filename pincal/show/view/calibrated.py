@@ -12,8 +12,17 @@ from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, PincalError
 from pincal.model.measuring.setup import ORIGIN
 from pincal.show.results import directions, parameters
-from pincal.show.view.found import Errors, Found, Instrument, Misses, Station, Weakest
-from pincal.show.view.scene import Scene, driven, rounded_down
+from pincal.show.view.scene import (
+    Errors,
+    Found,
+    Instrument,
+    Misses,
+    Scene,
+    Station,
+    Weakest,
+    driven,
+    rounded_down,
+)
 from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
 from pincal.words.views import FRAME
 

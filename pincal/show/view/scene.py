@@ -1,4 +1,8 @@
-"""What a view shows: a mechanism at poses, an identified one beside it, a cloud of positions."""
+"""What a view shows: a mechanism at poses, an identified one beside it, what a calibration found.
+
+All of it is numbers: parts and placements, a cloud of positions, arrows of misses, errors over the
+workspace, where instruments stand.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +22,95 @@ from pincal.model.checks import numbers_of
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.style import DIMENSION, EVERY, look
-from pincal.show.view.bodies import Body, body
-from pincal.show.view.found import Found
-from pincal.show.view.solids import Shape
+from pincal.show.view.bodies import PALE, Body, Shape, across, body, rod
 from pincal.symmetry.detect import in_domain, symmetry_group
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Misses:
+    """From the measured to the predicted point of each row, after the calibration."""
+
+    measured: Array
+    """Of the platform, shape (n, 3), base frame, [m]."""
+    shifts: Array
+    """Predicted less measured, shape (n, 3), [m]."""
+    outlying: NDArray[np.bool_]
+    """Which rows are outliers, shape (n,)."""
+    magnify: float
+    """With which shifts are drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors of the platform's position over the workspace, before and after, on one scale."""
+
+    positions: Array
+    """Shape (N, 3), base frame, [m]."""
+    before: Array
+    """Of the nominal model, shape (N,), [m]."""
+    after: Array
+    """To expect of the identified one, shape (N,), [m]."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Ends of the scale, which is one of decades, [m]."""
+        both = np.concatenate((self.before, self.after))
+        low, high = np.quantile(both[both > 0.0], (0.01, 0.99)).tolist()
+        return low, max(high, low * 1.01)
+
+    def shares(self, errors: Array) -> Array:
+        """Return where on the scale errors are, from 0 to 1, shape (N,)."""
+        low, high = np.log(self.limits)
+        with np.errstate(divide="ignore"):
+            return np.clip((np.log(errors) - low) / (high - low), 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Weakest:
+    """The nominal machine moved along the direction that the measurements determine least."""
+
+    body: Body
+    """At one end of that motion, the same readings commanded."""
+    magnify: float
+    """How many standard errors away that is."""
+    named: str
+    """What moves most along it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instrument:
+    """A tracker that is known to stand somewhere."""
+
+    at: Array
+    """Shape (3,), base frame, [m]."""
+    T_base_frame: Array
+    """The frame of the measurements, shape (4, 4), [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """A frame that the measurements were made in, or an instrument that says where it stands."""
+
+    name: str
+    T_base_station: Array
+    """Shape (4, 4), [m]; a camera looks along z."""
+    sees: tuple[float, float] | None = None
+    """Half width and half height of what a camera sees at a distance of 1; None if it is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """All of it; None where there is none."""
+
+    misses: Misses | None = None
+    errors: Errors | None = None
+    weakest: Weakest | None = None
+    instrument: Instrument | None = None
+    stations: tuple[Station, ...] = ()
+
+
 MOST_POSES = 2000
 MOST_POINTS = 100_000
 MAGNIFY = 10.0
@@ -290,3 +377,92 @@ def ground(scene: Scene) -> Array:
         ends[:, :, 2] = scene.level
         lines.append(ends)
     return np.concatenate(lines)
+
+
+_LONGEST = 0.5  # of the scene's size: longer arrows are cut
+_THIN = 0.0016  # half an arrow's width, of that size
+_HEAD = 0.3  # of an arrow's length
+_WIDE, _SLIM = 3.0, 14.0  # half width and length at most of a head, of the shaft's half width
+
+
+def cut(misses: Misses, size: float) -> NDArray[np.bool_]:
+    """Return which arrows are drawn shorter than they are, shape (n,)."""
+    lengths = misses.magnify * np.linalg.norm(misses.shifts, axis=1)
+    return np.asarray(lengths > _LONGEST * size)
+
+
+def tips(misses: Misses, size: float) -> Array:
+    """Return where arrows end as they are drawn, shape (n, 3), [m]."""
+    lengths = misses.magnify * np.linalg.norm(misses.shifts, axis=1)
+    shorter = np.minimum(1.0, _LONGEST * size / np.maximum(lengths, 1e-300))
+    return misses.measured + (misses.magnify * shorter)[:, None] * misses.shifts
+
+
+def arrows(misses: Misses, rows: NDArray[np.bool_], size: float) -> Array:
+    """Return the triangles of arrows, shape (m, 3, 3), [m].
+
+    Args:
+        misses: From where to where.
+        rows: Which are drawn.
+        size: Of the scene, [m].
+    """
+    parts = []
+    for begin, shift in zip(misses.measured[rows], misses.shifts[rows], strict=True):
+        length = float(np.linalg.norm(shift))
+        drawn = min(misses.magnify * length, _LONGEST * size)
+        if drawn > 0.0:
+            parts.append(_arrow(begin, shift / length, drawn, min(_THIN * size, 0.08 * drawn)))
+    return np.concatenate(parts) if parts else np.zeros((0, 3, 3))
+
+
+def _arrow(begin: Array, along: Array, length: float, half: float) -> Array:
+    """Return the triangles of an arrow: a square shaft and a pyramid, shape (14, 3, 3)."""
+    first, second = across(along)
+    ring = np.array([first, second, -first, -second])
+    tip = begin + length * along
+    neck = tip - min(_HEAD * length, _SLIM * half) * along
+    low, high, wide = begin + half * ring, neck + half * ring, neck + _WIDE * half * ring
+    faces = []
+    for one in range(4):
+        two = (one + 1) % 4
+        faces += [
+            (low[one], low[two], high[two]),
+            (low[one], high[two], high[one]),
+            (wide[one], wide[two], tip),
+        ]
+    faces += [(wide[0], wide[2], wide[1]), (wide[0], wide[3], wide[2])]
+    return np.array(faces)
+
+
+def stand(size: float, planar: bool) -> tuple[Shape, ...]:
+    """Return an instrument whose axes meet at the origin: a head and, in space, three legs.
+
+    Args:
+        size: Of the scene, [m].
+        planar: Whether all is seen from above.
+    """
+    radius = 0.018 * size
+    head = Shape("sphere", (radius,), np.eye(4), DIMENSION)
+    if planar:
+        return (head,)
+    turns = np.radians([90.0, 210.0, 330.0])
+    ends = np.column_stack((2.2 * np.cos(turns), 2.2 * np.sin(turns), np.full(3, -5.0))) * radius
+    return (head, *(rod(np.zeros(3), end, 0.16 * radius, PALE) for end in ends))
+
+
+def frustum(sees: tuple[float, float], depth: float) -> Array:
+    """Return what a camera sees up to a depth, as segments in its frame, shape (9, 2, 3), [m].
+
+    Four edges from where it stands, the rectangle of its picture there, and a mark on the side
+    of the picture's top, which is towards −y.
+
+    Args:
+        sees: Half width and half height of that rectangle at a depth of 1.
+        depth: [m].
+    """
+    x, y = sees
+    corners = depth * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
+    edges = [(np.zeros(3), corner) for corner in corners]
+    edges += [(corners[one], corners[one - 1]) for one in range(4)]
+    edges.append((depth * np.array([0.0, -y, 1.0]), depth * np.array([0.0, -1.4 * y, 1.0])))
+    return np.array(edges)

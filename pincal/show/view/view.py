@@ -19,10 +19,19 @@ from pincal.kinematics.configurations import home_of
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.page import Page
+from pincal.show.view.bodies import with_meshes
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
 if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
+
+
+from collections.abc import Callable
+from contextlib import suppress
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from threading import Thread
+from urllib.parse import parse_qs, urlsplit
 
 Array = NDArray[np.float64]
 
@@ -47,8 +56,6 @@ class View(Page):
             FileError: a URDF or mesh that cannot be read, or of other joints.
             MechanismError: not a well-formed URDF.
         """
-        from pincal.show.view.meshes import with_meshes
-
         body = with_meshes(self.scene.body, self.scene.mechanism, urdf)
         return View(replace(self.scene, body=body), self._source, self._notices)
 
@@ -76,7 +83,6 @@ class View(Page):
     def url(self) -> str:
         """Where browsers of this machine find the page, until ``close`` or the process ends."""
         from pincal.show.view.page import answer, page
-        from pincal.show.view.server import PageServer
 
         scene = self.scene
 
@@ -148,3 +154,64 @@ def _some_poses(mechanism: Mechanism) -> Plan:
     read = [plan.readings for plan in (home, more) if plan.readings is not None]
     readings = np.concatenate(read) if read else None
     return Plan(np.concatenate((home.poses, more.poses)), readings=readings)
+
+
+class PageServer:
+    """Serves one page, and what it asks for, on a free port of 127.0.0.1 until it is closed.
+
+    Requests under another host's name are refused, so that a page elsewhere whose name is made
+    to resolve to this machine cannot read it.
+    """
+
+    def __init__(self, text: str, answer: Callable[[Mapping[str, list[str]]], str]) -> None:
+        """Begin to serve.
+
+        Args:
+            text: The page.
+            answer: Returns the JSON for the query of ``/moved``; a ValueError, KeyError or
+                IndexError says that it is none.
+        """
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                port = server.server_port
+                if self.headers.get("Host") not in (f"127.0.0.1:{port}", f"localhost:{port}"):
+                    self.send_error(HTTPStatus.MISDIRECTED_REQUEST, "not under this name")
+                    return
+                asked = urlsplit(self.path)
+                if asked.path == "/":
+                    self._send(text, "text/html")
+                elif asked.path == "/moved":
+                    try:
+                        self._send(answer(parse_qs(asked.query)), "application/json")
+                    except (ValueError, KeyError, IndexError):
+                        self.send_error(HTTPStatus.BAD_REQUEST, "not a pose and how to move it")
+                else:
+                    self.send_error(HTTPStatus.NOT_FOUND)
+
+            def _send(self, text: str, kind: str) -> None:
+                content = text.encode()
+                self.send_response(HTTPStatus.OK)
+                self.send_header("Content-Type", f"{kind}; charset=utf-8")
+                self.send_header("Content-Length", str(len(content)))
+                self.send_header("Cache-Control", "no-store")
+                self.send_header("X-Content-Type-Options", "nosniff")
+                self.send_header("X-Frame-Options", "DENY")
+                self.end_headers()
+                with suppress(ConnectionError):  # the browser went away
+                    self.wfile.write(content)
+
+            def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+                pass
+
+        server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{server.server_port}/"
+        self._server = server
+        self._thread = Thread(target=server.serve_forever, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
