@@ -1,7 +1,7 @@
 "use strict";
 // Moves the mechanism off its poses, by sliders and by dragging. Kinematics are Python's: the page
 // asks the server that it came from, and draws and writes what that answers.
-function Jog({ data, viewer, element, bytes, halt, draw }) {
+function Jog({ data, viewer, element, doubles, halt, draw }) {
   const { THREE } = MeshCat;
   const fields = document.getElementById("jog");
   let pose = 0; // from which sliders count
@@ -18,7 +18,7 @@ function Jog({ data, viewer, element, bytes, halt, draw }) {
       outside.hidden = !answer.problem;
       if (!answer.problem) {
         offset = by;
-        draw({ ...answer, matrices: answer.matrices.map((text) => new Float64Array(bytes(text).buffer)) });
+        draw({ ...answer, matrices: answer.matrices.map(doubles) });
       }
       write();
     }
@@ -78,8 +78,8 @@ function Jog({ data, viewer, element, bytes, halt, draw }) {
   canvas.addEventListener("pointerdown", (event) => {
     if (event.button !== 0 || !data.sliders.some(({ axis }) => axis >= 0)) return;
     aim(event);
-    const parts = machine.nodes.filter((_, i) => machine.paths[i].includes("/platform/"));
-    const [hit] = ray.intersectObjects(parts.map(({ object }) => object), true);
+    const parts = machine.objects.filter((_, i) => machine.paths[i].includes("/platform/"));
+    const [hit] = ray.intersectObjects(parts.map(([object]) => object), true);
     if (!hit) return;
     plane.setFromNormalAndCoplanarPoint(viewer.camera.getWorldDirection(new THREE.Vector3()), hit.point);
     held = { from: hit.point.clone(), offset: [...offset] };

@@ -9,6 +9,7 @@
   const resize = viewer.set_3d_pane_size.bind(viewer); // takes the window's height for the pane's
   viewer.set_3d_pane_size = () => resize(pane.clientWidth, pane.clientHeight);
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const doubles = (text) => new Float64Array(bytes(text).buffer);
   const node = (path) => viewer.scene_tree.find(path.split("/"));
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y); // the world's y points up
   const poses = data.set.length;
@@ -33,8 +34,8 @@
 
   data.commands.forEach((command) => viewer.handle_command_bytearray(bytes(command)));
   for (const body of data.bodies) {
-    body.matrices = new Float64Array(bytes(body.matrices).buffer);
-    body.nodes = body.paths.map(node);
+    body.matrices = doubles(body.matrices);
+    body.objects = body.paths.map((path) => [node(path).object]); // and its shadow
     body.share = 1; // of what differs from the nominal machine that is drawn
   }
 
@@ -42,14 +43,15 @@
     // matrices hold columns of 3 for each part; NaN where it is not to be drawn
     const [nominal, own] = [drawn.matrices[0], drawn.matrices[index]];
     const mixed = body.share !== 1 && nominal.length === own.length;
-    body.nodes.forEach(({ object }, part) => {
+    body.objects.forEach((objects, part) => {
       let m = own ? own.subarray(12 * part, 12 * part + 12) : [NaN];
       if (mixed) m = m.map((value, i) => value * body.share + (1 - body.share) * nominal[12 * part + i]);
-      object.visible = !Number.isNaN(m[0]);
-      if (!object.visible) return;
-      object.matrixAutoUpdate = false; // sheared parts have no quaternion
-      object.matrix.set(m[0], m[3], m[6], m[9], m[1], m[4], m[7], m[10], m[2], m[5], m[8], m[11], 0, 0, 0, 1);
-      object.matrixWorldNeedsUpdate = true;
+      for (const object of objects) {
+        object.visible = !Number.isNaN(m[0]);
+        object.matrixAutoUpdate = false; // sheared parts have no quaternion
+        if (object.visible) object.matrix.set(m[0], m[3], m[6], m[9], m[1], m[4], m[7], m[10], m[2], m[5], m[8], m[11], 0, 0, 0, 1);
+        object.matrixWorldNeedsUpdate = true;
+      }
     });
     viewer.set_dirty();
   }
@@ -59,33 +61,19 @@
   const [machine] = data.bodies;
   const platform = machine.paths.indexOf("meshcat/mechanism/platform/body");
   const drop = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0x777777 }));
-  const shadows = [];
   if (!data.planar) {
     const dark = new THREE.MeshBasicMaterial({ color: 0xd9dce0, side: THREE.DoubleSide });
     const flat = new THREE.Group();
     flat.matrixAutoUpdate = false;
     flat.matrix.set(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1e-4, data.level + 5e-4 * size, 0, 0, 0, 1);
-    machine.nodes.forEach(({ object }, part) => {
+    machine.objects.forEach((objects, part) => {
       if (machine.paths[part].endsWith("/frame")) return;
-      const group = object.clone();
-      group.matrixAutoUpdate = false;
-      group.traverse((one) => {
-        if (one.isMesh) one.material = dark;
-      });
-      shadows.push({ object, group });
-      flat.add(group);
+      const shadow = objects[0].clone();
+      shadow.traverse((one) => one.isMesh && (one.material = dark));
+      objects.push(shadow);
+      flat.add(shadow);
     });
     node("meshcat/shadow").object.add(flat, drop);
-  }
-
-  function beneath() {
-    for (const { object, group } of shadows) {
-      group.visible = object.visible;
-      group.matrix.copy(object.matrix);
-      group.matrixWorldNeedsUpdate = true;
-    }
-    const [x, y, z] = drawn.matrices[0].subarray(12 * platform + 9, 12 * platform + 12);
-    drop.geometry.setFromPoints([new THREE.Vector3(x, y, z), new THREE.Vector3(x, y, data.level)]);
   }
 
   // Colours on dark ground; materials keep their own where the palette has none
@@ -115,7 +103,7 @@
   function light(name) {
     data.legs.forEach((leg, index) => machine.paths.forEach((path, part) => {
       if (!path.includes(`/leg ${index + 1}/`)) return;
-      machine.nodes[part].object.traverse(({ material }) => {
+      machine.objects[part][0].traverse(({ material }) => {
         if (material && material.emissive) material.emissive.set(leg.name === name ? leg.colour : "#000000");
       });
     }));
@@ -134,7 +122,8 @@
   function draw(state) {
     drawn = state;
     data.bodies.forEach(place);
-    beneath();
+    const [x, y, z] = drawn.matrices[0].subarray(12 * platform + 9, 12 * platform + 12);
+    drop.geometry.setFromPoints([new THREE.Vector3(x, y, z), new THREE.Vector3(x, y, data.level)]);
     const shown = data.bodies.filter(({ name }) => name !== "weakest");
     const problems = shown.map(({ name }, i) => drawn.problems[i] && (i ? `${name}: ` : "") + drawn.problems[i]).filter(Boolean);
     find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
@@ -169,7 +158,7 @@
     find("play").textContent = on ? "pause" : "play";
   }
 
-  const jog = window.Jog ? Jog({ data, viewer, element, bytes, halt: () => play(false), draw }) : null;
+  const jog = window.Jog ? Jog({ data, viewer, element, doubles, halt: () => play(false), draw }) : null;
 
   function checkbox(parent, name, shown, change, colour) {
     const label = element("label", "", parent);
