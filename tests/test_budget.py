@@ -14,17 +14,17 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 420,
+    "": 260,
     "architectures": 800,
     "calibration": 7_400,
-    "cli": 4_400,
+    "cli": 3_950,
     "design": 3_400,
     "estimation": 6_600,
     "files": 3_350,
     "formats": 3_650,
     "kinematics": 4_400,
     "model": 3_750,
-    "show": 7_700,
+    "show": 7_400,
     "symmetry": 1_900,
     "words": 2_350,
     "workspace": 2_300,
@@ -32,14 +32,14 @@ LINES = {
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
     "files": 355,
-    "page lines": 1_600,
+    "page lines": 980,
     "largest folder": 18,
     "vague names": 0.131,
     "class names twice": 15,
     "dataclasses": 260,
     "complex functions": 54,
     "long signatures": 3,
-    "imports inside functions": 78,
+    "imports inside functions": 74,
 }
 
 
