@@ -248,9 +248,9 @@ def test_a_planar_arm() -> None:
 @pytest.mark.parametrize(
     ("tip", "base", "words"),
     [
-        ("nothing", None, "no link named 'nothing'"),
-        ("ee_link", "nothing", "no link named 'nothing'"),
-        ("base_link", "ee_link", "no chain of joints leads from ee_link"),
+        ("nothing", None, "no frame named 'nothing'"),
+        ("ee_link", "nothing", "no frame named 'nothing'"),
+        ("base_link", "ee_link", "no chain of joints leads from 'ee_link'"),
         ("base_link", None, "no joint moves"),
         ("ee_link", "ee_link", "no joint"),
     ],

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_line import done, run
 
 import pincal
 from pincal.errors import MechanismError
@@ -263,3 +264,132 @@ def test_random_files_move_as_their_own_readers_move_them(form: str, tmp_path: P
 def test_many_random_files_move_as_their_own_readers_move_them(form: str, tmp_path: Path) -> None:
     """Of 2,000 random files each is imported as Pinocchio or MuJoCo has it, none refused."""
     assert refusals(form, range(60, 2060), tmp_path) == Counter()
+
+
+PLACED = """<?xml version="1.0"?><robot name="r" version="1.1"><link name="base"/><link name="l1"/>
+<link name="tool"/><joint name="Revolute 1" type="revolute"><parent link="base"/><child link="l1"/>
+<origin xyz="0 0 0.2" quat_xyzw="1 0 0 1"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="x" type="revolute"><parent link="l1"/><child link="tool"/><origin xyz="0.3 0 0"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+OFF = """<link name="off"/><joint name="m" type="continuous"><origin xyz="0 0 0"/>
+<parent link="l1"/><child link="off"/>"""
+#: Elements and attributes of a joint in URDF's schema, with what becomes of them.
+SCHEMA = (
+    ('<dynamics damping="1" friction="1"/>', ""),
+    ('<safety_controller k_velocity="1" soft_lower_limit="0" soft_upper_limit="1"/>', ""),
+    ('<calibration reference_position="0.1"/>', "warning: "),
+    ('<calibration rising="0.1" falling="0.2"/>', "warning: "),
+    ('<mimic joint="x" multiplier="2" offset="1"/>', "mimics another"),
+    ('<origin xyz="1 0 0"/>', "two <origin>"),
+    ('<frame xyz="1 0 0"/>', "a <frame>"),
+)
+
+
+@pytest.mark.parametrize(("element", "words"), SCHEMA)
+def test_elements_of_a_joint_are_read_harmless_or_refused(
+    element: str, words: str, tmp_path: Path
+) -> None:
+    """Nothing in a <joint> is ignored in silence but what places nothing; off the path all is."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(PLACED.replace("<limit", f"{element}<limit", 1))
+    outcome = run("import", file, "--tip", "tool", "-o", tmp_path / "arm")
+    assert (outcome.code == 0) == (not words or words.startswith("warning"))
+    assert words in " ".join(outcome.err.split())
+    parted = PLACED.replace("</robot>", f"{OFF}{element}</joint></robot>")
+    file.write_text(parted)
+    outcome = done("import", file, "--tip", "tool", "-o", tmp_path / "beside")
+    assert "warning" not in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name="Revolute 1"', 'name="Revolute 1" pose="1 0 0"', "'pose' of its <joint>"),
+        ("<origin xyz=", '<origin scale="2" xyz=', "'scale' of its <origin>"),
+        ('<axis xyz="0 0 1"', '<axis rpy="1 0 0" xyz="0 0 1"', "'rpy' of its <axis>"),
+        ('version="1.1"', "", "version"),
+        ("quat_xyzw=", 'rpy="0 0 0" quat_xyzw=', "without rpy"),
+        ("1 0 0 1", "0 0 0 0", "not all zero"),
+        ("</robot>", "<loop_joint/></robot>", "may place links"),
+        ("</robot>", "<include/></robot>", "may place links"),
+        ("</robot>", "<sdf/></robot>", "<sdf> is not read"),
+    ],
+)
+def test_attributes_are_read_or_refused_by_name(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    """What might place a link and is not read is refused, or said, with its name and line."""
+    file = tmp_path / "arm.urdf"
+    assert old in PLACED
+    file.write_text(PLACED.replace(old, new, 1))
+    outcome = run("import", file, "--tip", "tool", "-o", tmp_path / "arm")
+    assert words in " ".join(outcome.err.split())
+    assert outcome.code == (0 if "<sdf>" in words else 2)
+
+
+def test_joints_go_out_under_their_own_names(tmp_path: Path) -> None:
+    """Names that are no identifiers head columns as such, and a calibrated URDF is as it was."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(PLACED)
+    done("import", file, "--tip", "tool", "-o", tmp_path / "arm")
+    arm = load_mechanism(tmp_path / "arm")
+    assert arm.reading_names == ("Revolute_1", "joint_x")
+    export = ("export", tmp_path / "arm", "--original", file, "-o", tmp_path / "out.urdf")
+    done(*export)
+    assert (tmp_path / "out.urdf").read_text() == PLACED
+    true = arm.with_parameters({"arm": {"Revolute_1_rx": 0.05, "Revolute_1_x": 0.02}})
+    save_mechanism(true, tmp_path / "arm", force=True)
+    done(*export, "--force")
+    again = pincal.Mechanism.from_urdf(tmp_path / "out.urdf", "tool")
+    q = np.array([[0.3, -0.2]])
+    np.testing.assert_allclose(
+        pincal.forward(again, q).poses, pincal.forward(true, q).poses, atol=1e-12
+    )
+    assert "quat_xyzw" in (tmp_path / "out.urdf").read_text()
+
+
+def test_an_arm_that_floats_stands_on_the_base_that_is_named(tmp_path: Path) -> None:
+    """A floating joint at the root is refused with the --base that leaves it out, which works."""
+    file = tmp_path / "arm.urdf"
+    floating = '<link name="world"/><joint name="fl" type="floating"><parent link="world"/>'
+    file.write_text(PLACED.replace("</robot>", f'{floating}<child link="base"/></joint></robot>'))
+    outcome = run("import", file, "--tip", "tool", "-o", tmp_path / "arm")
+    assert "import it with --base base" in outcome.trouble
+    done("import", file, "--tip", "tool", "--base", "base", "-o", tmp_path / "arm")
+
+
+@pytest.mark.parametrize(("name", "words"), [("a.sdf", "SDF"), ("a.urdf.xacro", "xacro FILE")])
+def test_files_that_must_become_others_say_how(name: str, words: str, tmp_path: Path) -> None:
+    """SDF and xacro are called what they are."""
+    (tmp_path / name).write_text("<sdf/>")
+    outcome = run("import", tmp_path / name, "--tip", "a", "-o", tmp_path / "out")
+    assert words in outcome.trouble
+
+
+M666 = "M665 L250.00 R124.68 H267.88 B80.00 X0.03 Y-0.01 Z-0.02\nM666 X-0.30 Y0.00 Z-0.50\n"
+
+
+@pytest.mark.parametrize(
+    ("before", "form", "first"),
+    [
+        ("", None, None),
+        ("", "marlin", 268.18),
+        ("", "reprap", 267.58),
+        ("; Marlin 2.1\n", None, 268.18),
+        ('M550 P"delta" ; Duet\n', None, 267.58),
+    ],
+)
+def test_corrections_of_endstops_are_those_of_the_firmware(
+    before: str, form: str | None, first: float | None, tmp_path: Path
+) -> None:
+    """RepRapFirmware adds M666 to the height, Marlin takes it off; which is not guessed."""
+    file = tmp_path / "delta.g"
+    file.write_text(before + M666)
+    how = () if form is None else ("--format", form)
+    outcome = run("import", file, *how, "-o", tmp_path / "delta")
+    assert outcome.code == (2 if first is None else 0)
+    if first is None:
+        assert "--format reprap or --format marlin" in " ".join(outcome.trouble.split())
+    else:
+        assert f"endstop {first:.4f} mm" in outcome.out

@@ -78,6 +78,10 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
             )
         element = by_parent[link]
         link = link_of(element, "child", path)
+        if element.get("type") in ("revolute", "prismatic") and element.find("limit") is None:
+            raise MechanismError(
+                f"{path}, line {element.sourceline}: joint {element.get('name')!r} needs a <limit>"
+            )
         chain.append(weighed(read_joint(element, path), robot, link, path))
     if not any(joint.kind != "fixed" for joint in chain):
         raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
@@ -225,10 +229,12 @@ def _limits(element: etree._Element, name: str, where: str) -> tuple[float, floa
     lower, upper = (plain_number(limit.get(key, "0")) for key in ("lower", "upper"))
     if max(abs(lower), abs(upper)) > LARGEST:
         return -np.inf, np.inf
-    if not lower <= upper:
+    for key, value in (("lower", lower), ("upper", upper)):
+        if np.isnan(value):
+            raise MechanismError(f"{where}: {why_no_number(limit.get(key, '0'))}")
+    if lower > upper:
         raise MechanismError(
-            f"{where}: joint {name!r} has limits {limit.get('lower', '0')!r} to "
-            f"{limit.get('upper', '0')!r}; expected numbers, lower below upper"
+            f"{where}: joint {name!r} has limits {lower:g} to {upper:g}; lower must be below upper"
         )
     return lower, upper
 

@@ -8,6 +8,7 @@ Which of them are not observable is found when measurements are planned or made.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,9 +86,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         raise MechanismError(f"{name}: no joint moves")
     if joints[-1].kind != "fixed":
         joints = (*joints, Joint("tip", "fixed"))
-    names = identifiers((TOOL, *(joint.name for joint in moving)))[1:]
-    stems = [name.removesuffix("_joint") for name in names]
-    stem_of = dict(zip(moving, names if len(set(stems)) < len(stems) else stems, strict=True))
+    stems = iter(_stems(moving))
     parameters: dict[str, float] = {}
     placed = []
     for joint in joints:
@@ -95,7 +94,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         if joint.kind == "fixed" and not last:
             placed.append(joint)
             continue
-        stem = TOOL if last else stem_of[joint]
+        stem = TOOL if last else next(stems)
         own = {f"{stem}_{axis}": 0.0 for axis in _AXES}
         parameters |= own
         steps = tuple(Coordinate(axis, (name,)) for axis, name in zip(_AXES, own, strict=True))
@@ -115,6 +114,13 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
     free = Platform("spatial", (0.0,) * 6)
     home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
     return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
+
+
+def _stems(joints: Sequence[Joint]) -> Sequence[str]:
+    """Return what the names of each joint's parameters begin with, no two alike."""
+    names = identifiers((TOOL, *(joint.name for joint in joints)))[1:]
+    stems = [name.removesuffix("_joint") for name in names]
+    return names if len({TOOL, *stems}) <= len(stems) else stems
 
 
 def _home(joint: Joint) -> float:

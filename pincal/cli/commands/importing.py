@@ -133,9 +133,7 @@ def import_(
             f"{file} is a folder; name the file to read"
             f"{f', such as {file / known[0]}' if known else ''}"
         )
-    if (suffix := file.suffix.lower()) in _OTHER and how.form is None:
-        raise FileError(f"{file} is {_OTHER[suffix]}")
-    whose = how.form or SUFFIXES.get(suffix, "figaroh")
+    whose = how.form or _whose(file)
     for_trees = {"--loops": how.loops, "--platform": how.platform, "--tip": how.tip}
     for_trees["--base"] = how.base
     if whose in TREES:
@@ -151,6 +149,18 @@ def import_(
     if how.mech is not None:
         raise MechanismError(f"{file} describes its own mechanism; leave out --mech {how.mech}")
     _import_printer(file, output, whose, how, force=force)
+
+
+def _whose(file: Path) -> Neighbour:
+    """Return whose file it is by its ending, a table of FIGAROH's if that says nothing.
+
+    Raises:
+        FileError: an ending of files that must become others first.
+    """
+    suffix = file.suffix.lower()
+    if suffix in _OTHER:
+        raise FileError(f"{file} is {_OTHER[suffix]}")
+    return SUFFIXES.get(suffix, "figaroh")
 
 
 def _import_printer(

@@ -59,17 +59,7 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
     text = read_text(path, LARGEST_FILE["printer"], MechanismError, pipe=True)
     shown = [name for name, signs in _SHOWS.items() if signs.search(text)]
     meant = firmware or ("marlin" if shown == ["marlin"] else "reprap")
-    given: dict[tuple[str, str], list[float]] = {}
-    for number, line in enumerate(lines_of(text), start=1):
-        command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0].removeprefix("echo:"))
-        if command:
-            own = _words(command[1], command[2], _KNOWN[meant], f"{path}, line {number}")
-            given |= {(command[1], letter): values for letter, values in own.items()}
-    if missing := [letter for letter in "LRH" if ("665", letter) not in given]:
-        raise MechanismError(
-            f"{path}: no M665 with {', '.join(missing)}; expected a line such as "
-            "'M665 L333.0 R174.7 H297.1'"
-        )
+    given = _commands(text, _KNOWN[meant], path)
 
     def value(code: str, letter: str) -> float:
         return given.get((code, letter), [0.0])[0]
@@ -105,6 +95,28 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
         )
     except MechanismError as error:
         raise MechanismError(f"{path}: {error}") from error
+
+
+def _commands(
+    text: str, known: Mapping[str, str], path: Path
+) -> dict[tuple[str, str], list[float]]:
+    """Return the numbers of M665 and M666, by number of the command and letter.
+
+    Raises:
+        MechanismError: no M665, a letter missing or unknown, or no numbers behind one.
+    """
+    values: dict[tuple[str, str], list[float]] = {}
+    for number, line in enumerate(lines_of(text), start=1):
+        command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0].removeprefix("echo:"))
+        if command:
+            words = _words(command[1], command[2], known, f"{path}, line {number}")
+            values |= {(command[1], letter): numbers for letter, numbers in words.items()}
+    if missing := [letter for letter in "LRH" if ("665", letter) not in values]:
+        raise MechanismError(
+            f"{path}: no M665 with {', '.join(missing)}; expected a line such as "
+            "'M665 L333.0 R174.7 H297.1'"
+        )
+    return values
 
 
 def _words(code: str, text: str, known: Mapping[str, str], where: str) -> dict[str, list[float]]:
