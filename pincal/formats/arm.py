@@ -67,7 +67,8 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
     try:
         return arm(re.sub(r"\W", "_", tree.name), joints, f"Serial arm to {tip} of {path.name}.")
     except MechanismError as error:
-        raise MechanismError(f"{path}: {error}") from error
+        remarks = [tree.remarks[name] for name in names if name in tree.remarks]
+        raise MechanismError("; ".join([f"{path}: {error}", *remarks[:1]])) from error
 
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:
