@@ -7,6 +7,7 @@ from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
+import lazy_loader
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -249,6 +250,27 @@ def test_mjcf_loops_by_sites_and_bodies(equality: str, tmp_path: Path) -> None:
     points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.45), (30, 2))
     readings = pincal.inverse(mechanism, points).readings
     np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)
+
+
+def test_readings_of_loops_count_from_where_the_file_draws_them(tmp_path: Path) -> None:
+    """A reference of a joint is what MuJoCo reads where it is drawn: pincal's readings are zero."""
+    file = tmp_path / "robot.xml"
+    text = LOOPED.replace("EQUALITY", CONNECT).replace('name="m1"', 'name="m1" ref="0.7"')
+    file.write_text(text.replace('name="f2"', 'name="f2" ref="-0.2"'))
+    mechanism = read(file)
+    points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.45), (30, 2))
+    readings = pincal.inverse(mechanism, points).readings
+    np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)
+
+
+def test_mjcf_without_mujoco_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the extra is absent, the message is the command that installs it."""
+    (tmp_path / "robot.xml").write_text(LOOPED.replace("EQUALITY", CONNECT))
+    monkeypatch.setattr("pincal.formats.trees.mjcf.mujoco", lazy_loader.load("no_such_package"))
+    outcome = run("import", tmp_path / "robot.xml", "-o", tmp_path / "out")
+    assert "python -m pip install 'pincal[mujoco]'" in outcome.trouble
 
 
 def test_welds_are_where_pinocchio_has_them(tmp_path: Path) -> None:
