@@ -18,6 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mangled import mangled
+from neighbours import MJCF
 from test_formats import CONFIG
 
 import pincal
@@ -26,10 +27,12 @@ from pincal.errors import PincalError
 from pincal.files.mechanism_folders import bundled
 from pincal.files.tables import measurements
 from pincal.files.tables.measurement_writing import write_readings
+from pincal.formats.arm import serial_arm
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.delta import DeltaPrinter, Expressed
 from pincal.formats.printers.klipper import read_klipper, write_klipper
 from pincal.formats.printers.reprap import read_reprap, write_reprap
+from pincal.formats.trees.mjcf import read_mjcf
 
 PLANE, SPACE = pincal.load_mechanism("3RRR"), pincal.load_mechanism("6UPS")
 HEIGHTS = """\
@@ -80,6 +83,10 @@ def read_mechanism(path: Path) -> None:
 
 def read_arm(path: Path) -> None:
     check_mechanism(pincal.Mechanism.from_urdf(path, "tip"), path.parent)
+
+
+def read_mjcf_arm(path: Path) -> None:
+    check_mechanism(serial_arm(read_mjcf(path), "c"), path.parent)
 
 
 def read_plan(path: Path) -> None:
@@ -198,6 +205,7 @@ READERS: dict[str, tuple[str, bytes, Callable[[Path], None]]] = {
     "leg": ("leg_1.urdf", sound("leg_1.urdf"), read_mechanism),
     "platform": ("platform.urdf", sound("platform.urdf"), read_mechanism),
     "arm": ("arm.urdf", ARM.encode(), read_arm),
+    "mjcf": ("robot.xml", MJCF.encode(), read_mjcf_arm),
     "plan": ("plan.csv", rows("set,x [mm],y [m],z [m],rx [rad],ry [deg],rz [rad]", 4), read_plan),
     "readings": ("r.csv", rows("leg_1 [rad],leg_2 [rad],leg_3 [deg]", 4), read_readings),
     "measurements": (
