@@ -20,7 +20,7 @@ LINES = {
     "cli": 3_950,
     "design": 3_400,
     "estimation": 6_600,
-    "files": 3_350,
+    "files": 3_370,
     "formats": 3_650,
     "kinematics": 4_400,
     "model": 3_750,

@@ -177,8 +177,8 @@ def test_whether_a_drift_matters_is_said(relative: float, says: str) -> None:
     mechanism, plan = leg_after_leg(12)
     found = drift(pincal.forecast(mechanism, plan, NOISE), plan)
     for one in (
-        replace(found, relative=np.full_like(found.relative, relative), share=0.1),
-        replace(found, relative=np.zeros_like(found.relative), share=relative),
+        replace(found, most=relative, share=0.1),
+        replace(found, most=0.0, share=relative),
     ):
         (line,) = drift_lines([one])
         assert says in line

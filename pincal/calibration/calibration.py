@@ -169,7 +169,8 @@ class Calibration:
             return np.stack([measured[:, own].all(axis=1) for own in columns], axis=1)
         if self.options.every_pose:
             return np.ones((len(data), len(self.mechanism.legs)), dtype=bool)
-        return np.stack([data.serves(name) for name in self.mechanism.leg_names], axis=1)
+        serves = [data.serves(name) for name in self.mechanism.leg_names]
+        return np.stack(serves, axis=1) | data.verifying[:, None]  # these predict every leg
 
     @cached_property
     def counts(self) -> Mask:
@@ -333,8 +334,8 @@ class Calibration:
         Raises:
             ObservabilityError: there are.
         """
-        free = self.unknowns()
-        for leg, count in zip(self.mechanism.legs, self.used.sum(axis=0), strict=True):
+        free, served = self.unknowns(), self.used[self.counts].sum(axis=0)
+        for leg, count in zip(self.mechanism.legs, served, strict=True):
             own = free.part([leg.name])
             n = own.map.shape[1] - int(np.isfinite(own.priors).sum())
             equations = self.mechanism.platform.equations(leg)

@@ -7,7 +7,6 @@ from typing import Any, cast, get_origin, get_type_hints
 
 import numpy as np
 from cattrs import BaseConverter, Converter
-from cattrs.errors import BaseValidationError
 from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
@@ -22,6 +21,7 @@ from pincal.model.measuring.instrument import Instrument
 from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
+_NOT_FINITE = ("inf", "-inf", "nan")
 _APART = ("calibration", "identified")
 _REPORTS = {"Validation": Validation, "RunComparison": RunComparison}
 
@@ -39,7 +39,7 @@ def _plain(array: NDArray[Any]) -> Any:
 
 def _array(data: Any, _: Any) -> NDArray[Any]:
     values = [float(one) if isinstance(one, str) else one for one in data["values"]]
-    return np.array(values, dtype=np.dtype(data["type"])).reshape(data["shape"])
+    return np.array(values, dtype=np.dtype(str(data["type"]))).reshape(data["shape"])
 
 
 def _number(data: Any, _: Any) -> float:
@@ -77,7 +77,9 @@ def _converter() -> BaseConverter:
 
 
 def _frozen(data: Any) -> Any:
-    """Return data of which lists are tuples, as findings hold them."""
+    """Return data of which lists are tuples, as findings hold them; named numbers are numbers."""
+    if data in _NOT_FINITE:
+        return float(data)
     if isinstance(data, list):
         return tuple(_frozen(one) for one in data)
     if isinstance(data, dict):
@@ -120,27 +122,21 @@ def _kept(data: dict[str, Any], name: str, kind: Any) -> Any:
 
 
 def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
-    """Return the result of plain data.
-
-    Raises:
-        MeasurementError: data of another shape than ``stored`` gives.
-    """
-    try:
-        calibration = Calibration(
-            nominal,
-            _CONVERTER.structure(data["measurements"], Measurements),
-            _CONVERTER.structure(data["options"], Options),
-            start=_kept(data, "start", NDArray[np.float64]),
-            known_noise=_kept(data, "noise_model", NoiseModel),
-        )
-        found = {
-            name: _CONVERTER.structure(data[name], kind)
-            for name, kind in _HINTS.items()
-            if name not in _APART and name in data
-        }
-    except (BaseValidationError, KeyError, TypeError, ValueError) as error:
-        raise MeasurementError(
-            f"the data of this result are not as pincal saves them: {error}"
-        ) from error
+    """Return the result of plain data; data of another shape raise whatever they raise."""
+    calibration = Calibration(
+        nominal,
+        _CONVERTER.structure(data["measurements"], Measurements),
+        _CONVERTER.structure(data["options"], Options),
+        start=_kept(data, "start", NDArray[np.float64]),
+        known_noise=_kept(data, "noise_model", NoiseModel),
+    )
+    found = {
+        name: _CONVERTER.structure(data[name], kind)
+        for name, kind in _HINTS.items()
+        if name not in _APART and name in data
+    }
+    known = [(one.id, one.unit) for one in nominal.parameters]
+    if known != [(one.id, one.unit) for leg in found["legs"] for one in leg.parameters]:
+        raise ValueError("parameters of another mechanism than the nominal one")
     values = {leg.name: leg.identified for leg in found["legs"]}
     return CalibrationResult(calibration, nominal.with_parameters(values), **found)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from pincal.calibration.result import CalibrationResult, Page
 from pincal.calibration.result_data import restored, stored
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, read_text
+from pincal.files.json_text import json_text, plain
 from pincal.files.mechanism_folders import load_mechanism, own_files
 from pincal.files.mechanism_writing import write_mechanism
 from pincal.files.tables.measurement_writing import write_poses
@@ -28,7 +29,7 @@ from pincal.model.measuring.measurements import Plan
 from pincal.words.sentences import sentence
 
 FORMAT = 2
-RESULT = "result.json"
+RESULT, REPORT = "result.json", "report.html"
 MECHANISM, NOMINAL = "mechanism", "nominal"
 
 
@@ -39,7 +40,7 @@ def save_result(
     force: bool = False,
     report: Page | None = None,
 ) -> Path:
-    """Write a result folder, whole or not at all, and return it.
+    """Write a result folder, whole or not at all, then its report, and return it.
 
     A fit that did not converge has no calibrated mechanism, so none is written. Arguments are
     those of ``CalibrationResult.save``.
@@ -47,11 +48,10 @@ def save_result(
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
     """
-    own = [RESULT, "residuals.csv", "poses.csv", "report.html"]
+    own = [RESULT, "residuals.csv", "poses.csv", REPORT]
     own += [*own_files(folder, MECHANISM), *own_files(folder, NOMINAL)]
     with output.writing(folder, force=force, folder=RESULT, own=own) as scratch:
-        text = json.dumps(as_json(result), indent=2, ensure_ascii=False, allow_nan=False)
-        (scratch / RESULT).write_text(text + "\n", encoding="utf-8")
+        (scratch / RESULT).write_text(json_text(as_json(result)) + "\n", encoding="utf-8")
         mechanisms = {NOMINAL: result.nominal}
         mechanisms |= {MECHANISM: result.identified} if result.converged else {}
         for name, mechanism in mechanisms.items():
@@ -61,14 +61,15 @@ def save_result(
         if result.estimated_poses is not None:
             plan = Plan(result.estimated_poses)
             write_poses(scratch / "poses.csv", result.identified, plan)
-        if report is not None:
-            (scratch / "report.html").write_text(report.html(), encoding="utf-8")
+    if report is not None:  # drawn when the result is safe
+        with output.writing(Path(folder) / REPORT) as scratch:
+            scratch.write_text(report.html(), encoding="utf-8")
     return Path(folder)
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
     """Return a result as plain data for JSON; numbers that do not exist are null."""
-    return {
+    found = {
         "pincal_result": FORMAT,
         "pincal": __version__,
         "mechanism": result.nominal.name,
@@ -80,37 +81,35 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "converged": result.converged,
         "message": result.message,
         "evaluations": result.evaluations,
-        "reduced_chi2": _number(result.reduced_chi2),
+        "reduced_chi2": result.reduced_chi2,
         "degrees_of_freedom": result.degrees_of_freedom,
         "promised": result.promises,
         "contradicted_by": [one.code for one in result.contradictions],
-        "noise": {
-            "source": result.noise_source,
-            **({} if result.noise is None else asdict(result.noise)),
-        },
+        "noise": {"source": result.noise_source, **(vars(result.noise) if result.noise else {})},
         "warnings": list(result.warnings),
         "findings": [
-            asdict(one) | {"rows": [row + 1 for row in one.rows], "sentence": sentence(one)}
+            vars(one) | {"rows": [row + 1 for row in one.rows], "sentence": sentence(one)}
             for one in result.findings
         ],
         "loss": result.loss,
-        "outliers": [asdict(one) | {"row": one.row + 1} for one in result.outliers],
+        "outliers": [vars(one) | {"row": one.row + 1} for one in result.outliers],
         "shift_without_loss": result.shift,
         "external": [_parameter(p) for p in result.external],
         "gauge": [sentence(one) for one in result.gauge],
-        "ties": [asdict(one) | {"holds": one.holds} for one in result.ties],
+        "ties": [vars(one) | {"holds": one.holds} for one in result.ties],
         "observed": [
             {"name": one.name, "unit": one.unit, "count": one.count}
             | {"rms": one.rms, "sigma": one.sigma}
             for one in result.observed
         ],
-        "weakly_determined": [asdict(one) for one in result.weak],
-        "validation": None if result.validation is None else asdict(result.validation),
+        "weakly_determined": result.weak,
+        "validation": result.validation,
         "runs": None if result.runs is None else _runs(result.runs),
         "legs": [_leg(leg) for leg in result.legs],
-        "covariance": [[_number(one) for one in row] for row in result.parameter_covariance],
+        "covariance": result.parameter_covariance,
         "data": stored(result),
     }
+    return dict(plain(found))
 
 
 def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
@@ -144,10 +143,10 @@ def _leg(leg: LegResult) -> dict[str, Any]:
         "name": leg.name,
         "parameters": [_parameter(p) for p in leg.parameters],
         "rank": leg.rank,
-        "condition": _number(leg.condition),
+        "condition": leg.condition,
         "residual_unit": leg.unit,
-        "rms_before": _number(leg.rms_before),
-        "rms_after": _number(leg.rms_after),
+        "rms_before": leg.rms_before,
+        "rms_after": leg.rms_after,
         "n_residuals": leg.n_residuals,
     }
 
@@ -159,8 +158,8 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
         "unit": p.unit,
         "nominal": p.nominal,
         "identified": p.identified,
-        "std": _number(p.std),
-        "interval_95": [_number(p.low), _number(p.high)],
+        "std": p.std,
+        "interval_95": [p.low, p.high],
         "given": p.given or None,
         "label": p.label or None,
     }
@@ -175,17 +174,13 @@ def _runs(runs: RunComparison) -> dict[str, Any]:
             {"name": name, "spread": spread, "predicted": predicted, "values": values}
             for name, spread, predicted, values in zip(
                 runs.names,
-                runs.spread.tolist(),
-                runs.predicted.tolist(),
-                runs.values.T.tolist(),
+                runs.spread,
+                runs.predicted,
+                runs.values.T,
                 strict=True,
             )
         ],
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _finite(text: str) -> float:
@@ -229,7 +224,8 @@ def load_result(folder: str | Path) -> CalibrationResult:
 
     Raises:
         FileError: a file is missing or cannot be read.
-        MeasurementError: not a result of pincal, or one of version 0.1, which did not hold all.
+        MeasurementError: not a result of pincal, a damaged one, or one of version 0.1, which did
+            not hold all.
         MechanismError: a nominal mechanism that cannot be loaded.
     """
     found = read_result(folder)
@@ -238,4 +234,15 @@ def load_result(folder: str | Path) -> CalibrationResult:
             f"{folder}: a result of version 0.1, which does not hold all that it was made from; "
             "calibrate again, or read it with pincal.calibration.result_files.read_result"
         )
-    return restored(found["data"], load_mechanism(Path(folder) / NOMINAL))
+    nominal = load_mechanism(Path(folder) / NOMINAL)
+    try:
+        with warnings.catch_warnings(action="error"):
+            result = restored(found["data"], nominal)
+            as_json(result)
+            str(result)  # all that is said of it can be said
+    except Exception as error:  # what was saved raises nothing
+        raise MeasurementError(
+            f"{Path(folder) / RESULT} is damaged ({type(error).__name__}: {str(error)[:100]}); "
+            "calibrate again, or take a copy that is whole"
+        ) from error
+    return result

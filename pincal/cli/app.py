@@ -7,7 +7,6 @@ no matter of the commands: ``command`` gives them the options and turns the cons
 from __future__ import annotations
 
 import inspect
-import json
 import logging
 import os
 import re
@@ -20,7 +19,6 @@ from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -29,6 +27,7 @@ from typer.core import TyperArgument, TyperGroup
 
 from pincal import __version__
 from pincal.errors import FileError
+from pincal.files.json_text import json_text
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
 
@@ -232,28 +231,15 @@ def _turned_down(quiet: bool, as_json: bool) -> Iterator[None]:
 
 
 def answer(found: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> None:
-    """Print what a command found as JSON, if that was asked for; infinities are null.
+    """Print what a command found as JSON, if that was asked for.
 
     Args:
         found: That, or what makes it.
     """
     if _asked["json"]:
-        text = json.dumps(_plain(found() if callable(found) else found), indent=2, allow_nan=False)
+        text = json_text(found() if callable(found) else found)
         answers = _Console(file=sys.stdout, soft_wrap=True, markup=False, emoji=False)
         answers.print(Text(text))  # whole, whatever its length
-
-
-def _plain(value: Any) -> Any:
-    """Return plain data for JSON."""
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
 
 
 def remember(typed: Sequence[str]) -> None:

@@ -30,9 +30,11 @@ class Drift:
     (n, s), [m], [rad] or [1]."""
     relative: Array
     """Of each parameter by all quantities, root of the sum of squares, in standard errors, (n,);
-    zero where these are not known."""
+    NaN where these are not known."""
+    most: float
+    """The largest of these; NaN where no standard error is known."""
     worst: str
-    """Id of the parameter that this moves most."""
+    """Id of the parameter that this moves most, of those whose standard errors are known."""
     platform: PlatformError
     """What it leaves of errors of the platform."""
     share: float
@@ -51,7 +53,7 @@ def drift(found: Forecast, poses: Plan | Array, expected: PlatformError | None =
     shifts = np.einsum("n,nis->is", found.when, found.influence)
     bias = np.linalg.norm(shifts, axis=1)
     known = np.isfinite(found.std) & (found.std > 0.0)
-    relative = np.where(known, bias / np.where(known, found.std, 1.0), 0.0)
+    relative = np.where(known, bias / np.where(known, found.std, 1.0), np.nan)
     there = platform_error(found.mechanism, shifts @ shifts.T, poses, found.lost, found.frames)
     error = expected or found.platform_error(poses)
     pairs = ((there.position, error.position), (there.orientation, error.orientation))
@@ -59,7 +61,8 @@ def drift(found: Forecast, poses: Plan | Array, expected: PlatformError | None =
     return Drift(
         shifts=shifts,
         relative=relative,
-        worst=parameter_ids(found.mechanism)[_first_largest(relative)],
+        most=float(np.nan_to_num(relative).max()) if known.any() else np.nan,
+        worst=parameter_ids(found.mechanism)[_first_largest(np.nan_to_num(relative))],
         platform=there,
         share=max(shares, default=np.nan),
     )

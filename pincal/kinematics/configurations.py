@@ -112,7 +112,7 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
         known = mechanism.known(index, plan.readings, influences)
         closed, found = nearest_closure(leg, matrices, known)
         near = np.abs(closed.gap).max(axis=1) <= _CLOSES * leg.size
-        joints[leg.leg.name] = np.where(near[:, None], found, np.nan)
+        joints[leg.leg.name] = np.where(near[:, None], found[:, : len(leg.leg.moving)], np.nan)
         reached.append(near)
     every = np.stack(reached, axis=1)
     return InverseSolution(joints, plan.readings, every, mechanism.leg_names)

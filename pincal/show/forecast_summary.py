@@ -56,19 +56,23 @@ def drift_lines(drifts: Sequence[Drift]) -> list[str]:
     )
     lines = []
     for head, one in zip(heads, drifts, strict=False):
-        most = float(one.relative.max(initial=0.0))
-        text = f"{head}: {one.worst} off by {most:.2g} standard errors"
+        if not np.isfinite(one.most):  # nothing is determined that could be off
+            continue
+        text = f"{head}: {one.worst} off by {one.most:.2g} standard errors"
         if np.isfinite(one.share):
             text += f", the platform by {one.share:.2g} of its expected error"
-        much = max(most, float(np.nan_to_num(one.share)))
+        much = max(one.most, float(np.nan_to_num(one.share)))
         text += f": {_VERDICTS[int(np.searchsorted(_MATTERS, much))]}"
         lines.append(text)
     return lines
 
 
 def scale_line(one: ScaleEffect | None) -> list[str]:
-    """Return what a wrong scale of the instrument would do; nothing if no lengths are measured."""
-    if one is None:
+    """Return what a wrong scale of the instrument would do.
+
+    Nothing if no lengths are measured, or the platform is not determined in the first place.
+    """
+    if one is None or not np.isfinite(one.platform.position):
         return []
     off = amount(one.platform.position, "m")
     text = f"all lengths measured {1e6 * SCALE:.0f} µm/m too long: the platform off by {off}"
@@ -92,8 +96,8 @@ def scale_answer(one: ScaleEffect | None) -> dict[str, Any] | None:
 def drift_answer(one: Drift) -> dict[str, Any]:
     """Return what a drift over the run would do, as JSON."""
     return {
-        "parameter": one.worst,
-        "standard_errors": float(one.relative.max(initial=0.0)),
+        "parameter": one.worst if np.isfinite(one.most) else None,
+        "standard_errors": one.most,
         "platform": {"position": one.platform.position, "orientation": one.platform.orientation},
         "platform_share": one.share,
     }

@@ -125,6 +125,8 @@ def tie_lines(result: CalibrationResult) -> list[str]:
 def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     """Return by how much the platform was off, and by about how much it should be now."""
     turning = turns(result)
+    if errors.undetermined.all():
+        return "platform: not determined anywhere, since what was held moves it at every pose"
     before = platform_size(errors.mean_before(), turning)
     text = f"platform, root mean square {errors.where}: "
     found = ", its zeros as found," if result.begun is not result.nominal else ""

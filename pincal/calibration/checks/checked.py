@@ -29,7 +29,7 @@ def checked(
     try:
         if folds:
             result = with_held_out(result, folds, by, whole)
-    except PincalError as error:
+    except (PincalError, ArithmeticError) as error:
         said.append(f"no held-out validation: {error}")
     try:
         if result.measurements.runs is not None:

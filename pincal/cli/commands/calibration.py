@@ -18,7 +18,7 @@ from pincal.calibration.checks.folds import FOLDS, By
 from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.options import AUTO, Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_files import RESULT, as_json
+from pincal.calibration.result_files import REPORT, RESULT, as_json
 from pincal.calibration.terms.kinds import columns_said
 from pincal.cli.app import (
     Force,
@@ -232,7 +232,8 @@ def calibrate(
     estimated by group from the residuals. RESULT holds report.html to read,
     result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
     exit code is 1, and no mechanism is written, if the fit does not converge; 1 with all files
-    written, if χ² contradicts the noise given, unless --accept.
+    written, if χ² contradicts the noise given, unless --accept; 3 if the result is written and its
+    report cannot be drawn.
     """
     if how.folds == 1:
         raise MeasurementError("--folds 1: expected 2 or more, or 0 for no held-out validation")
@@ -251,19 +252,28 @@ def calibrate(
             )
             raise
         result, said = checked(found, how.folds, how.by, fits)
-        progress("sampling the workspace for the platform's errors")
+        result.save(output, force=force)
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
-        page = report(result, command=typed(), files=files, notes=said, units=how.units or "")
-        if not how.no_report:
-            progress("drawing the report")
-        result.save(output, force=force, report=None if how.no_report else page)
+        errors, undrawn = None, ""
+        try:
+            progress("sampling the workspace for the platform's errors")
+            page = report(result, command=typed(), files=files, notes=said, units=how.units or "")
+            errors = page.found.errors
+            if not how.no_report:
+                progress("drawing the report")
+                page.save(output / REPORT)
+        except Exception as error:  # whatever it is, the result is written and stays
+            undrawn = f"{type(error).__name__}: {error}"
     with reading_in(units.printed):
         for text in warnings(result):
             warn(text)
         tables = calibration_tables(result) if how.verbose else []
-        _say(result, page.found.errors, said, tables, drawn=not how.no_report)
+        _say(result, errors, said, tables, drawn=not (how.no_report or undrawn))
     wrote(output)
     answer(lambda: as_json(result))
+    if undrawn:
+        warn(f"exit code 3, since the report could not be drawn ({undrawn}); the result is written")
+        raise typer.Exit(3)
     if not result.converged:
         raise typer.Exit(1)
     if result.excess > 1.0 and not how.accept:

@@ -58,6 +58,7 @@ def weak_pairs(
     scale = np.where(finite, std, 1.0)
     rho = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
     directions = np.zeros((len(std), 0)) if gauge is None else gauge
+    directions = directions[:, directions.any(axis=0)]  # the others move no parameter
 
     names = [one.partition(".") for one in ids]
 
