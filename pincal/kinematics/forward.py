@@ -159,7 +159,8 @@ def with_loads(
 
     They are those of the machine as drawn at the poses where the platform is: a term depends on
     nothing that is identified. Where a pose is not known, at that to which the readings would take
-    the machine as drawn: near type-2 singularities another.
+    the machine as drawn: near type-2 singularities another. Where an arm stands follows from its
+    readings alone: its loads are the same before and after calibration, wherever it was measured.
 
     Args:
         mechanism: The mechanism.
@@ -170,13 +171,17 @@ def with_loads(
     if influences is None or not needs_loads(mechanism, influences):
         return influences
     drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
-    there = (
-        np.full((len(readings), drawing.platform.dof), np.nan) if poses is None else poses.copy()
-    )
-    lost = known & ~np.isfinite(there).all(axis=1)
-    if lost.any():
-        there[lost] = _reached(drawing, readings[lost])
-    loads = gravity_loads(drawing, readings[known], drawing.platform.matrices(there[known]))
+    legs = nominal_legs(drawing)
+    by_leg = [drawing.known(index, readings[known]) for index in range(len(legs))]
+    matrices = placed_by_arm(legs, by_leg)
+    if matrices is None:
+        there = np.full((len(readings), drawing.platform.dof), np.nan)
+        there = there if poses is None else poses.copy()
+        lost = known & ~np.isfinite(there).all(axis=1)
+        if lost.any():
+            there[lost] = _reached(drawing, readings[lost])
+        matrices = drawing.platform.matrices(there[known])
+    loads = gravity_loads(drawing, readings[known], matrices)
     found = influences.copy()
     for name in mechanism.loaded:
         column = mechanism.influences.index(name)

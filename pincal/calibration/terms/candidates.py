@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -25,13 +26,16 @@ from pincal.calibration.terms.kinds import (
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences.columns import by_name
-from pincal.model.checks import ROUNDING
+from pincal.kinematics.legs.closure import largest_size
 from pincal.model.leg import Leg
 from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
+from pincal.model.parameter import listed
 from pincal.model.sensors.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
+_TRUE = 1e-3  # [rad], to which a joint's axis is known to stand
 
 
 def with_terms(
@@ -59,7 +63,7 @@ def with_terms(
     for place, kind in pairs:
         check_place(place, kind, mechanism)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
-    idle = _idle(data)
+    idle = idle_places(mechanism, data)
     for place, kind in pairs:
         if kind.name != GRAVITY or place not in idle:
             wanted.setdefault(place, []).append(kind)
@@ -140,6 +144,9 @@ def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Cal
     Growth of all lengths is one amplitude for all legs: they are tied.
     """
     data = with_columns(calibration, [kind for _, kind in pairs])
+    idle = idle_places(calibration.mechanism, data)
+    if names := [place for place, kind in pairs if kind.name == GRAVITY and place in idle]:
+        _log.info("gravity: %s: loaded by no more than rounding or a lean: no term", listed(names))
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     tied = [one for one in tied_by(ids) if one not in calibration.options.tied]
     options = replace(calibration.options, tied=(*calibration.options.tied, *tied))
@@ -294,14 +301,22 @@ def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurement
     return replace(data, influences=found.influences)
 
 
-def _idle(measurements: Measurements) -> set[str]:
-    """Return readings and ids on which gravity loads nothing, as joints about the vertical."""
-    loads = {
-        name.removeprefix(f"{LOAD}_"): float(np.nanmax(np.abs(one), initial=0.0))
-        for name, one in measurements.influences.items()
-        if name.startswith(f"{LOAD}_")
-    }
-    least = ROUNDING * max(loads.values(), default=0.0)
+def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
+    """Return readings and ids that gravity loads no more than their axes are true.
+
+    As joints about the vertical: what loads them is rounding, or how far the axis leans. Forces
+    count by the moment that they have about the machine's size.
+    """
+    size = largest_size(mechanism.legs)
+    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+    units |= {one.id: one.unit for one in mechanism.parameters}
+    loads = {}
+    for name, values in measurements.influences.items():
+        owner = name.removeprefix(f"{LOAD}_")
+        if owner != name and owner in units:
+            largest = float(np.nanmax(np.abs(values), initial=0.0))
+            loads[owner] = largest * (size if units[owner] == "m" else 1.0)
+    least = _TRUE * max(loads.values(), default=0.0)
     return {owner for owner, load in loads.items() if load <= least}
 
 
