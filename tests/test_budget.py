@@ -32,7 +32,7 @@ LINES = {
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
     "files": 355,
-    "page lines": 980,
+    "page lines": 970,
     "largest folder": 18,
     "vague names": 0.131,
     "class names twice": 15,

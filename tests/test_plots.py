@@ -23,11 +23,11 @@ from pincal.estimation.residuals.redundancy import Left, every_residual
 from pincal.kinematics.configurations import home_of
 from pincal.show.pictures.dimension_lines import MARK
 from pincal.show.pictures.exploded import GAP, draw_leg, shifts
-from pincal.show.pictures.figure import axes_of_view, dimensions_at
+from pincal.show.pictures.figure import dimensions_at
 from pincal.show.pictures.sheet import LEVELS, colour_of
 from pincal.show.plots import Plots
 from pincal.show.style import NOMINAL
-from pincal.show.view.scene import scene
+from pincal.show.view.scene import axes_of_view, scene
 from pincal.words.numbers import measured, minus
 
 NOISE = pincal.Noise(1e-4, 1e-4)

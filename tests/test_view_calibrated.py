@@ -11,14 +11,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
 from pincal.calibration.fits import fitted
-from pincal.show.pictures.figure import axes_of_view
 from pincal.show.report.linked import LinkedPage
 from pincal.show.report.report import report
 from pincal.show.report.verdicts import verdicts
 from pincal.show.style import ERRORS, shades
 from pincal.show.view.calibrated import calibrated, stations
 from pincal.show.view.calibrated import misses as misses_of
-from pincal.show.view.scene import Errors, Scene, arrows, cut, frustum, scene, tips
+from pincal.show.view.scene import Errors, Scene, arrows, axes_of_view, cut, frustum, scene, tips
 
 NOISE = pincal.Noise(1e-5, 1e-5)
 OFF = np.array([2e-3, -1e-3])

@@ -38,10 +38,8 @@ function Labels({ data, viewer, pane, node, element, coloured, turned }) {
   const [line, text] = ["i", "span"].map((kind) => bar.querySelector(kind));
 
   function placeScale() {
-    const { target } = viewer.controls;
-    const right = new THREE.Vector3().setFromMatrixColumn(viewer.camera.matrixWorld, 0);
-    const [one, two] = [target.clone(), target.clone().add(right)].map((at) => at.project(viewer.camera).x);
-    const pixels = (Math.abs(two - one) / 2) * pane.clientWidth; // of a metre, where the view turns about
+    const { top, bottom, zoom } = viewer.camera;
+    const pixels = (zoom * pane.clientHeight) / (top - bottom); // of a metre
     const decade = 10 ** Math.floor(Math.log10(140 / pixels));
     const length = decade * ([5, 2].find((factor) => factor * decade * pixels < 140) || 1);
     line.style.width = `${(length * pixels).toFixed(1)}px`;

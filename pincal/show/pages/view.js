@@ -219,18 +219,17 @@
   const labels = Labels({ data, viewer, pane, node, element, coloured, turned });
   checkbox(find("layers"), "names of legs", true, labels.show);
 
-  // The camera: from above where all is in a plane, else from the side
+  // The camera, in parallel projection: from above where all is in a plane, else from the side
 
   const centre = turned(low.map((value, i) => (value + high[i]) / 2));
-  const camera = data.planar
-    ? new THREE.OrthographicCamera(-1, 1, 1, -1, 0.01 * size, 20 * size)
-    : new THREE.PerspectiveCamera(30, 1, 0.01 * size, 50 * size);
+  const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, 0.01 * size, 20 * size);
   viewer.set_camera(camera);
   viewer.set_object(["Cameras", "default", "rotated"], camera);
 
   function widen() {
     camera.right = (camera.top * pane.clientWidth) / pane.clientHeight;
     camera.left = -camera.right;
+    viewer.set_3d_pane_size();
   }
 
   function fit() {
@@ -238,17 +237,11 @@
       if (isPoints) material.size = Math.min(pane.clientWidth, pane.clientHeight) < 500 ? 4 : 7; // pixels
     }));
     const aspect = (pane.clientWidth - 2 * labels.beside()) / pane.clientHeight;
+    const half = 1.14 * Math.max(data.half[1], data.half[0] / aspect, 0.1 * size);
+    Object.assign(camera, { top: half, bottom: -half, zoom: 1 });
     viewer.controls.target.copy(centre);
-    if (data.planar) {
-      const half = 0.57 * Math.max(high[1] - low[1], (high[0] - low[0]) / aspect, 0.1 * size);
-      Object.assign(camera, { top: half, bottom: -half, zoom: 1 });
-      widen();
-      camera.position.copy(centre).add(new THREE.Vector3(0, 10 * size, 0));
-    } else {
-      const narrow = Math.min(aspect, 1) * Math.tan((camera.fov / 2) * (Math.PI / 180));
-      camera.position.copy(centre).addScaledVector(turned(data.towards).normalize(), (0.55 * size) / narrow);
-    }
-    viewer.set_3d_pane_size();
+    camera.position.copy(centre).addScaledVector(turned(data.towards), 10 * size);
+    widen();
   }
 
   viewer.render = () => {
@@ -258,10 +251,7 @@
     viewer.needs_render = false;
     labels.place();
   };
-  window.addEventListener("resize", () => {
-    if (data.planar) widen();
-    viewer.set_3d_pane_size();
-  });
+  window.addEventListener("resize", widen);
 
   // What people do
 

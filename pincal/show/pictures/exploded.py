@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from pincal.show.pictures.dimension_lines import draw_dimensions
 from pincal.show.pictures.dimensions import Dimension
-from pincal.show.pictures.figure import axes_of_view, dimensions_at, name_axes
+from pincal.show.pictures.figure import dimensions_at, name_axes
 from pincal.show.pictures.painting import paint
 from pincal.show.style import GROUND, NOMINAL, PICTURE
 from pincal.show.view.bodies import Shape
-from pincal.show.view.scene import Scene, frame_axes
+from pincal.show.view.scene import Scene, axes_of_view, frame_axes
 
 Array = NDArray[np.float64]
 _LINES = 3.0  # of names that stand outside of what is drawn

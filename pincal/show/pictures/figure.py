@@ -18,7 +18,6 @@ from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.legs.closure import nominal_legs
 from pincal.model.checks import EXACT
 from pincal.model.measuring.measurements import EVERY_LEG
-from pincal.show import style
 from pincal.show.pictures.dimension_lines import draw_dimensions, point_of, symbol, text_box
 from pincal.show.pictures.dimensions import Dimension, dimensions_of
 from pincal.show.pictures.files import drawing
@@ -35,7 +34,15 @@ from pincal.show.style import (
     PICTURE,
 )
 from pincal.show.view.bodies import Shape
-from pincal.show.view.scene import Instrument, Scene, frame_axes, grid_step, ground, stand
+from pincal.show.view.scene import (
+    Instrument,
+    Scene,
+    axes_of_view,
+    frame_axes,
+    grid_step,
+    ground,
+    stand,
+)
 from pincal.words.numbers import amount, counted, minus
 from pincal.words.pages import clean
 
@@ -50,16 +57,6 @@ def scene_figure(scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Figu
         figure = Figure(figsize=(PICTURE.width, float(inches)), layout="constrained")
         draw_scene(figure.subplots(), scene, row, dimensions)
     return figure
-
-
-def axes_of_view(planar: bool) -> Array:
-    """Return what points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
-    if planar:
-        return np.eye(3)
-    towards = np.array(style.TOWARDS_VIEWER) / np.linalg.norm(style.TOWARDS_VIEWER)
-    right = np.cross([0.0, 0.0, 1.0], towards)
-    right /= np.linalg.norm(right)
-    return np.stack((right, np.cross(towards, right), towards))
 
 
 def _extent(scene: Scene, row: int, found: Sequence[tuple[str, Dimension]] = ()) -> Array:

@@ -12,6 +12,7 @@ import base64
 import json
 import warnings
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,6 @@ from pincal.show.style import (
     NOMINAL,
     OUTLIER,
     PAPER,
-    TOWARDS_VIEWER,
     shades,
 )
 from pincal.show.view.bodies import GREY, Body, Shape
@@ -39,6 +39,7 @@ from pincal.show.view.scene import (
     Found,
     Scene,
     arrows,
+    axes_of_view,
     cut,
     frame_axes,
     frustum,
@@ -114,13 +115,16 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
         bodies["identified"] = scene.identified.body
     if scene.found and scene.found.weakest:
         bodies["weakest"] = scene.found.weakest.body
+    V, bounds = axes_of_view(scene.planar), _bounds(scene)
+    corners = np.array(list(product(*bounds.T)))
     return {
         "name": scene.mechanism.name,
         "description": scene.mechanism.description,
         "source": source,
         "planar": scene.planar,
-        "towards": TOWARDS_VIEWER,
-        "bounds": _bounds(scene).tolist(),
+        "towards": V[2].tolist(),
+        "bounds": bounds.tolist(),
+        "half": (np.ptp(corners @ V[:2].T, axis=0) / 2).tolist(),
         "grid": f"grid {1e3 * grid_step(scene):.6g} mm",
         "commands": [base64.b64encode(command).decode() for command in commands(scene)],
         "bodies": [_body(root, body) for root, body in bodies.items()],

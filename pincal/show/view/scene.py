@@ -21,7 +21,7 @@ from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of
 from pincal.model.measuring.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import DIMENSION, EVERY, look
+from pincal.show.style import DIMENSION, EVERY, TOWARDS_VIEWER, look
 from pincal.show.view.bodies import PALE, Body, Shape, across, body, rod
 from pincal.symmetry.detect import in_domain, symmetry_group
 
@@ -346,6 +346,16 @@ def frame_axes(scene: Scene) -> tuple[Shape, ...]:
         T[place, 3] = length / 2
         axes.append(Shape("cylinder", (0.02 * length, length), T, DIMENSION))
     return tuple(axes)
+
+
+def axes_of_view(planar: bool) -> Array:
+    """Return what points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
+    if planar:
+        return np.eye(3)
+    towards = np.array(TOWARDS_VIEWER) / np.linalg.norm(TOWARDS_VIEWER)
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    return np.stack((right, np.cross(towards, right), towards))
 
 
 def grid_step(scene: Scene) -> float:
