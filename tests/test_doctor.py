@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done, run
-from marks import slow_or_fuzz, some_slow
-from measured import machine
+from marks import quick, slow_or_fuzz, some_slow
+from measured import machine, seen_from_elsewhere
 from numpy.typing import NDArray
 
 import pincal
@@ -218,3 +218,41 @@ def test_exchanged_columns_of_the_orientation_are_mended_as_they_were_written(
     mended = pincal.Measurements.from_csv(tmp_path / "mended.csv", mechanism)
     assert np.abs(mended.poses - data.poses).max() < 1e-9
     assert mended.written == "zyx"
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    quick(
+        1,
+        [
+            ("3RRR", lambda d: factors(d, 1, -1.0)),
+            ("3RRR", swapped),
+            ("3RRR", lambda d: replace(d, readings=np.roll(d.readings, 1, axis=0))),
+            ("6UPS", lambda d: factors(d, 3, 1e3)),
+            ("6UPS", swapped),
+        ],
+    ),
+)
+def test_a_fault_is_mended_where_frame_and_target_are_unknown(kind: str, wrong: Change) -> None:
+    """Nothing works as measured, and what works puts a fault right."""
+    mechanism, _, data = machine(kind, 36, NOISE)
+    offset = (0.03, -0.02, 0.0 if kind == "3RRR" else 0.05)
+    bad = wrong(seen_from_elsewhere(mechanism, data, offset, 0.4))
+    targets = {"platform": pincal.Target(unknown=True)}
+    setup = pincal.Setup(unknown_frame=True, targets=targets)
+    tried = list(remedies(Calibration(mechanism, bad, Options(noise=NOISE, setup=setup))))
+    works = [remedy for remedy in tried if remedy.works]
+    assert works
+    assert all(remedy.mends for remedy in works)
+
+
+@pytest.mark.slow
+def test_frame_and_target_are_tried_together(tmp_path: Path) -> None:
+    """Sound measurements of a target elsewhere by a tracker elsewhere: both options are printed."""
+    mechanism, _, data = machine("3RRR", 36, NOISE)
+    seen_from_elsewhere(mechanism, data, (0.03, -0.02, 0.0), 0.4).to_csv(
+        tmp_path / "m.csv", mechanism
+    )
+    outcome = run("doctor", "3RRR", str(tmp_path / "m.csv"), *GIVEN)
+    assert outcome.code == 0, outcome.out
+    assert "--unknown-frame --unknown-target" in outcome.out

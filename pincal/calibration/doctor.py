@@ -1,8 +1,9 @@
 """The doctor: faults of measurements put right one by one, and the calibration that then works.
 
-As measured; with what explains the misfit put right; in an unknown frame; of a machine known
-roughly; each of these also without rows that do not fit. A remedy works if its search converges and
-nothing contradicts it, rows held out and runs included: as ``pincal calibrate`` has it.
+As measured; with what explains the misfit put right; in an unknown frame, of an unknown target too,
+faults put right there as well; of a machine known roughly; each of these also without rows that do
+not fit. A remedy works if its search converges and nothing contradicts it, rows held out and runs
+included: as ``pincal calibrate`` has it.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, PincalError
 from pincal.finding import Finding
 from pincal.model.measuring.measurements import Measurements
+from pincal.model.measuring.setup import ORIGIN, Setup
 
 _FEW = 0.25  # of the rows: more that do not fit are no outliers
 
@@ -90,20 +92,32 @@ def _stages(
 ) -> Iterator[Sequence[tuple[tuple[Finding, ...], Calibration]]]:
     """Yield calibrations with what was put right in them; those of a list explain alike."""
     yield [((), calibration)]
-    mechanism, data = calibration.mechanism, calibration.measurements
-    setup, framed = calibration.options.setup, calibration.options.setup.unknown_frame
-    alike = []
-    for found, one in hypotheses_of(mechanism, data, setup):
-        framed = framed or found.code == "unknown-frame"
-        mended = replace(calibration, measurements=_put_right(calibration, one))
-        if one.free and not setup.unknown_frame:
-            mended = mended.with_options(setup=replace(setup, unknown_frame=True))
-        alike.append(((found,), mended))
-    yield alike
-    if not framed:
-        yield [((), calibration.with_options(setup=replace(setup, unknown_frame=True)))]
+    yield _explained(calibration)
+    for setup in _wider(calibration.options.setup):
+        wider = calibration.with_options(setup=setup)
+        yield [((), wider)]
+        yield _explained(wider)
     if not calibration.options.rough:
         yield [((), calibration.with_options(rough=True))]
+
+
+def _explained(calibration: Calibration) -> list[tuple[tuple[Finding, ...], Calibration]]:
+    """Return calibrations with each fault put right that explains the misfit."""
+    alike: list[tuple[tuple[Finding, ...], Calibration]] = []
+    setup = calibration.options.setup
+    for found, one in hypotheses_of(calibration.mechanism, calibration.measurements, setup):
+        mended = replace(calibration, measurements=_put_right(calibration, one))
+        framed = replace(setup, unknown_frame=setup.unknown_frame or one.free)
+        alike.append(((found,), mended.with_options(setup=framed)))
+    return alike
+
+
+def _wider(setup: Setup) -> list[Setup]:
+    """Return setups in which less is known of where frame and target are, the nearest first."""
+    origin = replace(setup.targets[ORIGIN], unknown=True)
+    framed = replace(setup, unknown_frame=True)
+    both = replace(framed, targets={**setup.targets, ORIGIN: origin})
+    return [wider for wider, known in ((framed, setup), (both, framed)) if wider != known]
 
 
 @on_one_thread

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from pincal.calibration.doctor import Remedy
 from pincal.finding import Finding
+from pincal.model.measuring.setup import ORIGIN
 from pincal.show.results import unpromised
 from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.table import Table, columns
@@ -18,6 +19,8 @@ def tried(one: Remedy) -> str:
     words = [_wording(found).said(found) for found in one.findings]
     if options.setup.unknown_frame and not any(f.code == "unknown-frame" for f in one.findings):
         words.append("the base is elsewhere in the frame of the measurements")
+    if options.setup.targets[ORIGIN].unknown:
+        words.append("the target is elsewhere on the platform")
     words += ["rows that do not fit are left out"] if options.loss == "reject" else []
     words += ["the machine is known roughly"] if options.rough else []
     return " and ".join(words) or "as measured"

@@ -47,6 +47,8 @@ class Rule:
     """Enough, where zeros of motors are tried in an unknown frame."""
     zeros: int = 12
     """Of a motor that are tried at a time, over a turn first, then over a cell of the last."""
+    alignments: int = 30
+    """Steps by which frame and target are aligned together."""
     times: int = 3
     """That zeros are tried."""
 

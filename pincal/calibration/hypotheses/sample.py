@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pincal.calibration.hypotheses.rule import RULE
 from pincal.kinematics.forward import forward
@@ -44,6 +45,8 @@ class Sample:
     """Whether orientations were measured."""
     free: bool
     """Whether the base is at an unknown place in the frame of the measurements."""
+    placed_target: bool
+    """Whether the target's place on the platform is known."""
     ways: tuple[str, ...]
     """In which orientations may have been written, keys of ``WAYS``."""
 
@@ -64,7 +67,7 @@ class Sample:
 
 
 def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample | None:
-    """Return rows to judge by; None if there are none, or the target's place is unknown.
+    """Return rows to judge by; None if there are none, or only the target's place is unknown.
 
     Rows with complete poses; if there are none such, with positions and all readings.
     """
@@ -76,14 +79,17 @@ def sample_of(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample 
         rows = np.flatnonzero(known[:, : platform.units.count("m")].all(axis=1) & whole)
         oriented = False
     free = setup.unknown_frame
-    if len(rows) < 2 or (target.unknown and np.any(target.offset) + free):
+    if len(rows) < 2 or (target.unknown and np.any(target.offset) and not free):
         return None
     most = RULE.rows if oriented and not free else RULE.rows_forward
     rows = rows[:: -(-len(rows) // most)]
     poses = np.where(known[rows], data.poses[rows], platform.home)
     readings, offset = data.readings, np.array(target.offset, dtype=float)
     ways = _ways(data)
-    return Sample(mechanism, poses, readings[rows], readings, rows, offset, oriented, free, ways)
+    known_target = not (free and target.unknown)
+    return Sample(
+        mechanism, poses, readings[rows], readings, rows, offset, oriented, free, known_target, ways
+    )
 
 
 def whole_sample(mechanism: Mechanism, data: Measurements, setup: Setup) -> Sample:
@@ -94,7 +100,7 @@ def whole_sample(mechanism: Mechanism, data: Measurements, setup: Setup) -> Samp
     oriented = bool(np.isfinite(data.poses[:, turned]).all(axis=1).any())
     readings, free = data.readings, setup.unknown_frame
     ways = _ways(data)
-    return Sample(mechanism, poses, readings, readings, every, offset, oriented, free, ways)
+    return Sample(mechanism, poses, readings, readings, every, offset, oriented, free, True, ways)
 
 
 def _ways(data: Measurements) -> tuple[str, ...]:
@@ -110,7 +116,8 @@ def placed(samples: Sequence[Sample]) -> list[tuple[Array, Rows] | None]:
         samples: The same rows of the same measurements, put right in several ways.
     """
     if not samples[0].free and samples[0].oriented:
-        return [(_on_platform(one, one.matrices()), np.arange(len(one.poses))) for one in samples]
+        seen = [(one, one.matrices()) for one in samples]
+        return [(_on_platform(T, _target(one)), np.arange(len(T))) for one, T in seen]
     known = [np.flatnonzero(np.isfinite(one.readings).all(axis=1)) for one in samples]
     readings = np.concatenate([one.readings[own] for one, own in zip(samples, known, strict=True)])
     distinct, index = np.unique(readings, axis=0, return_inverse=True)
@@ -132,19 +139,77 @@ def _placed(
         return None
     measured = sample.matrices()
     here = sample.mechanism.platform.matrices(poses[converged])
-    F = _motion(sample, here, measured[good]) if sample.free else np.eye(4)
+    F, X = _motion(sample, here, measured[good]) if sample.free else np.eye(4), _target(sample)
+    if not sample.placed_target:
+        F, X = _both_frames(sample, here, measured[good], F)
     back = np.linalg.inv(F)
     if sample.oriented:
-        return _on_platform(sample, back @ measured), np.arange(len(measured))
-    positions = measured[good, :3, 3] @ back[:3, :3].T + back[:3, 3]
-    here[:, :3, 3] = positions
-    return _on_platform(sample, here), good
+        return _on_platform(back @ measured, X), np.arange(len(measured))
+    here[:, :3, 3] = measured[good, :3, 3] @ back[:3, :3].T + back[:3, 3]
+    X[:3, :3] = np.eye(3)  # orientations are the platform's
+    return _on_platform(here, X), good
 
 
-def _on_platform(sample: Sample, targets: Array) -> Array:
+def _target(sample: Sample) -> Array:
+    """Return ``T_platform_target`` of a target that is not turned, shape (4, 4)."""
+    X = np.eye(4)
+    X[:3, 3] = sample.offset
+    return X
+
+
+def _on_platform(targets: Array, X: Array) -> Array:
     """Return the platform's poses where those of its target are, shapes (N, 4, 4)."""
-    targets[:, :3, 3] -= targets[:, :3, :3] @ sample.offset
+    turns = targets[:, :3, :3] @ X[:3, :3].T
+    targets[:, :3, 3] -= turns @ X[:3, 3]
+    targets[:, :3, :3] = turns
     return targets
+
+
+def _both_frames(sample: Sample, here: Array, there: Array, F: Array) -> tuple[Array, Array]:
+    """Return ``T_frame_base`` and ``T_platform_target`` that take ``here`` to ``there``.
+
+    There = F here X in least squares of lengths, by Gauss–Newton from a frame near it: in turn,
+    the two would come to rest but slowly where platforms turn little.
+
+    Args:
+        sample: Measurements of a target.
+        here: The nominal machine's poses, shape (N, 4, 4).
+        there: The target's where they were measured, shape (N, 4, 4).
+        F: The frame for the target where it is said to be.
+    """
+    platform = sample.mechanism.platform
+    size, plane = largest_size(sample.mechanism.legs), platform.space == 2
+    back, X, R = np.linalg.inv(F), _target(sample), here[:, :3, :3]
+    turned = range(3) if sample.oriented and "rad" in platform.units else ()
+    free = [0, 1, 5, 6, 7, 11] if plane else list(range(12))
+    free = free if turned else [k for k in free if k < 9]
+    for _ in range(RULE.alignments):
+        seen = back @ there
+        errors = [here[:, :3, 3] + R @ X[:3, 3] - seen[:, :3, 3]]
+        ones, none = np.tile(np.eye(3), (len(here), 1, 1)), np.zeros((len(here), 3, 3))
+        columns = [np.concatenate((-ones, _cross(seen[:, :3, 3]), R, none), axis=2)]
+        for k in turned:
+            errors.append(size * (R @ X[:3, k] - seen[:, :3, k]))
+            by_turn = -R @ _cross(X[None, :3, k])
+            columns.append(
+                np.concatenate((none, _cross(seen[:, :3, k]), none, by_turn), axis=2) * size
+            )
+        J = np.concatenate(columns).reshape(-1, 12)[:, free]
+        step = np.zeros(12)
+        step[free] = np.linalg.lstsq(J, -np.concatenate(errors).ravel(), rcond=1e-6)[0]
+        moved = np.eye(4)
+        moved[:3, :3], moved[:3, 3] = Rotation.from_rotvec(step[3:6]).as_matrix(), step[:3]
+        back = moved @ back
+        X[:3, 3] += step[6:9]
+        X[:3, :3] = Rotation.from_rotvec(step[9:]).as_matrix() @ X[:3, :3]
+        if np.abs(step).max() < RULE.precise * min(size, 1.0):
+            break
+    return np.linalg.inv(back), X
+
+
+def _cross(vectors: Array) -> Array:
+    """Return the matrices [v]× of vectors (N, 3), shape (N, 3, 3)."""
+    return np.asarray(np.cross(np.eye(3), vectors[:, None, :]))
 
 
 def _motion(sample: Sample, here: Array, there: Array) -> Array:

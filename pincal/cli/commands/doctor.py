@@ -35,7 +35,7 @@ from pincal.files.tables.measurements import read_measurements
 from pincal.files.tables.table import Table, write_table
 from pincal.files.tables.table_reading import read_table
 from pincal.files.tables.units import COUNTS, scale_of
-from pincal.model.measuring.setup import Setup
+from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.model.mechanism import Mechanism
 from pincal.show.remedies import advice, remedy_table, tried
 
@@ -107,6 +107,9 @@ def doctor(
         )
     else:
         stdout.print("nothing of this makes the measurements fit the mechanism")
+        if any(one.result and one.result.converged for one in found):
+            line = f"pincal explain {mech} {measurements}"
+            stdout.print(f"the mechanism may lack a term: {line} looks for it", markup=False)
         near = [one for one in found if one.result and one.result.converged and not one.mends]
         if near and near[0].result and near[0].result.excess == 1.0:
             line = _line(mech, str(measurements), how, near[0])
@@ -160,7 +163,8 @@ def _line(
         said += ["--counts", one]
     options = works.calibration.options
     said += ["--unknown-frame"] if options.setup.unknown_frame else []
-    said += ["--unknown-target"] if how.unknown_target else []
+    target_freed = options.setup.targets[ORIGIN].unknown and not how.read().targets[ORIGIN].unknown
+    said += ["--unknown-target"] if how.unknown_target or target_freed else []
     said += ["--rough"] if options.rough else []
     said += ["--robust", str(options.loss)] if options.loss != "none" else []
     return shlex.join([*said, "-o", "RESULT"])
