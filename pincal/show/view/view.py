@@ -87,9 +87,7 @@ class View(Page):
         scene = self.scene
 
         def asked(query: Mapping[str, list[str]]) -> str:
-            row = int(query["row"][0])
-            if not 0 <= row < len(scene.plan.poses):
-                raise IndexError(row)
+            row = range(len(scene.plan.poses)).index(int(query["row"][0]))  # or a ValueError
             return answer(scene, row, np.array(query["by"][0].split(","), dtype=np.float64))
 
         text = page(scene, self._source, self._notices, served=True)
@@ -168,8 +166,8 @@ class PageServer:
 
         Args:
             text: The page.
-            answer: Returns the JSON for the query of ``/moved``; a ValueError, KeyError or
-                IndexError says that it is none.
+            answer: Returns the JSON for the query of ``/moved``; a ValueError or KeyError
+                says that it is none.
         """
 
         class Handler(BaseHTTPRequestHandler):
@@ -184,7 +182,7 @@ class PageServer:
                 elif asked.path == "/moved":
                     try:
                         self._send(answer(parse_qs(asked.query)), "application/json")
-                    except (ValueError, KeyError, IndexError):
+                    except (ValueError, KeyError):
                         self.send_error(HTTPStatus.BAD_REQUEST, "not a pose and how to move it")
                 else:
                     self.send_error(HTTPStatus.NOT_FOUND)
