@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -182,20 +183,22 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
     )
     zyx = pincal.Orientations.of(platform, *(f"{n}=-0.6:0.6:0.1" for n in ("yaw", "pitch", "roll")))
     section = pincal.Grid.of(*sides, "z=1.8")
-    coarse = [f"{name}=-2.1:2.1:{0.15 if quick else 0.06}" for name in "xy"]
+    coarse = [f"{name}=-2.4:2.4:{0.15 if quick else 0.06}" for name in "xy"]
     space = pincal.Grid.of(*coarse, f"z=0:2.6:{0.2 if quick else 0.05}")
-    found, clouds = {}, {}
+    free, bar = _legs_alone(mechanism)
+    found, clouds, alone = {}, {}, {}
     for name, turns in (("tilt and torsion", tilts), ("Z-Y-X angles", zyx)):
         found[name] = pincal.compute_workspace(mechanism, "total-orientation", section, turns, NONE)
         clouds[name] = pincal.compute_workspace(mechanism, "total-orientation", space, turns, NONE)
+        alone[name] = pincal.compute_workspace(free, "total-orientation", space, turns, NONE)
     kept = {
         name: min(float(w.test(w.positions @ e.matrix.T).mean()) for e in group.elements)
         for name, w in found.items()
     }
     study.heading("Total orientation workspace (Figs. 5, 6)")
     study.say(
-        f"""Legs between 1.6 and 2.6 m, no margins from singularities, on a grid of
-        {1e3 * step:.0f} mm at
+        f"""Legs between 1.6 and 2.6 m, universal joints within ± {bar:.0f}°, which the paper does
+        not bound, no margins from singularities, on a grid of {1e3 * step:.0f} mm at
         z = 1.8 m. Tilt and torsion: 36 azimuths, 7 tilts up to 0.6 rad, 13 torsions within ± 0.6
         rad.
         Z-Y-X: 13 values of each angle within ± 0.6 rad. The set of tilts and torsions is
@@ -203,8 +206,9 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
     )
     study.table(
         "figs_5_6_workspaces",
-        """Section at z = 1.8 m, volume of the whole workspace with z ≥ 0, and the share of cells
-        that every element keeps inside.""",
+        """Section at z = 1.8 m, volume of the whole workspace with z ≥ 0, whether either reaches
+        the rim of its grid, the volume if the legs' lengths alone bound it, and the share of the
+        section's cells that every element keeps inside.""",
         {
             "orientations": list(found),
             "cells": [w.count for w in found.values()],
@@ -212,6 +216,10 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
             "± of the area [m²]": [w.uncertainty for w in found.values()],
             "volume [m³]": [w.measure for w in clouds.values()],
             "± of the volume [m³]": [w.uncertainty for w in clouds.values()],
+            "at the rim": [
+                "yes" if found[name].cut or clouds[name].cut else "no" for name in found
+            ],
+            "legs alone [m³]": [w.measure for w in alone.values()],
             "kept by the group": list(kept.values()),
         },
     )
@@ -235,6 +243,23 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
             figure,
         )
     return found, kept
+
+
+def _legs_alone(mechanism: pincal.Mechanism) -> tuple[pincal.Mechanism, float]:
+    """Return the mechanism without limits of its universal joints, and their largest, [deg]."""
+    turning = [joint for leg in mechanism.legs for joint in leg.joints if joint.turns]
+    bar = max(max(-joint.lower, joint.upper) for joint in turning)
+    legs = tuple(
+        replace(
+            leg,
+            joints=tuple(
+                replace(joint, lower=-np.inf, upper=np.inf) if joint.turns else joint
+                for joint in leg.joints
+            ),
+        )
+        for leg in mechanism.legs
+    )
+    return replace(mechanism, legs=legs), float(np.degrees(bar))
 
 
 def _savings(study: Study) -> float:

@@ -318,7 +318,10 @@ def test_standard_errors_equal_the_spread(
 
 @pytest.mark.parametrize("name", ["yaw", "pitch", "roll", "azimuth", "tilt", "torsion"])
 def test_single_angles_and_their_derivatives(name: str) -> None:
-    """As SciPy's Euler angles have them, tilt and torsion as Z-Y-Z; derivatives by differences."""
+    """As SciPy's Euler angles have them, tilt and torsion as Z-Y-Z; derivatives by differences.
+
+    The angle's derivative is 1/h long; that of h is by differences too.
+    """
 
     def wanted(R: Rotation) -> np.ndarray:
         z, y, x = R.as_euler("ZYX").T
@@ -328,10 +331,19 @@ def test_single_angles_and_their_derivatives(name: str) -> None:
         return np.asarray(all_[name])
 
     R = Rotation.random(50, random_state=3)
-    value, slope = angle(name, R.as_matrix())
+    (value, slope), (h, by_turn) = angle(name, R.as_matrix())
 
     def off(turn: np.ndarray) -> np.ndarray:  # no whole turns
         return np.angle(np.exp(1j * (wanted(Rotation.from_rotvec(turn) * R) - value)))
 
     assert np.abs(off(np.zeros(3))).max() < 1e-12
     assert_derivative(slope, off)
+    np.testing.assert_allclose(np.linalg.norm(slope, axis=1) * h, 1.0, rtol=0.0, atol=1e-12)
+
+    def size(turn: np.ndarray) -> np.ndarray:
+        return angle(name, (Rotation.from_rotvec(turn) * R).as_matrix())[1][0]
+
+    if name in ("pitch", "tilt"):
+        np.testing.assert_allclose(by_turn, 0.0, atol=1e-12)
+    else:
+        assert_derivative(by_turn, size)

@@ -100,6 +100,13 @@ def test_hexapod(folders: dict[str, Path]) -> None:
     assert max(off) < 1e-4
     kept = [float(v) for v in column(folder, "figs_5_6_workspaces", "kept by the group")]
     assert kept[0] == 1.0
+    assert column(folder, "figs_5_6_workspaces", "at the rim") == ["no", "no"]
+    volume, alone = (
+        [float(v) for v in column(folder, "figs_5_6_workspaces", name)]
+        for name in ("volume", "legs alone")
+    )
+    assert all(legs > 1.05 * limited for legs, limited in zip(alone, volume, strict=True))
+    assert "universal joints within ± 90°" in (folder / "study.md").read_text(encoding="utf-8")
     assert kept[1] == pytest.approx(0.91, abs=0.02)
     assert column(folder, "savings", "same set") == ["yes", "yes"]
     position = [float(v) for v in column(folder, "calibration", "position")]

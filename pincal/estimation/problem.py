@@ -217,12 +217,12 @@ class Problem:
             value[:, n_legs:], pose[:, n_legs:] = seen.value, seen.pose
         by_outside = np.zeros((count, r, outside)) if seen is None else seen.external
         blocks.append(Block(slice(n_legs, n_legs + r), slice(n, n + outside), by_outside))
-        noise = self.noise(demands)
+        noise = self.noise(demands, state)
         pose = pose if self.latent else pose[:, :, :0]
         return Stack(state, found, follow, value, tuple(blocks), pose, noise)
 
-    def noise(self, demands: Sequence[Demand]) -> Array:
-        """Return S at what the legs demand, shape (N, k, s)."""
+    def noise(self, demands: Sequence[Demand], state: State) -> Array:
+        """Return S at a state and what the legs demand there, shape (N, k, s)."""
         n_legs, n_readings = self.leg_rows[-1].stop, self.reading_columns[-1].stop
         r = self.sigma_observed.shape[1] if self.latent else 0
         more = self.platform.dof if self.pose_roots is not None else r
@@ -237,7 +237,10 @@ class Problem:
                 noise[:, rows, n_readings:] = np.where(keep, demand.pose @ self.pose_roots, 0.0)
         if self.latent:
             measured = self.observation.measured[:, :, None]
-            noise[:, n_legs:, n_readings:] = np.where(measured, self.observed_roots, 0.0)
+            roots = self.observation.noise_roots(
+                self.observed_roots, state.matrices, state.external
+            )
+            noise[:, n_legs:, n_readings:] = np.where(measured, roots, 0.0)
         return noise
 
     @cached_property
@@ -261,7 +264,8 @@ class Problem:
         Raises:
             MeasurementError: conditions without noise.
         """
-        return self.whitened(replace(linear.stack, noise=self.noise(linear.stack.demands)))
+        noise = self.noise(linear.stack.demands, linear.state)
+        return self.whitened(replace(linear.stack, noise=noise))
 
     def whitened(self, stack: Stack) -> Linear:
         """Return conditions freed of the poses and whitened.

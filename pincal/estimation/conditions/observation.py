@@ -4,6 +4,10 @@ Positions of targets u = T_frame_base (r + R t), single coordinates of them, ori
 single angles, distances |u − P|, and what further instruments read. Rows are predicted less
 measured, in the frame of the measurements; derivatives are by the platform's twist in base axes
 and by the external unknowns.
+
+A single angle without a standard deviation of its own is part of an orientation, whose noise is
+a small turn ω. Near a pole the angle follows it by J = ∂angle/∂ω, 1/h long. Its row is h times
+the difference, the least turn that makes it up, and has the noise of ω along h J.
 """
 
 from __future__ import annotations
@@ -79,6 +83,8 @@ class Observation:
             single |= dict(zip(platform.coordinates[lengths:], part.T, strict=True))
         single = {name: own for name, own in single.items() if np.isfinite(own).any()}
         self._angle_names = tuple(single)
+        self._angles, self._parts = _angles(single, data, whole | (platform.turns < 3))
+        """Measured single angles, [rad], and which are parts of an orientation, (N, angles)."""
         values |= single
         turn_names = platform.freedoms[lengths:]
         self.names = (*values, *turn_names, *own)
@@ -94,6 +100,7 @@ class Observation:
         )
         """Which quantity is measured in which row, shape (N, r)."""
         self._values = np.where(self.measured[:, : stacked.shape[1]], stacked, 0.0)
+        self._values[:, stacked.shape[1] - len(single) :] = 0.0
         self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
         oriented = bool(whole.any() or single)
         self.external = ExternalUnknowns(platform, setup, oriented)
@@ -118,6 +125,7 @@ class Observation:
         found = copy(self)
         found.measured, found._values = self.measured[chosen], self._values[chosen]
         found.orientations, found._own = self.orientations[chosen], self._own[chosen]
+        found._angles, found._parts = self._angles[chosen], self._parts[chosen]
         return found
 
     def noise(self, data: Measurements, noise: Noise) -> RowNoise:
@@ -127,6 +135,22 @@ class Observation:
             MeasurementError: covariances that no errors have.
         """
         return row_noise(self.names, self.units, data, noise, self.setup, self.platform)
+
+    def noise_roots(self, roots: Array, matrices: Array, external: External) -> Array:
+        """Return roots of the rows' noise, of those of what is measured, shape (N, r, r).
+
+        Parts of an orientation follow the turn that is its noise, others their own.
+        """
+        if not self._parts.any():
+            return roots
+        predicted = external.frame[:3, :3] @ matrices[:, :3, :3] @ external.turn
+        first = self.names.index(self.platform.freedoms[self.platform.lengths])
+        by_turn, found = roots[:, first : first + len(self._turn_rows)], roots.copy()
+        for column, name in enumerate(self._angle_names):
+            along = self._angle(column, predicted)[2]
+            part = self._parts[:, column] & along.any(axis=1)
+            found[part, self.names.index(name)] = (along[part, None] @ by_turn[part])[:, 0]
+        return found
 
     def systematic(self, matrices: Array, external: External) -> Array:
         """Return by how much all is off for one standard uncertainty of what is off in all rows.
@@ -175,8 +199,6 @@ class Observation:
             )
         n_scalar = self._values.shape[1]
         value[:, :n_scalar] -= self._values
-        turning = [i for i, name in enumerate(self.names) if name in self._angle_names]
-        value[:, turning] = wrapped(value[:, turning])
         keep = self.measured
         return Rows(
             np.where(keep, value, 0.0),
@@ -185,7 +207,7 @@ class Observation:
         )
 
     def _predicted(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
-        """Return predictions (orientations: less measured) and derivatives of all rows."""
+        """Return predictions (of angles: less measured) and derivatives of all rows."""
         R, F = matrices[:, :3, :3], external.frame[:3, :3]
         unknowns, axes, n = self.external, self._axes, len(self.external.frame_rows)
         turned = self._turned(R, F, external)
@@ -222,7 +244,7 @@ class Observation:
         return found
 
     def _turned(self, R: Array, F: Array, external: External) -> tuple[Array, Array, Array]:
-        """Return predictions and derivatives of single angles and of whole orientations."""
+        """Return rows of single angles and of whole orientations, less what was measured."""
         unknowns, names = self.external, self._angle_names
         count, dof, n = len(names) + len(self._turn_rows), self.platform.dof, len(unknowns)
         value = np.empty((len(R), count))
@@ -241,8 +263,8 @@ class Observation:
         last = unknowns.turn_columns.start
         for column, axis in enumerate(unknowns.turn_axes):
             by_external[:, :, last + column] = (F @ R)[:, :, axis]
-        for row, name in enumerate(names):
-            value[:, row], by_turn = angle(name, predicted)
+        for row in range(len(names)):
+            value[:, row], by_turn, _ = self._angle(row, predicted)
             pose[:, row] = (by_turn[:, None] @ by_pose)[:, 0]
             outer[:, row] = (by_turn[:, None] @ by_external)[:, 0]
         if not self._turn_rows:
@@ -255,6 +277,18 @@ class Observation:
         pose[:, len(names) :] = (spread @ by_pose)[:, own]
         outer[:, len(names) :] = (spread @ by_external)[:, own]
         return value, pose, outer
+
+    def _angle(self, column: int, predicted: Array) -> tuple[Array, Array, Array]:
+        """Return the row of a single angle, its derivative by turns, and by those that are noise.
+
+        Shapes (N,), [rad], (N, 3), (N, 3).
+        """
+        (value, slope), (h, by_turn) = angle(self._angle_names[column], predicted)
+        part = self._parts[:, column, None]
+        missed, h = wrapped(value - self._angles[:, column])[:, None], h[:, None]
+        row = np.where(part, h * missed, missed)[:, 0]
+        along = h * slope
+        return row, np.where(part, along + missed * by_turn, slope), along
 
     def _instruments(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
         """Return the conditions of the instruments, and derivatives as those of all rows."""
@@ -281,6 +315,19 @@ class Observation:
             outer[:, first:end, begin:last] = found.by_parameter
             first, begin = end, last
         return value, pose, outer
+
+
+def _angles(single: dict[str, Array], data: Measurements, apart: Mask) -> tuple[Array, Mask]:
+    """Return single angles, zero where not measured, and which have the noise of a turn.
+
+    Those of rows apart, or with a standard deviation of their own, have not.
+    """
+    angles = np.reshape([*single.values()], (len(single), len(data))).T
+    parts = np.isfinite(angles) & ~apart[:, None]
+    for place, name in enumerate(single):
+        parts[:, place] &= ~np.isfinite(data.sigma_extra.get(name, np.nan))
+    parts &= parts.sum(axis=1, keepdims=True) <= 3
+    return np.where(np.isfinite(angles), angles, 0.0), parts
 
 
 def _whole(orientations: Array) -> Mask:

@@ -217,7 +217,7 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
         rows &= ~outlying(linear.squares / one.system.scale(linear) ** 2, linear.equations)
     n_readings = problem.reading_columns[-1].stop
     unit = replace(problem, sigma_readings=np.full_like(problem.sigma_readings, readings))
-    by_reading = linear.white(unit.noise(linear.stack.demands)[:, :, :n_readings])
+    by_reading = linear.white(unit.noise(linear.stack.demands, linear.state)[:, :, :n_readings])
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = problem.observation.units if problem.latent else problem.platform.units
     lengths = np.array([name == "m" for name in units], dtype=bool)
