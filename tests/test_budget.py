@@ -19,7 +19,7 @@ LINES = {
     "calibration": 7_400,
     "cli": 3_950,
     "design": 3_400,
-    "estimation": 6_600,
+    "estimation": 6_650,
     "files": 3_370,
     "formats": 3_650,
     "kinematics": 4_400,

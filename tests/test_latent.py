@@ -589,8 +589,12 @@ def test_parts_of_an_orientation_have_the_noise_of_a_turn(
         truth = pincal.disturb(mechanism, 1e-3, seed)
         data = pincal.simulate(mechanism, truth, pincal.Plan(pool[rows]), noise, seed).measurements
         data = put(data, "poses", np.s_[:, columns], np.nan)
-        result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+        try:
+            result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+        except pincal.ObservabilityError:
+            continue  # near upright a few sets do not determine a reading's zero
         chi2.append(result.reduced_chi2)
+    assert len(chi2) >= 0.75 * sets
     assert np.mean(chi2) == pytest.approx(1.0, abs=0.1 if sets == 40 else 0.2)
 
 
