@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_SAME = 1e-6  # by which the uncertainty of one pose may differ by rounding
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 #: Findings that contradict the model or its noise.
 CONTRADICT = frozenset(
@@ -106,10 +107,56 @@ def expected_error(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
     """Return the platform error to expect of the calibrated mechanism at poses.
 
     Without a limit while something contradicts the model, and then as many times larger as the
-    platform misses the measured poses by more than uncertainties say.
+    platform misses the measured poses by more than uncertainties say. The measured region is where
+    no pose is more uncertain than the most uncertain one that was measured: what the model lacks
+    there, the measurements show or parameters have taken up; beyond, it grows with the uncertainty.
     """
-    found = _by_covariance(result, poses)
-    return found if result.promises else found.without_limit(_seen(result))
+    error = _by_covariance(result, poses)
+    error = replace(error, outside=_outside(result, error), uncovered=uncovered(result))
+    return error if result.promises else error.without_limit(_seen(result))
+
+
+def _outside(result: CalibrationResult, error: PlatformError) -> Array:
+    """Return how many times as uncertain as any measured pose others are, shape (N,)."""
+    most = most_uncertain(result)
+    known = np.where(most == 0.0, np.inf, np.nan_to_num(most))  # what does not turn is nowhere off
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = error.sizes / known
+    return np.asarray(np.where(np.isinf(error.sizes), np.inf, ratios).max(axis=1) * (1.0 - _SAME))
+
+
+def most_uncertain(result: CalibrationResult) -> Array:
+    """Return the largest standard errors of position [m] and orientation [rad] at measured poses.
+
+    They bound the measured region, shape (2,); NaN where no measured pose is determined.
+    """
+    measured = _at_measured(result).sizes.copy()
+    measured[[one.row for one in result.outliers if one.weight == 0.0]] = np.nan
+    measured = measured[np.isfinite(measured).all(axis=1)]
+    return np.asarray(measured.max(axis=0) if len(measured) else np.full(2, np.nan))
+
+
+def uncovered(result: CalibrationResult) -> tuple[str, ...]:
+    """Return what a promise does not cover: nothing was said of it, and it can hide in parameters.
+
+    ``"weight"`` that bends the machine without terms for it, a wrong ``"scale"`` of the instrument
+    or the machine's temperature, and what changes with ``"time"`` where no pose was measured again.
+    """
+    setup, data = result.options.setup, result.measurements
+    lengths = any(
+        unit == "m" and own.any()
+        for unit, own in zip(
+            result.calibration.observation.units,
+            result.calibration.observation.measured.T,
+            strict=True,
+        )
+    )
+    named = {
+        "weight": not result.nominal.loaded,
+        "scale": lengths and not setup.systematic.relative,
+        "time": result.runs is None and not any(data.places or ()),
+    }
+    return tuple(code for code, applies in named.items() if applies)
 
 
 def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
@@ -125,10 +172,14 @@ def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
     return replace(found, unseen=unseen(result.reduced_chi2, result.chi2_freedoms))
 
 
+def _at_measured(result: CalibrationResult) -> PlatformError:
+    read = result.measurements.readings if result.nominal.by_readings else None
+    return _by_covariance(result, Plan(result.poses, readings=read))
+
+
 def _seen(result: CalibrationResult) -> float:
     """Return how many times farther measured poses are missed than uncertainties say; 1 or more."""
-    read = result.measurements.readings if result.nominal.by_readings else None
-    expected = _by_covariance(result, Plan(result.poses, readings=read)).where_determined
+    expected = _at_measured(result).where_determined
     pairs = zip(result.misses, expected, strict=True)
     return max([1.0, *(seen / one for seen, one in pairs if seen > one > 0.0)])
 

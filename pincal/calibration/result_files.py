@@ -16,6 +16,7 @@ import pincal.files.output as output
 from pincal import __version__
 from pincal.calibration.checks.runs import RunComparison
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult
+from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult, Page
 from pincal.calibration.result_data import restored, stored
 from pincal.errors import MeasurementError
@@ -84,6 +85,8 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "reduced_chi2": result.reduced_chi2,
         "degrees_of_freedom": result.degrees_of_freedom,
         "promised": result.promises,
+        "promise_leaves_out": list(uncovered(result)),
+        "measured_region": [_number(one) for one in most_uncertain(result)],
         "contradicted_by": [one.code for one in result.contradictions],
         "noise": {"source": result.noise_source, **(vars(result.noise) if result.noise else {})},
         "warnings": list(result.warnings),

@@ -20,6 +20,7 @@ from pincal.kinematics.legs.closure import largest_size
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import amount
+from pincal.words.results import UNCOVERED
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -64,6 +65,11 @@ class PlatformError:
     scale that χ² leaves possible at 95 %."""
     promised: bool = True
     """Whether a limit is promised: not where something contradicts the model or its noise."""
+    outside: Array = field(default_factory=lambda: np.zeros(0))
+    """How many times as uncertain as any measured pose each is, shape (N,): above 1 outside the
+    measured region, NaN out of reach; empty where no poses were measured."""
+    uncovered: tuple[str, ...] = ()
+    """What no limit covers: of ``"weight"``, ``"scale"``, ``"time"`` (``pincal.words.results``)."""
 
     def without_limit(self, by: float) -> PlatformError:
         """Return errors so many times as large, which are no promise."""
@@ -87,6 +93,11 @@ class PlatformError:
         return np.asarray(np.isfinite(self.std).all(axis=1))
 
     @cached_property
+    def within(self) -> Mask:
+        """Planned poses that are reached, determined and in the measured region, shape (N,)."""
+        return self.determined & ~(self.outside > 1.0) if self.outside.size else self.determined
+
+    @cached_property
     def where_determined(self) -> tuple[float, float]:
         """Root mean squares over the poses at which all is determined, [m] and [rad]."""
         return root_mean_squares(self.sizes)
@@ -97,9 +108,10 @@ class PlatformError:
 
         With errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal
         numbers, weighted by the eigenvalues of MC: drawn, with the scale of the noise if that was
-        estimated, and larger by what residuals cannot show. Infinite where nothing is promised.
+        estimated, and larger by what residuals cannot show. Infinite where nothing is promised, or
+        if a pose lies outside the measured region: nothing shows what the model lacks there.
         """
-        if not self.promised:
+        if not self.promised or (self.outside > 1.0).any():
             return np.inf, np.inf
         if not self.determined.any():
             return np.nan, np.nan
@@ -117,10 +129,13 @@ class PlatformError:
     def __str__(self) -> str:
         lines = [f"platform error over {self.poses} poses, root mean square"]
         lines.append(f"  expected          {self._said(self.position, self.orientation)}")
-        if self.promised:
-            lines.append(f"  95 of 100 below   {self._said(*self.limit)}")
-        else:
+        if not self.promised:
             lines.append("  no limit is promised: something contradicts the model or its noise")
+        elif outside := int((self.outside > 1.0).sum()):
+            lines.append(f"  no limit is promised: {outside} poses lie outside the measured region")
+        else:
+            lines.append(f"  95 of 100 below   {self._said(*self.limit)}")
+            lines += [f"  left out          {UNCOVERED[code]}" for code in self.uncovered]
         if missing := len(self.std) - int(self.determined.sum()):
             lines.append(f"  out of reach or not determined at {missing} of {len(self.std)} poses")
         return "\n".join(lines)

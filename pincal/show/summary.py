@@ -27,7 +27,7 @@ def verdict_lines(result: CalibrationResult, errors: WorkspaceErrors | None) -> 
 
     Arguments are those of ``calibration_summary``, which has these lines too.
     """
-    first = [result.message] if errors is None else [_platform(result, errors)]
+    first = [result.message] if errors is None else platform_lines(result, errors)
     return [*first, *check_lines(result), noise_line(result), *systematic_lines(result)]
 
 
@@ -51,7 +51,7 @@ def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | Non
     if result.converged:
         lines += weak_lines(result.weak, result.nominal)
     if errors is not None:
-        lines.append(_platform(result, errors))
+        lines += platform_lines(result, errors)
     lines += check_lines(result)
     if result.shift is not None and result.outliers:
         count = len(result.outliers)
@@ -120,6 +120,16 @@ def tie_lines(result: CalibrationResult) -> list[str]:
         f"({chance(one.p_value)}, {one.restrictions} parameters fewer)"
         for one in result.ties
     ]
+
+
+def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
+    """Return how accurate the platform is, where no limit is promised, and what it leaves out."""
+    lines = [_platform(result, errors)]
+    if result.explained and errors.beyond is not None:
+        lines.append(sentence(errors.beyond))
+    if result.promises and errors.inside.uncovered:
+        lines.append(sentence(finding("promise-leaves-out", what=errors.inside.uncovered)))
+    return lines
 
 
 def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:

@@ -7,7 +7,8 @@ motions of the base and platform frame are left out of both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,12 @@ from pincal.calibration.result import CalibrationResult
 from pincal.design.platform_error import PlatformError, root_mean_squares, sizes, without_frames
 from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
+from pincal.finding import Finding
 from pincal.kinematics.configurations import as_plan
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.words.results import region_words
+from pincal.words.sentences import finding
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
@@ -37,6 +41,8 @@ class WorkspaceErrors:
     shape (N, 2)."""
     expected: PlatformError
     """Of the identified one, at the same poses."""
+    inside: PlatformError
+    """Of those poses that lie in the measured region (see ``expected_error``)."""
     sampled: bool = True
     """Whether poses are of the workspace, or those of the measurements."""
 
@@ -46,34 +52,43 @@ class WorkspaceErrors:
         return np.where(np.isfinite(self.expected.sizes), self.expected.sizes, np.nan)
 
     @property
-    def undetermined(self) -> NDArray[np.bool_]:
-        """Where what was held moves the platform (see ``calibrate``), shape (N,)."""
-        return np.asarray(np.isinf(self.expected.std).any(axis=1))
-
-    @property
     def limit(self) -> tuple[float, float]:
         """Below which ``mean_after`` is in 95 of 100 such calibrations, [m] and [rad]."""
-        return self.expected.limit
+        return self.inside.limit
+
+    @cached_property
+    def share(self) -> float:
+        """Share of the poses that are reached which lies in the measured region."""
+        return float(self.expected.within.sum()) / max(self.expected.poses, 1)
 
     @property
     def where(self) -> str:
         """Over which poses means are taken, for sentences."""
-        if not self.sampled:
-            return "over the measured poses"
-        count = len(self.poses) - int(self.undetermined.sum())
-        if count == len(self.poses):
-            return "over the workspace"
-        return f"over the {count} of {len(self.poses)} configurations that the measurements " + (
-            "determine"
-        )
+        return region_words(self.share, sampled=self.sampled)
 
     def mean_before(self) -> tuple[float, float]:
         """Return root mean squares of the nominal model's errors, [m] and [rad]."""
-        return root_mean_squares(self.before[~self.undetermined])
+        return root_mean_squares(self.before[self.expected.within])
 
     def mean_after(self) -> tuple[float, float]:
         """Return root mean squares of the errors to expect, [m] and [rad]."""
-        return self.expected.where_determined
+        return self.inside.where_determined
+
+    @property
+    def beyond(self) -> Finding | None:
+        """What is to be expected outside the measured region; None where nothing lies there."""
+        outside = np.isinf(self.expected.outside) | (self.expected.outside > 1.0)
+        if not (self.sampled and outside.any()):
+            return None
+        sizes = self.expected.sizes[outside]
+        position, orientation = root_mean_squares(sizes)
+        return finding(
+            "beyond-measured",
+            share=1.0 - self.share,
+            position=position,
+            orientation=orientation if "rad" in self.expected.units else None,
+            undetermined=float(np.isinf(sizes).any(axis=1).mean()),
+        )
 
 
 @dataclass(frozen=True)
@@ -133,11 +148,12 @@ def error_maps(
 def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
     """Return the platform's errors at samples of the workspace.
 
-    At the measured configurations if no workspace is found with the default margins.
+    At the measured configurations if no workspace is found with the default margins, or no sample
+    lies in the measured region.
     """
     try:
         found = errors_at(result, sample_configurations(result.nominal, 1000))
-        if not found.undetermined.all():
+        if found.expected.within.any():
             return found
     except WorkspaceError:
         pass
@@ -151,7 +167,12 @@ def errors_at(
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
     plan = as_plan(result.nominal, planned)
     before = sizes(result.nominal.platform.units, moved_apart(result, result.begun, plan))
-    return WorkspaceErrors(plan.poses, before, result.expected_error(plan), sampled)
+    expected = result.expected_error(plan)
+    within = expected.within
+    inside = expected
+    if not within.all():  # frames are those of other poses, the region is the same
+        inside = replace(result.expected_error(plan.rows(within)), outside=expected.outside[within])
+    return WorkspaceErrors(plan.poses, before, expected, inside, sampled)
 
 
 def moved_apart(result: CalibrationResult, machine: Mechanism, plan: Plan) -> Array:

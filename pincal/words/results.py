@@ -1,4 +1,4 @@
-"""What is said of a calibration's fit: whether it converged, its noise, χ² and intervals.
+"""What is said of a calibration's fit: convergence, noise, χ², intervals, and what is promised.
 
 Each code's ``values`` say what a finding of it holds, in SI; rows
 and parameters concerned are the finding's own ``rows`` and ``parameters``.
@@ -12,7 +12,17 @@ from typing import Any
 import numpy as np
 
 from pincal.finding import Finding
-from pincal.words.numbers import SMALL, amount, chance, counted, listed, number, rounded
+from pincal.words.numbers import (
+    SMALL,
+    amount,
+    chance,
+    counted,
+    listed,
+    number,
+    percent,
+    rounded,
+    size,
+)
 from pincal.words.wording import P_VALUE, Wording
 
 
@@ -102,6 +112,34 @@ _EXCESS = (
     "no accuracy can be promised: residuals are {excess:.3g} times as large as the noise given "
     "makes them"
 )
+#: What a promise may leave out.
+UNCOVERED = {
+    "weight": "bending under weight",
+    "scale": "a wrong scale or temperature",
+    "time": "what slips or warms during the run",
+}
+
+
+def region_words(share: float, *, sampled: bool) -> str:
+    """Return over which poses means are taken: the measured ones, or a share of the workspace."""
+    if not sampled:
+        return "over the measured poses"
+    if share == 1.0:
+        return "over the workspace"
+    return f"over the measured region, {percent(share)} of the workspace"
+
+
+def _beyond(found: Finding) -> str:
+    v = found.values
+    text = f"{percent(v['share'])} of the workspace lies outside the measured region"
+    if v["undetermined"] < 1.0:
+        text += f": expect {size(v['position'], v['orientation'])} there, if the model holds "
+        text += "as it does where it was measured"
+    if v["undetermined"]:
+        text += f"; {percent(v['undetermined'])} of that is not determined at all"
+    return f"{text}. No limit is promised there"
+
+
 RESULTS: dict[str, Wording] = {
     "not-converged": Wording(
         "The fit did not converge",
@@ -202,5 +240,34 @@ RESULTS: dict[str, Wording] = {
         "widths, or ends where the machine cannot reach the measured poses.",
         "Measure poses that determine more (pincal select), or say how well nominal values are "
         "known (--prior)",
+    ),
+    "beyond-measured": Wording(
+        "Outside the measured region",
+        {
+            "share": "of the workspace that lies outside",
+            "position": "root mean square to expect there [m]; NaN where nothing is determined",
+            "orientation": "the same [rad]; None of a platform that does not turn",
+            "undetermined": "share of it where what was held moves the platform",
+        },
+        _beyond,
+        "The measured region is where the platform is no more uncertain than at the most uncertain "
+        "pose that was measured. Beyond, nothing measured shows what the model lacks: bending, "
+        "clearance or a scale that parameters took up where it was measured.",
+        "Measure there too (pincal select), or keep to the measured region",
+        "info",
+    ),
+    "promise-leaves-out": Wording(
+        "What the promise leaves out",
+        {"what": f"codes of {listed(UNCOVERED)}"},
+        lambda found: (
+            f"the promise leaves out {listed(UNCOVERED[code] for code in found.values['what'])}: "
+            "nothing was said of that"
+        ),
+        "Parameters take these up, so that residuals show them only if they are large.",
+        "",
+        "info",
+        general="Terms of loads (--terms) take in weight, `systematic:` in the setup scale and "
+        "temperature; a pose that is measured again and again, or several runs, shows what changes "
+        "with time",
     ),
 }

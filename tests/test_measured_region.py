@@ -1,0 +1,111 @@
+"""A promise holds where the machine was measured, is withdrawn beyond, and says what it omits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pincal
+from pincal.kinematics.configurations import leg_demands
+
+Array = NDArray[np.float64]
+NOISE = pincal.Noise(2e-5, 5e-5, 1e-5)
+SOFT = 5e-5  # [m] by which a leg that carries the whole weight is shorter
+
+
+def sagging(truth: pincal.Mechanism, poses: Array) -> Array:
+    """Return by how much legs that carry a weight at the platform are shorter, shape (N, 6), [m].
+
+    Forces f of the legs hold the weight w: Jᵀ f = w, J what moves the readings by twists.
+    """
+    readings = pincal.inverse(truth, poses).readings
+    demands = leg_demands(truth, pincal.Plan(poses, readings=readings))
+    J = np.stack([-one.as_joint().pose[:, 0] for one in demands], axis=1)
+    weight = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(poses), 1))[:, :, None]
+    return np.asarray(SOFT * np.linalg.solve(J.transpose(0, 2, 1), weight)[:, :, 0])
+
+
+def in_a_box(seed: int, soft: float) -> tuple[pincal.Mechanism, pincal.CalibrationResult]:
+    """Return a true hexapod and its calibration by 40 poses of the middle of its workspace."""
+    nominal = pincal.load_mechanism("6UPS")
+    every = pincal.sample_workspace(nominal, 3000, seed=5)
+    middle, half = np.median(every[:, :3], axis=0), 0.175 * np.ptp(every[:, :3], axis=0)
+    box = every[(np.abs(every[:, :3] - middle) <= half).all(axis=1)]
+    poses = box[np.random.default_rng(seed).choice(len(box), 40, replace=False)]
+    truth = pincal.disturb(nominal, 1e-3, seed=seed)
+    data = pincal.simulate(nominal, truth, pincal.Plan(poses), NOISE, seed=seed).measurements
+    assert data.readings is not None
+    readings = data.readings - soft * sagging(truth, data.poses)
+    data = pincal.Measurements(poses=data.poses, readings=readings)
+    return truth, pincal.calibrate(nominal, data, noise=NOISE)
+
+
+def off(truth: pincal.Mechanism, machine: pincal.Mechanism, poses: Array) -> float:
+    """Return how far the sagging machine is off where the calibrated one sends it, [m]."""
+    commanded = pincal.inverse(machine, poses).readings
+    reached = pincal.forward(truth, commanded + sagging(truth, poses), guess=poses).poses
+    return float(np.sqrt(((reached - poses)[:, :3] ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.slow
+def test_a_promise_is_kept_or_withdrawn_where_legs_sag() -> None:
+    """14 hexapods measured in a box, weight unsaid: kept to a tenth in the region, else withdrawn.
+
+    Beyond, a limit that knows of no region would be broken in five at least.
+    """
+    workspace = pincal.sample_workspace("6UPS", 300, seed=9)
+    kept, broken = [], 0
+    for seed in range(14):
+        truth, result = in_a_box(seed, 1.0)
+        if not result.promises:
+            continue
+        everywhere = result.expected_error(workspace)
+        assert np.isinf(everywhere.limit).all()
+        assert 0.1 < everywhere.within.mean() < 0.9
+        region, beyond = workspace[everywhere.within], workspace[~everywhere.within]
+        kept.append(off(truth, result.identified, region) / result.expected_error(region).limit[0])
+        alone = result.expected_error(beyond)
+        without_region = replace(alone, outside=np.zeros(0)).limit[0]
+        broken += off(truth, result.identified, beyond) > without_region
+        assert "outside the measured region" in str(alone)
+    assert len(kept) >= 12
+    assert np.mean(np.array(kept) <= 1.1) >= 0.93
+    assert np.mean(np.array(kept) <= 1.0) >= 0.8
+    assert broken >= 5
+
+
+def test_measured_poses_lie_in_their_region() -> None:
+    """No measured pose lies outside; the limit there is finite, and far away there is none."""
+    _, result = in_a_box(0, 0.0)
+    here = result.expected_error()
+    assert here.within.all()
+    assert np.isfinite(here.limit).all()
+    far = result.expected_error(pincal.sample_workspace("6UPS", 40, seed=1))
+    times = far.sizes / here.sizes.max(axis=0)
+    np.testing.assert_allclose(far.outside, times.max(axis=1), rtol=1e-5)
+    assert (far.outside > 1.0).any()
+    assert np.isinf(far.limit).all()
+
+
+def test_what_a_promise_leaves_out_is_said_beside_it(tmp_path: Path) -> None:
+    """On terminal, page and in JSON; what was said of (a scale, a pose measured again) is not."""
+    _, result = in_a_box(0, 0.0)
+    assert result.expected_error().uncovered == ("weight", "scale", "time")
+    data = json.loads((result.save(tmp_path / "r") / "result.json").read_text())
+    assert data["promise_leaves_out"] == ["weight", "scale", "time"]
+    np.testing.assert_allclose(data["measured_region"], result.expected_error().sizes.max(axis=0))
+    html = result.report().html()
+    for said in ("promise leaves out", "bending under weight", "outside the measured region"):
+        assert said in html
+    setup = pincal.Setup(systematic=pincal.Systematic(scale=20e-6))
+    measured = result.measurements
+    again = pincal.Measurements(
+        poses=measured.poses, readings=measured.readings, places=("home",) * len(measured)
+    )
+    told = pincal.calibrate("6UPS", again, noise=NOISE, setup=setup)
+    assert told.expected_error().uncovered == ("weight",)
