@@ -359,6 +359,9 @@ def test_auto_takes_what_pays() -> None:
     assert "models on held-out rows, fold 3 of 3" in said
     names = {p.id for leg in result.legs for p in leg.parameters}
     assert names - {p.id for p in plain.parameters} == {"leg_3.temperature"}
+    assert not result.promises  # a term that these rows chose, until held-out rows vouch for it
+    assert "terms-chosen" in [one.code for one in result.contradictions]
+    assert result.validated(folds=3).promises
 
 
 def plain_rows(count: int) -> tuple[pincal.Mechanism, pincal.Noise, pincal.Measurements]:

@@ -37,6 +37,7 @@ from pincal.files.given_mechanism import as_mechanism
 from pincal.finding import Finding
 from pincal.model.measuring.measurements import Measurements
 from pincal.model.mechanism import Mechanism
+from pincal.words.sentences import finding
 
 Array = NDArray[np.float64]
 
@@ -124,7 +125,8 @@ def identified(calibration: Calibration) -> tuple[CalibrationResult, Fits]:
 
     Errors are those of ``calibrate``.
     """
-    calibration, options = started(calibration), calibration.options
+    asked, calibration = calibration, started(calibration)
+    options = calibration.options
     try:
         fits = fitted(calibration)
         found = with_unsure_tolerances(fits)
@@ -141,7 +143,11 @@ def identified(calibration: Calibration) -> tuple[CalibrationResult, Fits]:
             ) from error
         raise
     result = assemble(found, fitted(calibration, tied=False) if options.tied else None)
-    return _explained(result, found), fits
+    result = _explained(result, found)
+    terms = sorted(calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
+    if AUTO in asked.options.terms and terms:
+        result = result.with_only((*result.findings, finding("terms-chosen", parameters=terms)))
+    return result, fits
 
 
 def _start(calibration: Calibration) -> Array | None:

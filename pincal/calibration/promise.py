@@ -47,6 +47,7 @@ CONTRADICT = frozenset(
         "step",
         "reference-moved",
         "runs-differ",
+        "terms-chosen",
     }
 )
 
@@ -77,11 +78,15 @@ def explained(result: CalibrationResult) -> bool:
 
 
 def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
-    """Return what contradicts the model or its noise: χ², residuals, held-out rows, runs, ties."""
+    """Return what contradicts the model or its noise: χ², residuals, held-out rows, runs, ties.
+
+    Terms that these measurements chose are made to fit them: only held-out rows can vouch for them.
+    """
     found = list(result.findings)
     for more in (result.validation, result.runs):
         found += [one for one in (() if more is None else more.findings) if one not in found]
-    return tuple(one for one in found if one.code in CONTRADICT)
+    vouched = {"terms-chosen"} if result.validation is not None else set()
+    return tuple(one for one in found if one.code in CONTRADICT - vouched)
 
 
 def whitened(parts: Sequence[LegResult | Observed]) -> tuple[Array, Array]:

@@ -86,7 +86,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "degrees_of_freedom": result.degrees_of_freedom,
         "promised": result.promises,
         "promise_leaves_out": list(uncovered(result)),
-        "measured_region": [_number(one) for one in most_uncertain(result)],
+        "measured_region": most_uncertain(result),
         "contradicted_by": [one.code for one in result.contradictions],
         "noise": {"source": result.noise_source, **(vars(result.noise) if result.noise else {})},
         "warnings": list(result.warnings),

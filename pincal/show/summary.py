@@ -135,7 +135,7 @@ def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[s
 def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     """Return by how much the platform was off, and by about how much it should be now."""
     turning = turns(result)
-    if errors.undetermined.all():
+    if not errors.expected.determined.any():
         return "platform: not determined anywhere, since what was held moves it at every pose"
     before = platform_size(errors.mean_before(), turning)
     text = f"platform, root mean square {errors.where}: "

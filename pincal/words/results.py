@@ -256,6 +256,16 @@ RESULTS: dict[str, Wording] = {
         "Measure there too (pincal select), or keep to the measured region",
         "info",
     ),
+    "terms-chosen": Wording(
+        "Terms were chosen by the same measurements",
+        {},
+        "{parameters} were added because they fit these measurements",
+        "A wrong term takes up what residuals showed: they do not contradict it any more. No limit "
+        "is promised until held-out rows vouch for it.",
+        "",
+        "info",
+        general="Hold rows out (--folds, result.validated())",
+    ),
     "promise-leaves-out": Wording(
         "What the promise leaves out",
         {"what": f"codes of {listed(UNCOVERED)}"},
