@@ -8,7 +8,8 @@ from closed_forms import random_mechanism
 
 import pincal
 from pincal.kinematics.batches import CHUNK
-from pincal.workspace.criteria import in_workspace
+from pincal.workspace.criteria import Margins, in_workspace
+from pincal.workspace.sampling import sample_workspace
 
 
 def test_forward_undoes_inverse(
@@ -87,3 +88,33 @@ def test_few_poses_are_found_as_many_are(name: str) -> None:
     assert many.reasons[: len(poses)] == few.reasons
     for own, wanted in ((many.poses, few.poses), (many.gap, few.gap)):
         np.testing.assert_allclose(own[: len(poses)], wanted, rtol=0.0, atol=1e-12)
+
+
+def test_readings_of_reachable_poses_lead_back_to_them() -> None:
+    """Near singularities too, many rows or one: what home is too far from is begun elsewhere."""
+    mechanism = pincal.load_mechanism("5R")
+    poses = sample_workspace(mechanism, 1500, least=Margins(0.05, 0.02))
+    readings = pincal.inverse(mechanism, poses).readings
+    again = pincal.forward(mechanism, readings)
+    assert again.converged.all()
+    np.testing.assert_allclose(again.poses, poses, atol=1e-9)
+    home = np.tile(mechanism.platform.home, (len(poses), 1))
+    hard = np.flatnonzero(~pincal.forward(mechanism, readings, home).converged)[:5]
+    assert len(hard) == 5
+    for row in hard:
+        alone = pincal.forward(mechanism, readings[[row]])
+        np.testing.assert_allclose(alone.poses[0], poses[row], atol=1e-9)
+
+
+def test_readings_that_contradict_each_other_have_no_pose() -> None:
+    """Of eight cables one that is far too long is no pose, said; by a thousandth it is one."""
+    mechanism = pincal.load_mechanism("8cable")
+    readings = pincal.inverse(mechanism, np.array([mechanism.platform.home])).readings
+    size = np.array([[leg.size for leg in mechanism.legs]])
+    wrong, rough = readings.copy(), readings.copy()
+    wrong[0, 0] += 0.5 * size[0, 0]
+    rough[0, 0] += 0.001 * size[0, 0]
+    solution = pincal.forward(mechanism, np.concatenate((wrong, rough)))
+    assert solution.converged.tolist() == [False, True]
+    assert solution.reasons[0]
+    assert np.isnan(solution.poses[0]).all()

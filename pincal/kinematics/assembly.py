@@ -2,9 +2,14 @@
 
 Files say how bodies hang together, and at which joint positions they were drawn, not that the loops
 are closed there. Newton's method on the platform's pose and all joints takes the shortest steps
-that close them. A passive joint's zero, or a shift along a joint's axis that the next placement has
-too, changes nothing: over random configurations the closure's derivatives by such parameters
-depend on those by others. Of the parameters in order, those that add to the rank are kept.
+that close them. Loops of more equations than freedoms (a spherical machine in space) close exactly
+only if every digit is there: a joint that has to move far for a small gap moves along no freedom,
+but along what was cut off, and stays.
+
+A passive joint's zero, or a shift along a joint's axis that the next placement has too, changes
+nothing: over random configurations the closure's derivatives by such parameters depend on those by
+others. Of the parameters in order, those that add to the rank are kept. Ranks are cut in the widest
+gap of singular values above what cut digits reach.
 """
 
 from __future__ import annotations
@@ -24,25 +29,58 @@ from pincal.model.platform_kind import PlatformKind
 
 Array = NDArray[np.float64]
 _NEWTON = Newton(steps=100, largest=0.3, closed=1e-10)
+_SINGULAR = 1e-10  # of singular values, over the size: none
 _CONFIGURATIONS = 120
 _DEPENDS = 1e-7  # of a column, what others leave of it
 
 
-def assembled(legs: Sequence[Leg], kind: str | PlatformKind) -> tuple[tuple[Leg, ...], Platform]:
+def assembled(
+    legs: Sequence[Leg], kind: str | PlatformKind, slack: float = 0.0
+) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose.
 
     Args:
         legs: The legs; their home positions are where to start.
         kind: Of the platform.
+        slack: What cut digits may have moved frames by, of a leg's size and [rad].
 
     Raises:
         MechanismError: no such configuration was found.
     """
     free = Platform(kind, (0.0,) * Platform.dof_of(kind))
+    size = largest_size(legs) or 1.0
+    pose, joints, gap = _closed(legs, free, _SINGULAR)
+    ends = zip(legs, joints, strict=True)
+    moved = max(float(np.abs(q[0] - leg.home).max(initial=0.0)) for leg, q in ends)
+    far = slack > _SINGULAR and moved > opening(legs, kind) / size / slack
+    if far or not gap <= _NEWTON.closed * size:
+        pose, joints, gap = _closed(legs, free, max(slack, _SINGULAR))
+    if not gap <= max(_NEWTON.closed, slack) * size:
+        raise MechanismError(
+            f"the loops do not close near the joint positions that the file draws: {gap:.3g} m "
+            "stay open. Give positions that close them (keyframe of MJCF, 'home' of the YAML "
+            "file), or look at the frames of the loops"
+        )
+    home = free.from_matrices(pose)[0]
+    placed = tuple(leg.with_home(q[0]) for leg, q in zip(legs, joints, strict=True))
+    return placed, Platform(kind, tuple(home.tolist()))
+
+
+def _closed(legs: Sequence[Leg], free: Platform, least: float) -> tuple[Array, list[Array], float]:
+    """Return pose (1, 4, 4) and joints (1, n) of the legs where Newton's method ends, and the gap.
+
+    Args:
+        legs: The legs, at home where to start.
+        free: The platform.
+        least: Singular value, over the leg's size, below which nothing moves.
+    """
     closures = [LegClosure(leg, free) for leg in legs]
     joints = [leg.home[None].copy() for leg in legs]
     size = largest_size(legs) or 1.0
     pose = _fitted(closures, joints, free)
+    turning = [unit == "rad" for unit in free.units]
+    turning += [joint.turns for leg in legs for joint in leg.moving]
+    scale = np.where(turning, 1.0, size)
     gap = np.inf
     for _ in range(_NEWTON.steps):
         parts = [one.evaluate(q, pose) for one, q in zip(closures, joints, strict=True)]
@@ -59,22 +97,33 @@ def assembled(legs: Sequence[Leg], kind: str | PlatformKind) -> tuple[tuple[Leg,
             J[rows, [column + i for i in leg.active]] = part.active[0]
             J[rows, [column + i for i in leg.passive]] = part.passive[0]
             row, column = rows.stop, column + width
-        step = np.linalg.lstsq(J, -gaps, rcond=1e-10)[0]
+        u, values, vt = np.linalg.svd(J * scale / size, full_matrices=False)
+        kept = values > cut_in_gap(values, least)
+        step = -scale * (vt[kept].T @ ((u[:, kept].T @ gaps / size) / values[kept]))
+        if np.abs(step / scale).max(initial=0.0) <= ROUNDING:
+            break
         step *= min(1.0, _NEWTON.largest * max(1.0, size) / (float(np.abs(step).max()) or 1.0))
         pose = free.displaced(pose, step[None, : free.dof])
         column = free.dof
         for q, width in zip(joints, widths, strict=True):
             q[0] += step[column : column + width]
             column += width
-    if not gap <= _NEWTON.closed * size:
-        raise MechanismError(
-            f"the loops do not close near the joint positions that the file draws: {gap:.3g} m "
-            "stay open. Give positions that close them (keyframe of MJCF, 'home' of the YAML "
-            "file), or look at the frames of the loops"
-        )
-    home = free.from_matrices(pose)[0]
-    placed = tuple(leg.with_home(q[0]) for leg, q in zip(legs, joints, strict=True))
-    return placed, Platform(kind, tuple(home.tolist()))
+    return pose, joints, gap
+
+
+def cut_in_gap(values: Array, least: float) -> float:
+    """Return where singular values end that are freedoms: in the widest gap above what is none.
+
+    Args:
+        values: Singular values of a matrix whose entries are near one, shape (k,).
+        least: What rounding reaches; the gap is looked for up to ten times that.
+    """
+    if least <= _SINGULAR:
+        return least
+    near = values[(values > least) & (values < 10.0 * least)]
+    ends = np.sort(np.concatenate(([least, 10.0 * least], near)))
+    widest = int(np.argmax(np.diff(np.log(ends))))
+    return float(np.sqrt(ends[widest] * ends[widest + 1]))
 
 
 def opening(legs: Sequence[Leg], kind: str | PlatformKind) -> float:
@@ -119,13 +168,16 @@ def _turn(tips: Array, points: Array, space: int) -> Array:
     return vt.T @ straight @ u.T
 
 
-def independent(leg: Leg, platform: Platform, order: tuple[str, ...]) -> tuple[str, ...]:
+def independent(
+    leg: Leg, platform: Platform, order: tuple[str, ...], slack: float = 0.0
+) -> tuple[str, ...]:
     """Return the names of parameters that are independent of those before them.
 
     Args:
         leg: The leg, at nominal parameters.
         platform: Of its mechanism.
         order: Names of all its parameters, those to keep rather first.
+        slack: What cut digits may have moved frames by, of the leg's size and [rad].
     """
     closure = LegClosure(leg, platform)
     rng = np.random.default_rng(0)
@@ -137,6 +189,10 @@ def independent(leg: Leg, platform: Platform, order: tuple[str, ...]) -> tuple[s
     scale = np.array([1.0 if leg.units[name] == "m" else 1.0 / size for name in order])
     columns = rows[:, [leg.parameter_names.index(name) for name in order]] * scale
     columns = columns[np.isfinite(columns).all(axis=1)]
+    least = _DEPENDS
+    if slack > _DEPENDS:
+        values = np.linalg.svd(columns / np.sqrt(len(columns)), compute_uv=False)
+        least = cut_in_gap(values, slack)
     kept: list[str] = []
     basis: list[Array] = []
     for name, column in zip(order, columns.T, strict=True):
@@ -144,7 +200,7 @@ def independent(leg: Leg, platform: Platform, order: tuple[str, ...]) -> tuple[s
         for _ in range(2):  # twice is enough: Gram-Schmidt's rounding errors are gone
             for q in basis:
                 rest -= (q @ rest) * q
-        if np.linalg.norm(rest) > _DEPENDS * np.sqrt(len(column)):
+        if np.linalg.norm(rest) > least * np.sqrt(len(column)):
             basis.append(rest / np.linalg.norm(rest))
             kept.append(name)
     return tuple(kept)

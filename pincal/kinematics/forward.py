@@ -3,6 +3,9 @@
 Passive joints are eliminated leg by leg (projection on the left null space of their
 columns), so each step solves one small system for the platform's twist. With more legs than
 freedoms it is a least-squares system, and the pose is that of the least gaps [m].
+
+Newton's method goes astray where readings are far from home's. Searches that do begin again at the
+nearest of configurations that were reached from home, a few times; what none finds is not found.
 """
 
 from __future__ import annotations
@@ -10,9 +13,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.blas import on_one_thread
@@ -26,6 +31,7 @@ from pincal.kinematics.legs.closure import (
     Closure,
     LegClosure,
     Newton,
+    joint_range,
     largest_size,
     nominal_legs,
 )
@@ -34,6 +40,7 @@ from pincal.kinematics.legs.moving_legs import MovingLegs, moving_legs
 from pincal.kinematics.legs.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.checks import ROUNDING, numbers_of
+from pincal.model.home import ROUGH
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.model.sensors.terms import LOAD
@@ -41,6 +48,8 @@ from pincal.model.sensors.terms import LOAD
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _WAY = 8  # steps on the way from home
+_STARTS = 4  # searches of readings that are far from home
+_ROUNDS, _DRAWN, _NEARER = 5, 300, 6  # configurations around home: drawn, and nearer by halves
 _NEWTON = Newton(steps=40, small=1e-9, largest=0.2, closed=1e-8)
 LOADS = Newton(steps=20, small=ROUNDING)
 """Loads follow from where the machine is, which follows from loads: found again."""
@@ -57,7 +66,8 @@ class ForwardSolution:
     shape (N,). Legs that are no more than the freedoms are closed then."""
     gap: Array
     """How far each leg stays from closing, shape (N, n_legs), [m]; NaN where not found. Rounding
-    errors, unless the legs demand more than there are freedoms and readings contradict."""
+    errors, unless the legs demand more than there are freedoms and readings contradict; less than
+    a tenth of the size."""
     iterations: int
     reasons: tuple[str, ...]
     """Why a row has no pose; empty strings where it has one."""
@@ -80,7 +90,10 @@ def forward(
     guess: Poses | None = None,
     influences: Influences | None = None,
 ) -> ForwardSolution:
-    """Return the poses of sensor readings, found from a guess in the assembly mode of home.
+    """Return the poses of sensor readings, in the assembly mode of home.
+
+    Without a guess they are searched from home, then from configurations nearer to them that were
+    reached from home. Rows that none of these searches solves have no pose, and a reason.
 
     More legs than freedoms have no pose in common if their readings are not exact; the pose is
     then that of the least sum of squared gaps between legs and platform, and ``gap`` says how
@@ -89,7 +102,7 @@ def forward(
     Args:
         mechanism: The mechanism, at its nominal parameters.
         readings: Sensor readings, shape (N, n_readings), [rad] or [m], legs in order.
-        guess: N poses near the solutions; the home pose if not given.
+        guess: N poses near the solutions, from which alone they are searched.
         influences: What terms depend on, by column: see ``inverse``.
 
     Raises:
@@ -109,13 +122,14 @@ def forward(
         row = int(np.argmin(np.isfinite(readings).all(axis=1)))
         raise MechanismError(f"reading {row + 1} is not a finite number")
     platform = mechanism.platform
-    if guess is None:
-        guess = np.tile(platform.home, (len(readings), 1))
-    transforms = platform.transforms(guess)
+    home = np.tile(platform.home, (len(readings), 1))
+    transforms = platform.transforms(home if guess is None else guess)
     if len(transforms) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
     columns = influence_columns(mechanism, influences, len(readings))
     found = _forward(mechanism, readings, transforms, columns)
+    if guess is None:
+        found = _from_elsewhere(mechanism, readings, columns, found)
     if columns is None or not needs_loads(mechanism, columns):
         return found
     start = platform.from_matrices(transforms.as_matrix())
@@ -128,6 +142,78 @@ def forward(
         if change <= LOADS.small * max(1.0, largest_size(mechanism.legs)):
             break
     return found
+
+
+def _from_elsewhere(
+    mechanism: Mechanism, readings: Array, columns: Array | None, found: ForwardSolution
+) -> ForwardSolution:
+    """Return forward kinematics with rows searched again that were not found from home."""
+    for attempt in range(_STARTS):
+        lost = np.flatnonzero(~found.converged)
+        if not len(lost):
+            break
+        known, poses = _around_home(mechanism)
+        near = poses[_nearest(known, readings[lost], attempt)]
+        again = _forward(
+            mechanism,
+            readings[lost],
+            mechanism.platform.transforms(near),
+            None if columns is None else columns[lost],
+        )
+        solved = lost[again.converged]
+        found.poses[solved], found.gap[solved] = (
+            again.poses[again.converged],
+            again.gap[again.converged],
+        )
+        reasons = np.array(found.reasons, dtype=object)
+        reasons[lost] = again.reasons
+        converged = reasons == ""
+        found = ForwardSolution(
+            found.poses, converged, found.gap, found.iterations + again.iterations, tuple(reasons)
+        )
+    return found
+
+
+def _nearest(known: Array, readings: Array, place: int) -> NDArray[np.intp]:
+    """Return which known readings are nearest to others, or next to the nearest, shape (N,)."""
+    spread = known.std(axis=0)
+    scale = np.where(spread > 0.0, spread, 1.0)
+    indices = KDTree(known / scale).query(readings / scale, [place + 1])[1][:, 0]
+    return np.asarray(np.minimum(indices, len(known) - 1))
+
+
+@lru_cache(maxsize=16)
+def _around_home(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return readings and poses of configurations in home's assembly mode, (M, ·) each.
+
+    Readings are drawn between their limits, and nearer to home by halves; each is searched from the
+    nearest one that was reached before.
+    """
+    rng = np.random.default_rng(0)
+    low, high, home = reading_range(mechanism)
+    known, poses = home[None], np.array([mechanism.platform.home])
+    for _ in range(_ROUNDS):
+        part = 0.5 ** rng.integers(0, _NEARER, (_DRAWN, 1))
+        drawn = home + part * (rng.uniform(low, high, (_DRAWN, len(home))) - home)
+        near = mechanism.platform.transforms(poses[_nearest(known, drawn, 0)])
+        influences = influence_columns(mechanism, None, _DRAWN)
+        reached = _forward(mechanism, drawn, near, influences)
+        known = np.concatenate((known, drawn[reached.converged]))
+        poses = np.concatenate((poses, reached.poses[reached.converged]))
+    return known, poses
+
+
+def reading_range(mechanism: Mechanism) -> tuple[Array, Array, Array]:
+    """Return least and largest readings of the active joints' limits, and home's, (n,) each."""
+    least, most, home = [], [], []
+    for closure in nominal_legs(mechanism):
+        leg = closure.leg
+        joints = np.array([*joint_range(leg), leg.home])[:, leg.active]
+        read = sensor_law(closure).reading(joints)
+        least.append(read[:2].min(axis=0))
+        most.append(read[:2].max(axis=0))
+        home.append(read[2])
+    return np.concatenate(least), np.concatenate(most), np.concatenate(home)
 
 
 def _forward(
@@ -201,9 +287,7 @@ def _reached(drawing: Mechanism, readings: Array) -> Array:
 
     Where the machine as drawn cannot go so far, the farthest pose on the way.
     """
-    legs = nominal_legs(drawing)
-    at_home = [sensor_law(leg).reading(leg.leg.home[None, leg.leg.active]) for leg in legs]
-    home = np.concatenate(at_home, axis=1)
+    home = reading_range(drawing)[2]
     near = np.tile(drawing.platform.home, (len(readings), 1))
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
         solution = forward(drawing, home + share * (readings - home), near)
@@ -294,4 +378,5 @@ def _reasons(
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
     gaps = [np.linalg.norm(closure.gap, axis=1) for closure in closures]
     every = np.stack(in_order(places, gaps), axis=1)
+    closes &= every.max(axis=1) <= ROUGH * largest_size(mechanism.legs)
     return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], every

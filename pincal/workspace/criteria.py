@@ -6,6 +6,7 @@ is answered by the closed loops.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,8 +17,11 @@ from pincal.errors import WorkspaceError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, matrix_chunks
 from pincal.kinematics.inverse import beyond_limits
+from pincal.kinematics.legs.closing import ClosedLegs
 from pincal.kinematics.legs.closure import nominal_legs
-from pincal.kinematics.legs.every_leg import by_leg, close_legs
+from pincal.kinematics.legs.every_leg import ClosedGroup, by_leg, close_legs
+from pincal.kinematics.legs.nearest_closure import nearest_closure
+from pincal.kinematics.legs.starts import in_home_modes
 from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import (
     drive_margins,
@@ -26,6 +30,7 @@ from pincal.kinematics.singularity import (
     rods_margin,
 )
 from pincal.model.checks import EXACT, ROUNDING, must_be
+from pincal.model.home import home_gap
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 
@@ -103,12 +108,32 @@ class Criteria:
     def _within(self, matrices: Array) -> Mask:
         """Return which poses count of those that the reaches allow."""
         found = rods_margin(self.mechanism, matrices) if self._exact else None
-        return self._closed(matrices) if found is None else found >= self._type2 - ROUNDING
+        if found is not None:
+            return np.asarray(found >= self._type2 - ROUNDING)
+        return self._counted(close_legs(self._legs, matrices))
 
-    def _closed(self, matrices: Array) -> Mask:
-        """Return which poses count, by closing every leg."""
-        inside = np.ones(len(matrices), dtype=bool)
-        closed = close_legs(self._legs, matrices)
+    def at_readings(self, poses: Array, readings: Array) -> Mask:
+        """Return which configurations count, with poses that forward kinematics gave of readings.
+
+        Legs that digits of a file keep apart at home may be as far apart elsewhere.
+
+        Args:
+            poses: Coordinates, shape (N, dof), [m] and [rad].
+            readings: Shape (N, n_readings), [rad] or [m].
+        """
+        matrices, closed = self.mechanism.platform.matrices(poses), []
+        for place, leg in enumerate(self._legs):
+            known = self.mechanism.known(place, readings, None)
+            closure, joints = nearest_closure(leg, matrices, known)
+            open_ = 10.0 * home_gap(leg.leg, self.mechanism.platform) + EXACT * leg.size
+            near = (np.abs(closure.gap).max(axis=1) <= open_) & in_home_modes((leg,), closure)
+            joints = joints[:, : len(leg.leg.moving)]
+            closed.append(ClosedGroup([place], ClosedLegs(joints, near, closure)))
+        return self._counted(closed)
+
+    def _counted(self, closed: Sequence[ClosedGroup]) -> Mask:
+        """Return which poses count of those at which legs were closed."""
+        inside = np.ones(len(closed[0].closed.joints) // len(closed[0].places), dtype=bool)
         with np.errstate(invalid="ignore"):
             for leg, joints in zip(self._legs, by_leg(closed, lambda one: one.joints), strict=True):
                 inside &= ~beyond_limits(leg.leg, joints).any(axis=1)

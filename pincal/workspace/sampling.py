@@ -7,6 +7,7 @@ if it can be driven to from home so.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.kinematics.forward import forward
-from pincal.kinematics.legs.closing import close, sensor_law
-from pincal.kinematics.legs.closure import joint_range, nominal_legs
+from pincal.kinematics.forward import forward, reading_range
+from pincal.kinematics.legs.closing import close
+from pincal.kinematics.legs.closure import nominal_legs
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import count_of, generator_of
 from pincal.model.measuring.measurements import Plan
@@ -28,7 +29,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.workspace.axes import MOST
 from pincal.workspace.box import reach_box
 from pincal.workspace.component import HomeComponent
-from pincal.workspace.criteria import Margins, in_workspace
+from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,6 +39,10 @@ Mask = NDArray[np.bool_]
 class Effort:
     """How poses are drawn."""
 
+    rare: float = 0.05
+    """Of readings that are drawn: of fewer that count, the next are drawn nearer to home."""
+    halvings: int = 24
+    """Of the range of readings: nearer than that, none counts."""
     batch: int = 16_384
     """Poses that are drawn together."""
     part: int = 2048
@@ -85,15 +90,20 @@ def sample_configurations(
         return Plan(sample_workspace(mechanism, count, seed, least, progress))
     _check_count(count)
     rng = generator_of(seed, WorkspaceError)
-    low, high = _reading_limits(mechanism)
+    low, high, home = reading_range(mechanism)
+    start = np.array(mechanism.platform.home)
     arm = all(not leg.passive for leg in mechanism.legs)
-    poses, readings, total = [], [], 0
-    for _ in range(_EFFORT.most):
+    poses, readings, total, halved = [], [], 0, 0
+    while halved < _EFFORT.halvings:
         drawn = rng.uniform(low, high, (2 * count, len(low)))
-        solution = forward(mechanism, drawn)
+        solution = forward(mechanism, drawn, np.tile(start, (len(drawn), 1)))
         kept = np.flatnonzero(solution.converged)
         if not arm:
-            kept = kept[in_workspace(mechanism, solution.poses[kept], least)]
+            criteria = criteria_of(mechanism, as_margins(least))
+            kept = kept[criteria.at_readings(solution.poses[kept], drawn[kept])]
+            if len(kept) < _EFFORT.rare * len(drawn):  # joints without limits turn round: nearer
+                low, high = 0.5 * (low + home), 0.5 * (high + home)
+                halved += 1
         poses.append(solution.poses[kept])
         readings.append(drawn[kept])
         total += len(kept)
@@ -101,20 +111,16 @@ def sample_configurations(
             progress(min(total, count))
         if total >= count:
             return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
-    raise WorkspaceError(
-        f"only {total} of {count} configurations found between the limits of the active joints; "
-        "lower the margins or the count"
+    lost = Counter(why for why in solution.reasons if why)
+    why = (
+        lost.most_common(1)[0][0]
+        if len(lost) and not solution.converged.any()
+        else ("legs do not close within their joints' limits, or too near to singularities")
     )
-
-
-def _reading_limits(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return least and largest readings within the limits of the active joints."""
-    ends = [
-        sensor_law(leg).reading(np.array(joint_range(leg.leg))[:, leg.leg.active])
-        for leg in nominal_legs(mechanism)
-    ]
-    both = np.concatenate(ends, axis=1)
-    return both.min(axis=0), both.max(axis=0)
+    raise WorkspaceError(
+        f"only {total} of {count} configurations of {mechanism.name!r} found between the limits of "
+        f"the active joints and near home, where {why}. Look at its home and limits: 'pincal check'"
+    )
 
 
 @on_one_thread

@@ -22,7 +22,7 @@ from pincal.formats.figaroh import read_figaroh
 from pincal.formats.printers.klipper import read_klipper
 from pincal.formats.printers.reprap import read_reprap
 from pincal.formats.trees.closed import closed_mechanism
-from pincal.formats.trees.drawn import closing_in_words
+from pincal.formats.trees.drawn import closing_in_words, slack_of
 from pincal.formats.trees.loops_yaml import loops_beside, read_loops
 from pincal.formats.trees.mjcf import read_mjcf
 from pincal.formats.trees.urdf import XACRO, read_urdf
@@ -258,6 +258,7 @@ def _import_tree(file: Path, output: Path, whose: str, how: ImportOptions, *, fo
     else:
         yaml = None if whose == "mjcf" else loops or loops_beside(file)
         tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
+        tree = replace(tree, slack=slack_of(file.read_text("utf-8")))
         found, more = closed_mechanism(tree, platform)
         if yaml is not None:
             stdout.print(f"loops closed by {yaml}", markup=False, soft_wrap=True)

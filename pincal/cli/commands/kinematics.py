@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from pincal.cli.app import (
     Force,
@@ -19,7 +18,6 @@ from pincal.cli.app import (
     output_option,
     remark,
     warn,
-    working,
     wrote,
 )
 from pincal.cli.options import TableOptions
@@ -34,8 +32,6 @@ from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.model.measuring.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.wording import LISTED
-from pincal.workspace.criteria import Margins
-from pincal.workspace.sampling import sample_workspace
 
 
 @command(answers=True)
@@ -82,19 +78,15 @@ def forward(
 
     Poses are those in the assembly mode of home. Readings of more legs than freedoms
     give the pose of least gaps, and how far they contradict each other is said.
-    The search starts from the nearest of many sampled poses. Rows of readings that have no pose
-    stay empty, with the reason in the column 'reason'; the exit code is then 1.
+    Rows of readings that have no pose stay empty, with the reason in the column 'reason'; the exit
+    code is then 1.
     """
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
     refuse_existing(output, force=force)
     values = read_readings(readings, mechanism)
     influences = own_influences(mechanism, read_influences(readings, mechanism))
-    with working("sampling the workspace for start poses"):
-        samples = sample_workspace(mechanism, 3000, least=Margins(0.05, 0.02))
-    tree = KDTree(solve_inverse(mechanism, samples).readings)
-    guess = samples[np.minimum(tree.query(values)[1], len(samples) - 1)]
-    solution = solve_forward(mechanism, values, guess, influences)
+    solution = solve_forward(mechanism, values, influences=influences)
     say_reference(mechanism, influences)
     lost = ~solution.converged
     reasons = [solution.reasons[row] if lost[row] else "" for row in range(len(lost))]

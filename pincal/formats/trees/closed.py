@@ -21,7 +21,7 @@ from pincal.formats.trees.graph import Way, ways_of
 from pincal.formats.trees.limbs import Limb, limb, point_platform, poses_at_zero
 from pincal.formats.trees.tree import Tree, listed
 from pincal.kinematics.assembly import assembled, independent
-from pincal.model.checks import EXACT
+from pincal.model.checks import EXACT, ROUNDING
 from pincal.model.consistency import identifiers
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
@@ -73,7 +73,7 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
         else:
             C_platform = np.eye(3) if normal is None else _onto(at.T @ normal)
     if normal is not None:
-        limbs = tuple(_in_plane(one, normal, C_platform) for one in limbs)
+        limbs = tuple(_in_plane(one, normal, C_platform, max(EXACT, tree.slack)) for one in limbs)
         if abs(normal[2]) < 1.0 - EXACT:
             remarks.append("planar, but not across z: the base frame was turned to have z across")
     elif not np.array_equal(C_platform, np.eye(3)):
@@ -85,7 +85,7 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
     )
     check_drawn(tree, made, kind)
     try:
-        made, placed = assembled(_apart(made), kind)
+        made, placed = assembled(_apart(made), kind, tree.slack)
     except MechanismError as error:
         raise MechanismError(f"{tree.source}: {error}") from error
     for leg in made:
@@ -95,7 +95,7 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
             if joint.limited and not joint.lower <= joint.home <= joint.upper
         ]
     name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-    kept = tuple(_reduced(leg, placed) for leg in made)
+    kept = tuple(_reduced(leg, placed, tree.slack) for leg in made)
     return Mechanism(name, placed, kept, f"From {tree.source}."), tuple(remarks)
 
 
@@ -131,7 +131,10 @@ def _freedoms(way: Way) -> str | None:
 
 
 def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
-    """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
+    """Return the normal of the plane in which all joints move, in the root's frame, shape (3,).
+
+    Directions are parallel within the digits that the file writes.
+    """
     at = poses_at_zero(tree)
     turning: list[Array] = []
     sliding: list[Array] = []
@@ -141,9 +144,13 @@ def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
             (turning if edge.joint.kind == "revolute" else sliding).append(axis)
     if not turning:
         return None
+    slack = max(EXACT, tree.slack)
     normal = turning[0]
-    parallel = all(np.linalg.norm(np.cross(normal, axis)) < EXACT for axis in turning)
-    if not (parallel and all(abs(normal @ axis) < EXACT for axis in sliding)):
+    nearest = np.round(normal)  # along an axis of the root's frame
+    if np.linalg.norm(np.cross(normal, nearest)) < slack and nearest.any():
+        normal = nearest
+    parallel = all(np.linalg.norm(np.cross(normal, axis)) < slack for axis in turning)
+    if not (parallel and all(abs(normal @ axis) < slack for axis in sliding)):
         return None
     largest = normal[np.argmax(np.abs(normal))]
     return np.asarray(normal * np.sign(largest))
@@ -160,28 +167,50 @@ def _onto(normal: Array) -> Array:
     return Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
 
 
-def _along(normal: Array) -> Array:
-    """Return the smallest turn of z, or of -z, onto a unit vector."""
-    return np.eye(3) if abs(normal[2]) > 1.0 - EXACT else _onto(normal)
+def _along(normal: Array, slack: float) -> Array:
+    """Return the smallest turn of z, or of -z, onto a unit vector, none of less than a slack."""
+    return np.eye(3) if np.hypot(normal[0], normal[1]) < slack else _onto(normal)
 
 
-def _in_plane(one: Limb, normal: Array, C_platform: Array) -> Limb:
-    """Return a leg whose every frame has z across the plane, in a base frame that has."""
+def _in_plane(one: Limb, normal: Array, C_platform: Array, slack: float) -> Limb:
+    """Return a leg whose every frame has z across the plane, in a base frame that has.
+
+    What leaves the plane by less than a slack is put into it.
+    """
     joints: list[Joint] = []
     C, R = _onto(normal), np.eye(3)
     for joint in one.joints:
         origin = joint.placement.origin()
         R = R @ origin[:3, :3]
         last = joint is one.joints[-1] and one.point is None
-        C_child = C_platform if last else _along(R.T @ normal)
+        C_child = C_platform if last else _along(R.T @ normal, slack)
         if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
             origin[:3] = C.T @ origin[:3]
             origin[:3, :3] = origin[:3, :3] @ C_child
             x, y, z = (float(v) for v in np.round(C_child.T @ joint.axis, 12))
             joint = replace(joint, placement=placement_of(origin), axis=(x, y, z))
+        if np.abs(origin[:2, 2]).max() > ROUNDING or joint.axis != _flat_axis(joint):
+            origin[:3, :3] = _flat(origin[:3, :3])
+            joint = replace(joint, placement=placement_of(origin), axis=_flat_axis(joint))
         joints.append(joint)
         C = C_child
     return _turned_platform(Limb(tuple(joints), one.point), C_platform)
+
+
+def _flat(R: Array) -> Array:
+    """Return the nearest rotation that keeps z, or turns it over."""
+    side = np.sign(R[2, 2])
+    angle = np.arctan2(R[1, 0] - side * R[0, 1], R[0, 0] + side * R[1, 1])
+    turned = Rotation.from_rotvec((0.0, 0.0, angle)).as_matrix()
+    return np.asarray(turned @ np.diag((1.0, side, side)))
+
+
+def _flat_axis(joint: Joint) -> tuple[float, float, float]:
+    """Return a joint's axis across the plane, or in it if it slides."""
+    x, y, z = joint.axis
+    if joint.kind == "prismatic":
+        return (x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0) if z else joint.axis
+    return (0.0, 0.0, float(np.sign(z))) if joint.kind == "revolute" else joint.axis
 
 
 def _turned_platform(one: Limb, C_platform: Array) -> Limb:
@@ -278,10 +307,10 @@ def _apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
     )
 
 
-def _reduced(leg: Leg, platform: Platform) -> Leg:
+def _reduced(leg: Leg, platform: Platform, slack: float) -> Leg:
     """Return a leg with the parameters that its closure can distinguish; shifts come first."""
     order = sorted(leg.parameter_names, key=lambda name: leg.units[name] != "m")
-    kept = set(independent(leg, platform, tuple(order)))
+    kept = set(independent(leg, platform, tuple(order), slack))
 
     def with_kept(joint: Joint) -> Joint:
         coordinates = tuple(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.formats.trees.tree import Tree
@@ -13,6 +16,34 @@ from pincal.model.checks import ALIKE
 from pincal.model.home import ROUGH
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
+
+_WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
+_NUMBERS = 10
+"""Numbers along a leg whose digits may be cut: two across each of five joints."""
+
+
+def slack_of(text: str) -> float:
+    """Return how far digits that an XML file does not write may have moved a leg's frames.
+
+    Half a unit in the last digit, of lengths over the largest or of directions, whichever is more,
+    times the numbers along a leg. Numbers of less than four digits are taken as exact, but for
+    right angles: 1.57 is cut.
+
+    Returns:
+        Relative to a leg's size, and [rad].
+    """
+    cut = 0.0
+    for kinds in _WRITTEN:
+        values = " ".join(re.findall(rf"""\b(?:{kinds})\s*=\s*["']([^"']*)["']""", text)).split()
+        plain = [re.sub(r"[eE].*|[-+.]", "", value).strip("0") for value in values]
+        if long := [len(digits) for digits in plain if len(digits) > 3]:
+            cut = max(cut, 5.0 * 10.0 ** -float(np.median(long)))
+        if "rpy" in kinds:
+            for value in values:
+                if right := re.fullmatch(r"-?(1\.57|3\.14|4\.71|6\.28)(\d*)", value):
+                    off = abs(np.remainder(float(value) + np.pi / 4, np.pi / 2) - np.pi / 4)
+                    cut = max(cut, off if off < 0.1 ** (2 + len(right[2])) else 0.0)
+    return _NUMBERS * cut
 
 
 def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
@@ -50,7 +81,7 @@ def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
         for leg in mechanism.legs
     ]
     gap = opening(legs, mechanism.platform.form)
-    if gap <= ALIKE * largest_size(mechanism.legs):
+    if gap <= max(ALIKE, tree.slack) * largest_size(mechanism.legs):
         return f"the loops close as drawn, within {gap:.2g} m", False
     moved: dict[str, tuple[float, str]] = {}
     for joint in (one for leg in mechanism.legs for one in leg.moving if one.name in drawn):

@@ -145,7 +145,7 @@ def limb(
     turned = [i - place for i in last[-count:]]
     origins = np.stack([frames[i][:3, 3] for i in turned])
     axes = np.stack([frames[i][:3, :3] @ joints[i + place].axis for i in turned])
-    centre = _meeting(origins, axes) if normal is None else origins[0]
+    centre = _meeting(origins, axes, tree.slack) if normal is None else origins[0]
     if centre is None:
         return Limb(joints, None)
     there = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3]
@@ -157,8 +157,11 @@ def limb(
     return Limb(_to_point(joints[:place], first, centre), point)
 
 
-def _meeting(origins: Array, axes: Array) -> Array | None:
-    """Return where three axes meet that turn in all directions, shape (3,); None if nowhere."""
+def _meeting(origins: Array, axes: Array, slack: float) -> Array | None:
+    """Return where three axes meet that turn in all directions, shape (3,); None if nowhere.
+
+    They may miss each other by a slack, of the distances from the first.
+    """
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     turning = np.linalg.norm(np.cross(axes[:-1], axes[1:]), axis=1)
     if (turning < 1e-6).any():
@@ -166,7 +169,7 @@ def _meeting(origins: Array, axes: Array) -> Array | None:
     centre = np.linalg.solve(across.sum(axis=0), np.einsum("kij,kj->i", across, origins))
     missed = np.abs(np.einsum("kij,kj->ki", across, origins - centre)).max()
     size = float(np.abs(origins).max()) or 1.0
-    if missed > EXACT * size:
+    if missed > max(EXACT, slack) * size:
         return None
     near = np.abs(origins[0] - centre).max() <= 1e-15 * size
     return np.asarray(origins[0] if near else centre)

@@ -65,6 +65,8 @@ class Tree:
     """Why joints cannot be part of a leg, by name: refused where one is, and only there."""
     remarks: Mapping[str, str] = field(default_factory=dict)
     """What is to be said of joints that are part of a leg, by name."""
+    slack: float = 0.0
+    """What digits that were cut off may have moved frames by, of a leg's size and [rad]."""
 
     @property
     def links(self) -> tuple[str, ...]:
