@@ -21,7 +21,7 @@ LINES = {
     "design": 3_400,
     "estimation": 6_650,
     "files": 3_370,
-    "formats": 3_650,
+    "formats": 3_660,
     "kinematics": 4_400,
     "model": 3_750,
     "show": 7_400,

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
@@ -49,12 +50,12 @@ def assembled(
     """
     free = Platform(kind, (0.0,) * Platform.dof_of(kind))
     size = largest_size(legs) or 1.0
-    pose, joints, gap = _closed(legs, free, _SINGULAR)
+    pose, joints, gap = _closed(legs, free, size, _SINGULAR)
     ends = zip(legs, joints, strict=True)
     moved = max(float(np.abs(q[0] - leg.home).max(initial=0.0)) for leg, q in ends)
     far = slack > _SINGULAR and moved > opening(legs, kind) / size / slack
     if far or not gap <= _NEWTON.closed * size:
-        pose, joints, gap = _closed(legs, free, max(slack, _SINGULAR))
+        pose, joints, gap = _closed(legs, free, size, max(slack, _SINGULAR))
     if not gap <= max(_NEWTON.closed, slack) * size:
         raise MechanismError(
             f"the loops do not close near the joint positions that the file draws: {gap:.3g} m "
@@ -66,48 +67,42 @@ def assembled(
     return placed, Platform(kind, tuple(home.tolist()))
 
 
-def _closed(legs: Sequence[Leg], free: Platform, least: float) -> tuple[Array, list[Array], float]:
+def _closed(
+    legs: Sequence[Leg], free: Platform, size: float, least: float
+) -> tuple[Array, list[Array], float]:
     """Return pose (1, 4, 4) and joints (1, n) of the legs where Newton's method ends, and the gap.
 
     Args:
         legs: The legs, at home where to start.
         free: The platform.
+        size: Of the largest leg, [m].
         least: Singular value, over the leg's size, below which nothing moves.
     """
     closures = [LegClosure(leg, free) for leg in legs]
     joints = [leg.home[None].copy() for leg in legs]
-    size = largest_size(legs) or 1.0
     pose = _fitted(closures, joints, free)
     turning = [unit == "rad" for unit in free.units]
     turning += [joint.turns for leg in legs for joint in leg.moving]
     scale = np.where(turning, 1.0, size)
+    ends = np.cumsum([free.dof, *(len(leg.moving) for leg in legs)])[:-1]
     gap = np.inf
     for _ in range(_NEWTON.steps):
         parts = [one.evaluate(q, pose) for one, q in zip(closures, joints, strict=True)]
         gaps = np.concatenate([part.gap[0] for part in parts])
         gap = float(np.abs(gaps).max())
-        if gap <= ROUNDING * size:
-            break
-        widths = [len(leg.moving) for leg in legs]
-        J = np.zeros((len(gaps), free.dof + sum(widths)))
-        row, column = 0, free.dof
-        for leg, part, width in zip(legs, parts, widths, strict=True):
-            rows = slice(row, row + part.gap.shape[1])
-            J[rows, : free.dof] = part.pose[0]
-            J[rows, [column + i for i in leg.active]] = part.active[0]
-            J[rows, [column + i for i in leg.passive]] = part.passive[0]
-            row, column = rows.stop, column + width
+        by_pose = np.concatenate([part.pose[0] for part in parts])
+        J = np.hstack((by_pose, block_diag(*(part.at.by_joints[0] for part in parts))))
         u, values, vt = np.linalg.svd(J * scale / size, full_matrices=False)
-        kept = values > cut_in_gap(values, least)
-        step = -scale * (vt[kept].T @ ((u[:, kept].T @ gaps / size) / values[kept]))
-        if np.abs(step / scale).max(initial=0.0) <= ROUNDING:
+        free_to = values > cut_in_gap(values, least)
+        step = -scale * (vt[free_to].T @ ((u[:, free_to].T @ gaps / size) / values[free_to]))
+        longest = float(np.abs(step).max())
+        if gap <= ROUNDING * size or longest <= ROUNDING * max(1.0, size):
             break
-        step *= min(1.0, _NEWTON.largest * max(1.0, size) / (float(np.abs(step).max()) or 1.0))
-        pose = free.displaced(pose, step[None, : free.dof])
-        column = free.dof
-        for q, width in zip(joints, widths, strict=True):
-            q[0] += step[column : column + width]
-            column += width
+        step *= min(1.0, _NEWTON.largest * max(1.0, size) / longest)
+        twist, *moves = np.split(step, ends)
+        pose = free.displaced(pose, twist[None])
+        for q, move in zip(joints, moves, strict=True):
+            q[0] += move
     return pose, joints, gap
 
 

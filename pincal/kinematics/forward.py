@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -48,8 +48,7 @@ from pincal.model.sensors.terms import LOAD
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _WAY = 8  # steps on the way from home
-_STARTS = 4  # searches of readings that are far from home
-_ROUNDS, _DRAWN, _NEARER = 5, 300, 6  # configurations around home: drawn, and nearer by halves
+_STARTS, _ROUNDS, _DRAWN, _NEARER = 4, 5, 300, 6  # searches; rounds, draws, halvings around home
 _NEWTON = Newton(steps=40, small=1e-9, largest=0.2, closed=1e-8)
 LOADS = Newton(steps=20, small=ROUNDING)
 """Loads follow from where the machine is, which follows from loads: found again."""
@@ -148,30 +147,17 @@ def _from_elsewhere(
     mechanism: Mechanism, readings: Array, columns: Array | None, found: ForwardSolution
 ) -> ForwardSolution:
     """Return forward kinematics with rows searched again that were not found from home."""
-    for attempt in range(_STARTS):
-        lost = np.flatnonzero(~found.converged)
+    reasons = np.array(found.reasons, dtype=object)
+    for place in range(_STARTS):
+        lost = np.flatnonzero(reasons != "")
         if not len(lost):
             break
         known, poses = _around_home(mechanism)
-        near = poses[_nearest(known, readings[lost], attempt)]
-        again = _forward(
-            mechanism,
-            readings[lost],
-            mechanism.platform.transforms(near),
-            None if columns is None else columns[lost],
-        )
-        solved = lost[again.converged]
-        found.poses[solved], found.gap[solved] = (
-            again.poses[again.converged],
-            again.gap[again.converged],
-        )
-        reasons = np.array(found.reasons, dtype=object)
-        reasons[lost] = again.reasons
-        converged = reasons == ""
-        found = ForwardSolution(
-            found.poses, converged, found.gap, found.iterations + again.iterations, tuple(reasons)
-        )
-    return found
+        near = mechanism.platform.transforms(poses[_nearest(known, readings[lost], place)])
+        influences = None if columns is None else columns[lost]
+        again = _forward(mechanism, readings[lost], near, influences)
+        found.poses[lost], found.gap[lost], reasons[lost] = again.poses, again.gap, again.reasons
+    return replace(found, converged=reasons == "", reasons=tuple(reasons))
 
 
 def _nearest(known: Array, readings: Array, place: int) -> NDArray[np.intp]:
@@ -196,8 +182,7 @@ def _around_home(mechanism: Mechanism) -> tuple[Array, Array]:
         part = 0.5 ** rng.integers(0, _NEARER, (_DRAWN, 1))
         drawn = home + part * (rng.uniform(low, high, (_DRAWN, len(home))) - home)
         near = mechanism.platform.transforms(poses[_nearest(known, drawn, 0)])
-        influences = influence_columns(mechanism, None, _DRAWN)
-        reached = _forward(mechanism, drawn, near, influences)
+        reached = _forward(mechanism, drawn, near, influence_columns(mechanism, None, _DRAWN))
         known = np.concatenate((known, drawn[reached.converged]))
         poses = np.concatenate((poses, reached.poses[reached.converged]))
     return known, poses

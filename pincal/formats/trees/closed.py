@@ -131,10 +131,7 @@ def _freedoms(way: Way) -> str | None:
 
 
 def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
-    """Return the normal of the plane in which all joints move, in the root's frame, shape (3,).
-
-    Directions are parallel within the digits that the file writes.
-    """
+    """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
     at = poses_at_zero(tree)
     turning: list[Array] = []
     sliding: list[Array] = []
@@ -173,10 +170,7 @@ def _along(normal: Array, slack: float) -> Array:
 
 
 def _in_plane(one: Limb, normal: Array, C_platform: Array, slack: float) -> Limb:
-    """Return a leg whose every frame has z across the plane, in a base frame that has.
-
-    What leaves the plane by less than a slack is put into it.
-    """
+    """Return a leg in the plane, z of every frame across it, in a base frame that has it so."""
     joints: list[Joint] = []
     C, R = _onto(normal), np.eye(3)
     for joint in one.joints:
@@ -208,9 +202,9 @@ def _flat(R: Array) -> Array:
 def _flat_axis(joint: Joint) -> tuple[float, float, float]:
     """Return a joint's axis across the plane, or in it if it slides."""
     x, y, z = joint.axis
-    if joint.kind == "prismatic":
-        return (x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0) if z else joint.axis
-    return (0.0, 0.0, float(np.sign(z))) if joint.kind == "revolute" else joint.axis
+    if joint.kind == "prismatic" and z:
+        return x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0
+    return joint.axis if joint.kind == "prismatic" else (0.0, 0.0, float(np.sign(z)))
 
 
 def _turned_platform(one: Limb, C_platform: Array) -> Limb:

@@ -18,19 +18,15 @@ from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 
 _WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
-_NUMBERS = 10
-"""Numbers along a leg whose digits may be cut: two across each of five joints."""
+_NUMBERS = 10  # along a leg, whose digits may be cut: two across each of five joints
 
 
 def slack_of(text: str) -> float:
     """Return how far digits that an XML file does not write may have moved a leg's frames.
 
     Half a unit in the last digit, of lengths over the largest or of directions, whichever is more,
-    times the numbers along a leg. Numbers of less than four digits are taken as exact, but for
-    right angles: 1.57 is cut.
-
-    Returns:
-        Relative to a leg's size, and [rad].
+    times the numbers along a leg: of its size, and [rad]. Numbers of less than four digits are
+    taken as exact, but for right angles: 1.57 is cut.
     """
     cut = 0.0
     for kinds in _WRITTEN:

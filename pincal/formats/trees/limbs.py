@@ -158,10 +158,7 @@ def limb(
 
 
 def _meeting(origins: Array, axes: Array, slack: float) -> Array | None:
-    """Return where three axes meet that turn in all directions, shape (3,); None if nowhere.
-
-    They may miss each other by a slack, of the distances from the first.
-    """
+    """Return where three axes meet that turn in all directions, shape (3,); None if nowhere."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     turning = np.linalg.norm(np.cross(axes[:-1], axes[1:]), axis=1)
     if (turning < 1e-6).any():
