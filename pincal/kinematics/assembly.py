@@ -2,9 +2,8 @@
 
 Files say how bodies hang together, and at which joint positions they were drawn, not that the loops
 are closed there. Newton's method on the platform's pose and all joints takes the shortest steps
-that close them. Loops of more equations than freedoms (a spherical machine in space) close exactly
-only if every digit is there: a joint that has to move far for a small gap moves along no freedom,
-but along what was cut off, and stays.
+that close them. Loops of more equations than freedoms close exactly only if every digit is there: a
+joint that has to move far for a small gap moves along no freedom, and stays.
 
 A passive joint's zero, or a shift along a joint's axis that the next placement has too, changes
 nothing: over random configurations the closure's derivatives by such parameters depend on those by
