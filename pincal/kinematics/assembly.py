@@ -7,8 +7,7 @@ joint that has to move far for a small gap moves along no freedom, and stays.
 
 A passive joint's zero, or a shift along a joint's axis that the next placement has too, changes
 nothing: over random configurations the closure's derivatives by such parameters depend on those by
-others. Of the parameters in order, those that add to the rank are kept. Ranks are cut in the widest
-gap of singular values above what cut digits reach.
+others. Of the parameters in order, those that add to the rank are kept, ranks cut in a widest gap.
 """
 
 from __future__ import annotations
