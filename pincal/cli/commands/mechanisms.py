@@ -189,7 +189,8 @@ def _parsed(group: str) -> tuple[int, bool]:
     """Return the number of rotations of a claimed group, and whether it has mirrors."""
     letter, order = group[:1].upper(), group[1:].lstrip("_")
     least = {"D": 2, "C": 1}.get(letter, 0)
-    if not least or not order.isdigit() or int(order) < least or int(order) % least:
+    counted = order.isdecimal() and len(order) <= 3  # no machine has a thousand legs
+    if not least or not counted or int(order) < least or int(order) % least:
         raise typer.BadParameter(
             f"--group {group}: expected D and its order, twice the number of rotations, such as D6 "
             "for three rotations and three mirrors; or C and the number of rotations, such as C3"
