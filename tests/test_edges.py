@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 from marks import slow_or_fuzz, some_slow
 from measured import workspace
 from numpy.typing import NDArray
@@ -544,3 +545,16 @@ def test_blas_has_its_threads_back() -> None:
         with pytest.raises(ValueError):
             nested()
         assert threads() == before
+
+
+def test_numbers_beyond_all_machines_are_refused(tmp_path: Path) -> None:
+    """So many processes, and counts so coarse that their sizes overflow, are refused, exit 2."""
+    (tmp_path / "p.csv").write_text("x [m],y [m]\n0,1.1\n")
+    counts = ("--counts", "leg_1=1e-320/rad")
+    coarse = run("inverse", "5R", tmp_path / "p.csv", "-o", tmp_path / "r.csv", *counts)
+    assert coarse.code == 2
+    assert "counts of one unit" in coarse.trouble
+    jobs = ("--kind", "constant-orientation", "--jobs", "9" * 20)
+    many = run("workspace", "3RRR", *jobs, "-o", tmp_path / "w.csv")
+    assert many.code == 2
+    assert "1024" in many.err

@@ -72,7 +72,9 @@ class Candidates:
         Goal, typer.Option(help="Best for the parameters, or for the calibrated platform.")
     ] = "parameters"
     starts: Annotated[int, typer.Option(min=1, help="Starts of the search; the best is kept.")] = 5
-    jobs: Annotated[int, typer.Option(help="Processes, with a protocol; -1 for one a core.")] = 1
+    jobs: Annotated[
+        int, typer.Option(max=1024, help="Processes, with a protocol; -1 for one a core.")
+    ] = 1
     verify: Annotated[
         int,
         typer.Option(min=0, help="Random poses beside them, by which the calibration is checked."),

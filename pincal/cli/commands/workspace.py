@@ -107,7 +107,7 @@ class WorkspaceOptions:
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.svg|png|pdf", help="Draw the workspace.")
     ] = None
-    jobs: Annotated[int, typer.Option(help="Processes; -1 for one a core.")] = 1
+    jobs: Annotated[int, typer.Option(max=1024, help="Processes; -1 for one a core.")] = 1
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Run on a Dask cluster.")
     ] = None

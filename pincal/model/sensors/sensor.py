@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.model.checks import LARGEST
 from pincal.model.sensors.terms import Term
 
 Array = NDArray[np.float64]
@@ -172,7 +173,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         by = self.counts_per_unit
-        if by is not None and not 0.0 < by < np.inf:
+        if by is not None and not 1.0 / LARGEST <= by <= LARGEST:
             raise MechanismError(
                 f"sensor of {self.joint!r}: {by!r} counts of one unit; expected a number above 0 "
                 "(which way it counts is the direction)"
